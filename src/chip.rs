@@ -1,0 +1,475 @@
+//! A chip is a table: the vocabulary in which one is written, and the list of them.
+//!
+//! Rows keep the manual's columns and order, so that a reviewer checks them with the manual open
+//! alongside. No code asks which chip it has: a difference between chips is a field here.
+
+use std::time::Duration;
+
+use crate::value::Type;
+
+pub mod bq34z100_g1;
+
+/// Every chip that gaugefs knows, in the order of the README.
+pub static CHIPS: &[&Chip] = &[];
+
+/// One fuel gauge: everything that tells it from another.
+#[derive(Debug)]
+pub struct Chip {
+    /// Name on the command line: TI's, lower case.
+    pub name: &'static str,
+    /// Name as TI prints it, shown as `model_name`.
+    pub model: &'static str,
+    /// The documents behind the table, with revision.
+    pub documents: &'static [&'static str],
+    /// How far the table has been checked.
+    pub evidence: Evidence,
+    /// What the gauge answers when asked who it is.
+    pub identity: Identity,
+    /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
+    pub technology: &'static str,
+    /// Standard commands, by address.
+    pub registers: &'static [Register],
+    /// Control() subcommands, by code.
+    pub subcommands: &'static [Subcommand],
+    /// CONTROL_STATUS bits.
+    pub control_status: &'static [Bit],
+    /// What the flags mean to a power_supply.
+    pub condition: Condition,
+    /// How seal, unseal and full access are told and reached.
+    pub security: Security,
+    /// How data flash is reached and committed, with its waits.
+    pub access: Access,
+    /// What a data-flash write needs first.
+    pub gate: Option<Gate>,
+    /// Data flash, in the manual's order.
+    pub subclasses: &'static [Subclass],
+    /// Single-byte writes only above this bus clock; `None` where the manual says nothing.
+    pub byte_writes_above_hz: Option<u32>,
+}
+
+/// How far anyone has checked a table or a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Evidence {
+    /// Printed in TI's manual for this part.
+    Manual,
+    /// Seen in byte-level transcripts of this part as well.
+    Transcript,
+    /// Inferred from a sibling or from one driver only: read-only unless the user insists.
+    Unproven,
+}
+
+/// The answers that identify a part.
+#[derive(Debug)]
+pub struct Identity {
+    /// Control(DEVICE_TYPE).
+    pub device_type: u16,
+    /// Control(FW_VERSION) values the table was made for.
+    pub firmware: &'static [u16],
+    /// Control(HW_VERSION), where it tells colliding device types apart.
+    pub hardware: Option<u16>,
+    /// Where the answers to DEVICE_TYPE and its like are read.
+    pub answer: u8,
+}
+
+/// How often a register is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tier {
+    /// With every poll.
+    Poll,
+    /// With every tenth poll, for `gauge/registers`.
+    Slow,
+    /// When the gauge is opened: copies of data flash.
+    Static,
+    /// Never by itself: Control() and the block-access window.
+    Window,
+}
+
+/// The power_supply property that a register feeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Role {
+    /// `capacity`, %.
+    Capacity,
+    /// `capacity_error_margin`, %.
+    CapacityErrorMargin,
+    /// `charge_now`, mAh.
+    ChargeNow,
+    /// `charge_full`, mAh.
+    ChargeFull,
+    /// `charge_full_design`, mAh.
+    ChargeFullDesign,
+    /// `voltage_now`, mV.
+    VoltageNow,
+    /// `current_now`, mA.
+    CurrentNow,
+    /// `current_avg`, mA.
+    CurrentAvg,
+    /// `temp`, 0.1 K.
+    Temp,
+    /// `time_to_empty_now`, min.
+    TimeToEmptyNow,
+    /// `time_to_full_now`, min.
+    TimeToFullNow,
+    /// `energy_now`, mWh times the scale of [`Chip`].
+    EnergyNow,
+    /// `power_avg`, mW times the same scale.
+    PowerAvg,
+    /// `cycle_count`.
+    CycleCount,
+    /// `state_of_health`, %.
+    StateOfHealth,
+    /// The flags that `status`, `health` and `capacity_level` follow from.
+    Flags,
+}
+
+/// A standard command.
+#[derive(Debug)]
+pub struct Register {
+    /// Address of its least significant byte.
+    pub code: u8,
+    /// Bytes.
+    pub size: u8,
+    /// Whether the value is two's complement.
+    pub signed: bool,
+    /// TI's name without the parentheses.
+    pub name: &'static str,
+    /// Unit of one step, as the manual prints it.
+    pub unit: &'static str,
+    /// How often it is read.
+    pub tier: Tier,
+    /// The property it feeds.
+    pub role: Option<Role>,
+    /// Names of its bits, where it is a word of flags.
+    pub bits: &'static [Bit],
+}
+
+/// A named bit of a flag word.
+#[derive(Debug)]
+pub struct Bit {
+    /// The bit's mask.
+    pub mask: u16,
+    /// TI's name.
+    pub name: &'static str,
+}
+
+/// A Control() subcommand.
+#[derive(Debug)]
+pub struct Subcommand {
+    /// The word written to Control().
+    pub code: u16,
+    /// TI's name.
+    pub name: &'static str,
+    /// Whether a sealed gauge takes it.
+    pub sealed: bool,
+    /// What sending it does.
+    pub effect: Effect,
+}
+
+/// What a subcommand does, and so who may send it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Answers with a word and changes nothing.
+    Answers,
+    /// Changes the gauge's state in a way that the user may ask for through `gauge/control`.
+    Safe,
+    /// Has a guarded way of its own (seal, reset) and is refused in `gauge/control`.
+    Guarded,
+    /// Ruins, locks out or disturbs a gauge: never sent.
+    Never,
+}
+
+/// What the flags register means to a power_supply. Masks of the [`Role::Flags`] register.
+#[derive(Debug)]
+pub struct Condition {
+    /// Fully charged.
+    pub full: u16,
+    /// Below the first, higher threshold of remaining capacity.
+    pub low: u16,
+    /// Below the final threshold.
+    pub critical: u16,
+    /// Over temperature.
+    pub overheat: u16,
+    /// Under temperature.
+    pub cold: u16,
+    /// Set while a battery is present; 0 where the gauge cannot tell.
+    pub present: u16,
+}
+
+/// Seal states and keys.
+#[derive(Debug)]
+pub struct Security {
+    /// Where the seal state shows.
+    pub status: SealStatus,
+    /// The manual's default unseal key, in the order it is sent.
+    pub default_unseal: [u16; 2],
+    /// Whether there is a FULL ACCESS state above UNSEALED.
+    pub full_access: bool,
+    /// Subcommand that seals.
+    pub seal: u16,
+    /// Silence that the gauge wants before keys that it refused once.
+    pub key_silence: Duration,
+}
+
+/// Where and how the seal state shows.
+#[derive(Debug)]
+pub enum SealStatus {
+    /// In CONTROL_STATUS: a bit that is set while SEALED, a bit that is set while not in FULL ACCESS.
+    Bits {
+        /// `[SS]`.
+        sealed: u16,
+        /// `[FAS]`; 0 where there is no FULL ACCESS.
+        not_full_access: u16,
+    },
+    /// A two-bit field of the CONTROL_STATUS word or of a register: 11 SEALED, 10 UNSEALED, 01 FULL ACCESS.
+    Field {
+        /// Register that holds the field; `None` for CONTROL_STATUS.
+        register: Option<u8>,
+        /// The lower of the two bits.
+        shift: u8,
+    },
+}
+
+/// How data flash is reached.
+#[derive(Debug)]
+pub enum Access {
+    /// Unsealed block access: BlockDataControl, DataFlashClass, DataFlashBlock, 32-byte window, checksum
+    /// that commits.
+    Block(BlockTimes),
+}
+
+/// Waits of unsealed block access. None is optional; each names its source in the table.
+#[derive(Debug)]
+pub struct BlockTimes {
+    /// From selecting a block until its bytes stand in the window.
+    pub select: Duration,
+    /// From the checksum that commits until the gauge has programmed the block.
+    pub commit: Duration,
+    /// From RESET until the gauge answers again.
+    pub reset: Duration,
+    /// How long to go on asking after that.
+    pub reset_limit: Duration,
+}
+
+/// The voltage below which the gauge takes a flash write, acknowledges it and stores nothing.
+#[derive(Debug)]
+pub struct Gate {
+    /// Parameter that holds the limit in mV a cell: subclass and offset.
+    pub limit: (u8, u16),
+    /// Parameter that holds the voltage divider, and the divider at which Voltage() is a cell's;
+    /// `None` where the limit is compared with Voltage() itself.
+    pub divider: Option<(u8, u16, u32)>,
+}
+
+/// A subclass of data flash.
+#[derive(Debug)]
+pub struct Subclass {
+    /// The manual's class, such as `Configuration`.
+    pub class: &'static str,
+    /// The manual's name, such as `IT Cfg`.
+    pub name: &'static str,
+    /// Subclass id.
+    pub id: u8,
+    /// Bytes that the subclass holds.
+    pub length: u16,
+    /// What its parameters need and allow.
+    pub kind: Kind,
+    /// Its documented parameters, by offset.
+    pub parameters: &'static [Parameter],
+}
+
+/// What a subclass needs and allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Takes effect for sure only after a reset.
+    Reset,
+    /// Only stored: no reset.
+    Plain,
+    /// Keys: never read, exported or shown; written only by a guarded way of its own.
+    Security,
+}
+
+/// A documented data-flash parameter.
+#[derive(Debug)]
+pub struct Parameter {
+    /// Offset in its subclass.
+    pub offset: u16,
+    /// Type.
+    pub kind: Type,
+    /// TI's name.
+    pub name: &'static str,
+    /// Range of the manual.
+    pub range: Range,
+    /// Unit as the manual prints it; empty for none.
+    pub unit: &'static str,
+    /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
+    pub learned: bool,
+    /// Narrower limits than the manual's, where its range lets a pack be ruined.
+    pub safe: Option<Safe>,
+    /// Address or range is not sure: read-only unless the user insists.
+    pub unproven: bool,
+}
+
+/// Range and default of a parameter.
+#[derive(Debug)]
+pub enum Range {
+    /// Of an integer or bit field; `default` is `None` where sources disagree or none is known.
+    Int {
+        /// Smallest value.
+        min: i64,
+        /// Largest value.
+        max: i64,
+        /// The manual's default.
+        default: Option<i64>,
+    },
+    /// Of an `F4`.
+    Float {
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+        /// The manual's default.
+        default: Option<f64>,
+    },
+    /// Of a string: any text that fits.
+    Text {
+        /// The manual's default.
+        default: Option<&'static str>,
+    },
+}
+
+/// A limit that keeps a pack alive, narrower than the manual's range. Each says why in its message.
+#[derive(Debug)]
+pub enum Safe {
+    /// At least so much.
+    AtLeast(i64, &'static str),
+    /// Not above the voltage that the gauge measures now, scaled as its flash gate scales it.
+    BelowPresentVoltage(&'static str),
+    /// These bits must keep the value they have.
+    Reserved(u32),
+}
+
+impl Parameter {
+    const fn new(offset: u16, kind: Type, name: &'static str, range: Range, unit: &'static str) -> Self {
+        Self { offset, kind, name, range, unit, learned: false, safe: None, unproven: false }
+    }
+
+    /// An integer row of a manual's table: offset, type, name, min, max, default, unit.
+    pub const fn int(
+        offset: u16,
+        kind: Type,
+        name: &'static str,
+        min: i64,
+        max: i64,
+        default: i64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, kind, name, Range::Int { min, max, default: Some(default) }, unit)
+    }
+
+    /// A floating-point row of a manual's table.
+    pub const fn float(
+        offset: u16,
+        name: &'static str,
+        min: f64,
+        max: f64,
+        default: f64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, Type::F4, name, Range::Float { min, max, default: Some(default) }, unit)
+    }
+
+    /// A string row of a manual's table.
+    pub const fn text(offset: u16, size: u8, name: &'static str, default: &'static str) -> Self {
+        Self::new(offset, Type::S(size), name, Range::Text { default: Some(default) }, "")
+    }
+
+    /// The gauge rewrites this one itself.
+    #[must_use]
+    pub const fn learned(mut self) -> Self {
+        self.learned = true;
+        self
+    }
+
+    /// Narrower limits than the manual's.
+    #[must_use]
+    pub const fn safe(mut self, safe: Safe) -> Self {
+        self.safe = Some(safe);
+        self
+    }
+
+    /// Address or range is not sure.
+    #[must_use]
+    pub const fn unproven(mut self) -> Self {
+        self.unproven = true;
+        self
+    }
+}
+
+impl Chip {
+    /// The chip of that name on the command line.
+    pub fn by_name(name: &str) -> Option<&'static Chip> {
+        CHIPS.iter().copied().find(|chip| chip.name.eq_ignore_ascii_case(name))
+    }
+
+    /// The register that feeds a property.
+    pub fn register(&self, role: Role) -> Option<&'static Register> {
+        self.registers.iter().find(|register| register.role == Some(role))
+    }
+
+    /// The subclass of that id.
+    pub fn subclass(&self, id: u8) -> Option<&'static Subclass> {
+        self.subclasses.iter().find(|subclass| subclass.id == id)
+    }
+}
+
+impl Subclass {
+    /// The parameter at that offset.
+    pub fn parameter(&self, offset: u16) -> Option<&'static Parameter> {
+        self.parameters.iter().find(|parameter| parameter.offset == offset)
+    }
+}
+
+/// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`, an
+/// upper-case letter after a lower-case one starting a new word (`StateOfCharge` is
+/// `state_of_charge`, `DOD@EOC` is `dod_at_eoc`).
+pub fn snake_case(name: &str) -> String {
+    let mut words = String::new();
+    let mut before = ' ';
+    for letter in name.replace('@', "_at_").chars() {
+        if !letter.is_ascii_alphanumeric() {
+            words.push('_');
+        } else {
+            if letter.is_ascii_uppercase() && before.is_ascii_lowercase() {
+                words.push('_');
+            }
+            words.push(letter.to_ascii_lowercase());
+        }
+        before = letter;
+    }
+    words.split('_').filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
+}
+
+/// A name of the manual's as a file name of `df/by-name`: lower case, `%` is `pct`, every other run of
+/// characters `-`.
+pub fn kebab_case(name: &str) -> String {
+    let lower = name.to_lowercase().replace('%', " pct ");
+    let words = lower.split(|letter: char| !letter.is_ascii_alphanumeric());
+    words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("-")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_names_follow_from_the_manuals_names() {
+        assert_eq!(snake_case("StateOfCharge"), "state_of_charge");
+        assert_eq!(snake_case("DOD@EOC"), "dod_at_eoc");
+        assert_eq!(snake_case("DOD0Time"), "dod0_time");
+        assert_eq!(snake_case("FlagsB"), "flags_b");
+        assert_eq!(snake_case("CONTROL_STATUS"), "control_status");
+        assert_eq!(kebab_case("Cell Terminate Voltage"), "cell-terminate-voltage");
+        assert_eq!(kebab_case("TCA Set %"), "tca-set-pct");
+        assert_eq!(kebab_case("IT Cfg"), "it-cfg");
+        assert_eq!(kebab_case("Cell Charge Voltage T1-T2"), "cell-charge-voltage-t1-t2");
+    }
+}

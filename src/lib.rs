@@ -1,0 +1,7 @@
+//! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
+
+pub mod bus;
+pub mod chip;
+pub mod clock;
+pub mod error;
+pub mod value;

@@ -1,0 +1,3 @@
+//! The `gaugefs` command.
+
+fn main() {}

@@ -1,0 +1,61 @@
+//! Data-flash types and values.
+
+use std::fmt;
+
+/// The type of a data-flash parameter, named as TI's manuals name it: a letter for the kind and the
+/// number of bytes. Multi-byte values stand in data flash with the most significant byte first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Type {
+    /// A signed integer of so many bytes, two's complement.
+    I(u8),
+    /// An unsigned integer of so many bytes.
+    U(u8),
+    /// A bit field or code of so many bytes, shown in hexadecimal.
+    H(u8),
+    /// TI's four-byte floating-point number, which is not IEEE 754.
+    F4,
+    /// A string of so many bytes, the first of which is its length.
+    S(u8),
+}
+
+impl Type {
+    /// Bytes in data flash.
+    pub const fn size(self) -> usize {
+        match self {
+            Type::I(n) | Type::U(n) | Type::H(n) | Type::S(n) => n as usize,
+            Type::F4 => 4,
+        }
+    }
+
+    /// The smallest and the largest integer of the type; `None` for `F4` and strings.
+    pub const fn bounds(self) -> Option<(i64, i64)> {
+        match self {
+            Type::I(n) => Some((-(1 << (8 * n - 1)), (1 << (8 * n - 1)) - 1)),
+            Type::U(n) | Type::H(n) => Some((0, (1 << (8 * n)) - 1)),
+            Type::F4 | Type::S(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for Type {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Type::I(n) => write!(f, "I{n}"),
+            Type::U(n) => write!(f, "U{n}"),
+            Type::H(n) => write!(f, "H{n}"),
+            Type::F4 => f.write_str("F4"),
+            Type::S(n) => write!(f, "S{n}"),
+        }
+    }
+}
+
+/// A data-flash value, decoded.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// Of a type `I`, `U` or `H`.
+    Int(i64),
+    /// Of type `F4`.
+    Float(f64),
+    /// Of a type `S`: the bytes after the length, which need not be printable.
+    Text(Vec<u8>),
+}
