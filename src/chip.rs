@@ -429,7 +429,7 @@ impl Subclass {
 }
 
 /// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`, an
-/// upper-case letter after a lower-case one starting a new word (`StateOfCharge` is
+/// upper-case letter after a lower-case one or a digit starting a new word (`StateOfCharge` is
 /// `state_of_charge`, `DOD@EOC` is `dod_at_eoc`).
 pub fn snake_case(name: &str) -> String {
     let mut words = String::new();
@@ -438,7 +438,7 @@ pub fn snake_case(name: &str) -> String {
         if !letter.is_ascii_alphanumeric() {
             words.push('_');
         } else {
-            if letter.is_ascii_uppercase() && before.is_ascii_lowercase() {
+            if letter.is_ascii_uppercase() && (before.is_ascii_lowercase() || before.is_ascii_digit()) {
                 words.push('_');
             }
             words.push(letter.to_ascii_lowercase());

@@ -4,4 +4,6 @@ pub mod bus;
 pub mod chip;
 pub mod clock;
 pub mod error;
+pub mod keys;
+pub mod poll;
 pub mod value;
