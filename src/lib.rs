@@ -3,7 +3,9 @@
 pub mod bus;
 pub mod chip;
 pub mod clock;
+pub mod codec;
 pub mod error;
 pub mod keys;
 pub mod poll;
+pub mod text;
 pub mod value;

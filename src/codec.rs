@@ -1,0 +1,164 @@
+//! Bytes to values and back, and the checksum of a block. Pure: no bus, no text.
+
+use crate::value::{Type, Value};
+
+/// Bytes in the block-access window.
+pub const WINDOW: usize = 32;
+
+/// BlockDataChecksum(): 255 less the sum of the window's bytes modulo 256 (SLUSBZ5D 7.3.3.1).
+pub fn checksum(bytes: &[u8]) -> u8 {
+    255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
+}
+
+/// The value that stands in data flash as `bytes`, which must be as many as the type has.
+pub fn decode(kind: Type, bytes: &[u8]) -> Value {
+    debug_assert_eq!(bytes.len(), kind.size());
+    match kind {
+        Type::U(_) | Type::H(_) => Value::Int(unsigned(bytes)),
+        Type::I(size) => {
+            let (raw, span) = (unsigned(bytes), 1i64 << (8 * size));
+            Value::Int(if raw >= span / 2 { raw - span } else { raw })
+        }
+        Type::F4 => Value::Float(decode_f4([bytes[0], bytes[1], bytes[2], bytes[3]])),
+        Type::S(_) => {
+            let length = usize::from(bytes[0]).min(bytes.len() - 1);
+            Value::Text(bytes[1..=length].to_vec())
+        }
+    }
+}
+
+/// The bytes of a value in data flash; `None` where the value does not fit the type.
+pub fn encode(kind: Type, value: &Value) -> Option<Vec<u8>> {
+    match (kind, value) {
+        (Type::I(size) | Type::U(size) | Type::H(size), Value::Int(value)) => {
+            let (min, max) = kind.bounds()?;
+            let bytes = value.to_be_bytes();
+            (min..=max).contains(value).then(|| bytes[bytes.len() - usize::from(size)..].to_vec())
+        }
+        (Type::F4, Value::Float(value)) => encode_f4(*value).map(|bytes| bytes.to_vec()),
+        (Type::S(size), Value::Text(text)) => {
+            let room = usize::from(size) - 1;
+            (text.len() <= room).then(|| {
+                let mut bytes = vec![0; room + 1];
+                bytes[0] = text.len() as u8;
+                bytes[1..=text.len()].copy_from_slice(text);
+                bytes
+            })
+        }
+        _ => None,
+    }
+}
+
+fn unsigned(bytes: &[u8]) -> i64 {
+    bytes.iter().fold(0, |sum, &byte| sum << 8 | i64::from(byte))
+}
+
+/// TI's older floating-point format, which is not IEEE 754: an exponent biased by 128, then 24 bits of
+/// mantissa between 0.5 and 1 whose leading one is not stored, the sign in its place. Zero has no code;
+/// gauges store it as four zero bytes, which the formula would read as 2^-129.
+fn decode_f4(bytes: [u8; 4]) -> f64 {
+    if bytes == [0; 4] {
+        return 0.0;
+    }
+    let mantissa = f64::from(u32::from_be_bytes([0, bytes[1] | 0x80, bytes[2], bytes[3]]));
+    let magnitude = mantissa * 2f64.powi(i32::from(bytes[0]) - 128 - 24);
+    if bytes[1] & 0x80 == 0 { magnitude } else { -magnitude }
+}
+
+fn encode_f4(value: f64) -> Option<[u8; 4]> {
+    if value == 0.0 {
+        return Some([0; 4]);
+    }
+    if !value.is_finite() {
+        return None;
+    }
+    // Found by scaling, not by a logarithm, which is off by one at exact powers of two.
+    let (mut mantissa, mut exponent) = (value.abs(), 0i32);
+    while mantissa >= 1.0 {
+        mantissa /= 2.0;
+        exponent += 1;
+    }
+    while mantissa < 0.5 {
+        mantissa *= 2.0;
+        exponent -= 1;
+    }
+    let mut bits = (mantissa * f64::from(1 << 24)).round() as u32;
+    if bits == 1 << 24 {
+        bits = 1 << 23;
+        exponent += 1;
+    }
+    let [_, high, middle, low] = bits.to_be_bytes();
+    let sign = if value < 0.0 { 0x80 } else { 0 };
+    let exponent = u8::try_from(exponent + 128).ok()?;
+    Some([exponent, high & 0x7f | sign, middle, low])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Vectors seen on silicon or printed by TI (SLUSBZ5D table 7-12 and TI's forum), and edges.
+    #[test]
+    fn f4_as_the_gauge_stores_it() {
+        for (bytes, value) in [
+            ([0x7f, 0x71, 0x20, 0x5c], 0.47095),
+            ([0x94, 0x08, 0x98, 0xc0], 559_500.0),
+            ([0x94, 0x08, 0xa0, 0xde], 559_629.875),
+            ([0x7b, 0x1f, 0xbe, 0x77], 0.019_500_000_4),
+            ([0x7e, 0x00, 0x00, 0x00], 0.125),
+            ([0x7f, 0x74, 0x1f, 0x21], 0.4768),
+            ([0x94, 0x0a, 0x9c, 0x09], 567_744.562_5),
+            ([0x7d, 0x4c, 0xcc, 0xcd], 0.1),
+            ([0x86, 0x20, 0x00, 0x00], 40.0),
+            ([0x80, 0x00, 0x00, 0x00], 0.5),
+            ([0x81, 0x00, 0x00, 0x00], 1.0),
+            ([0x81, 0x80, 0x00, 0x00], -1.0),
+            ([0x00, 0x00, 0x00, 0x00], 0.0),
+        ] {
+            let Value::Float(read) = decode(Type::F4, &bytes) else { panic!("F4 is a float") };
+            assert!((read - value).abs() <= value.abs() * 1e-7, "{bytes:02x?} reads {read}, not {value}");
+            assert_eq!(encode(Type::F4, &Value::Float(value)).as_deref(), Some(&bytes[..]), "{value}");
+        }
+    }
+
+    #[test]
+    fn every_f4_code_reads_back_to_itself() {
+        for high in 0..=u16::MAX {
+            let [exponent, mantissa] = high.to_be_bytes();
+            for low in [0x0000u16, 0x0001, 0x7fff, 0xffff] {
+                let bytes = [exponent, mantissa, low.to_be_bytes()[0], low.to_be_bytes()[1]];
+                let value = decode(Type::F4, &bytes);
+                assert_eq!(encode(Type::F4, &value).as_deref(), Some(&bytes[..]), "{value:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn integers_are_big_endian_twos_complement() {
+        assert_eq!(decode(Type::I(2), &[0xfe, 0x70]), Value::Int(-400));
+        assert_eq!(encode(Type::I(2), &Value::Int(-400)), Some(vec![0xfe, 0x70]));
+        assert_eq!(decode(Type::I(1), &[0xf6]), Value::Int(-10));
+        assert_eq!(decode(Type::H(4), &[0x36, 0x72, 0x04, 0x14]), Value::Int(0x3672_0414));
+        assert_eq!(encode(Type::U(1), &Value::Int(256)), None);
+        assert_eq!(encode(Type::I(1), &Value::Int(-129)), None);
+    }
+
+    /// SLUA790 section 2.4, example 2: the device chemistry becomes `PbA`, padded by zeros.
+    #[test]
+    fn strings_carry_their_length_first() {
+        assert_eq!(decode(Type::S(5), b"\x04LION"), Value::Text(b"LION".to_vec()));
+        assert_eq!(encode(Type::S(5), &Value::Text(b"PbA".to_vec())), Some(b"\x03PbA\0".to_vec()));
+        assert_eq!(encode(Type::S(5), &Value::Text(b"LiFePO4".to_vec())), None);
+        assert_eq!(decode(Type::S(5), b"\xffLION"), Value::Text(b"LION".to_vec()));
+    }
+
+    /// SLUSBZ5D 7.3.3.1 with the defaults of subclass 64.
+    #[test]
+    fn checksum_of_the_worked_example() {
+        let mut block = [0; WINDOW];
+        block[..8].copy_from_slice(&[0x01, 0x61, 0xff, 0x30, 0, 0, 0, 1]);
+        assert_eq!(checksum(&block), 0x6d);
+        block[0] |= 0x08;
+        assert_eq!(checksum(&block), 0x65);
+    }
+}

@@ -1,0 +1,168 @@
+//! Values to the text of a `df` file and back. Pure: no bus, no file.
+
+use crate::chip::{Parameter, Range};
+use crate::codec;
+use crate::error::{Cause, Error, Result};
+use crate::value::{Type, Value};
+
+/// The text of a value, without a newline: integers in decimal, `H` types in hexadecimal of their full
+/// width, `F4` in the shortest decimal that reads back to the same bytes, strings as text.
+pub fn render(kind: Type, value: &Value) -> String {
+    match (kind, value) {
+        (Type::H(size), Value::Int(value)) => format!("0x{value:0width$x}", width = usize::from(size) * 2),
+        (_, Value::Int(value)) => value.to_string(),
+        (_, Value::Float(value)) => shortest(*value),
+        (_, Value::Text(bytes)) => bytes.iter().map(|&byte| harmless(byte)).collect(),
+    }
+}
+
+/// A gauge's string is whatever somebody once wrote into it. What a shell or a terminal would act on
+/// becomes `_`.
+fn harmless(byte: u8) -> char {
+    match byte {
+        b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => byte.into(),
+        b' ' | b'.' | b',' | b':' | b'+' | b'-' | b'_' | b'/' | b'=' | b'@' | b'%' => byte.into(),
+        _ => '_',
+    }
+}
+
+fn shortest(value: f64) -> String {
+    let bytes = codec::encode(Type::F4, &Value::Float(value));
+    (0..=16)
+        .filter_map(|digits| format!("{value:.digits$e}").parse::<f64>().ok())
+        .find(|&short| codec::encode(Type::F4, &Value::Float(short)) == bytes)
+        .unwrap_or(value)
+        .to_string()
+}
+
+/// The value that `text` gives to a parameter: of its type and inside the manual's range, or an error
+/// that says what is allowed. Spaces around and a newline at the end are fine; numbers are decimal,
+/// `0x` or `0b`.
+pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
+    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
+    let outside = |what: &str, min: String, max: String| {
+        let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
+        Error::new(parameter.name, Cause::OutOfRange(format!("{what} is outside {min} to {max}{unit}")))
+    };
+    let Some(text) = std::str::from_utf8(text).ok().map(str::trim).filter(|text| text.len() < 100) else {
+        return Err(invalid(format!("not a value of type {}", parameter.kind)));
+    };
+    match (parameter.kind, &parameter.range) {
+        (Type::S(size), _) => {
+            if text.bytes().any(|byte| !(b' '..=b'~').contains(&byte)) {
+                return Err(invalid("only printable ASCII can be stored".into()));
+            }
+            if text.len() >= usize::from(size) {
+                let room = size - 1;
+                return Err(invalid(format!("{} characters are too many, {room} fit", text.len())));
+            }
+            Ok(Value::Text(text.into()))
+        }
+        (Type::F4, range) => {
+            let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+            let value = value.ok_or_else(|| invalid(format!("`{text}` is not a number")))?;
+            if let Range::Float { min, max, .. } = range
+                && !(*min..=*max).contains(&value)
+            {
+                return Err(outside(text, min.to_string(), max.to_string()));
+            }
+            if codec::encode(Type::F4, &Value::Float(value)).is_none() {
+                return Err(outside(text, "-1.7e38".into(), "1.7e38".into()));
+            }
+            Ok(Value::Float(value))
+        }
+        (kind, range) => {
+            let value = integer(text)
+                .ok_or_else(|| invalid(format!("`{text}` is not a whole number; write decimal, 0x or 0b")))?;
+            let bounds = match range {
+                Range::Int { min, max, .. } => Some((*min, *max)),
+                Range::Float { .. } | Range::Text { .. } => kind.bounds(),
+            };
+            let (min, max) = bounds.expect("an integer type has bounds");
+            match value {
+                Some(value) if (min..=max).contains(&value) => Ok(Value::Int(value)),
+                _ => {
+                    let show = |bound| render(kind, &Value::Int(bound));
+                    Err(outside(text, show(min), show(max)))
+                }
+            }
+        }
+    }
+}
+
+/// `None` for what is no number at all, `Some(None)` for a number that is too long for any type.
+fn integer(text: &str) -> Option<Option<i64>> {
+    let (negative, digits) = match text.strip_prefix('-') {
+        Some(digits) => (true, digits),
+        None => (false, text.strip_prefix('+').unwrap_or(text)),
+    };
+    let lower = digits.to_ascii_lowercase();
+    let (radix, digits) = match (lower.strip_prefix("0x"), lower.strip_prefix("0b")) {
+        (Some(digits), _) => (16, digits),
+        (_, Some(digits)) => (2, digits),
+        _ => (10, lower.as_str()),
+    };
+    if digits.is_empty() || !digits.chars().all(|digit| digit.is_digit(radix)) {
+        return None;
+    }
+    let magnitude = i64::from_str_radix(digits, radix).ok();
+    Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
+}
+
+#[cfg(test)]
+mod tests {
+    use nix::errno::Errno;
+
+    use super::*;
+
+    const VOLTAGE: Parameter =
+        Parameter::int(53, Type::I(2), "Cell Terminate Voltage", 1000, 3700, 3000, "mV");
+    const CONFIG: Parameter = Parameter::int(0, Type::H(2), "Pack Configuration", 0, 0xffff, 0x161, "flags");
+    const GAIN: Parameter = Parameter::float(0, "CC Gain", 0.1, 40.0, 0.4768, "mΩ");
+    const NAME: Parameter = Parameter::text(55, 5, "Device Chemistry", "LION");
+
+    fn errno(parameter: &Parameter, text: &str) -> Errno {
+        parse(parameter, text.as_bytes()).expect_err(text).errno()
+    }
+
+    #[test]
+    fn numbers_in_every_notation() {
+        for text in ["3100", "3100\n", "  3100 \n", "0xc1c", "0XC1C", "0b110000011100", "+3100"] {
+            assert_eq!(parse(&VOLTAGE, text.as_bytes()), Ok(Value::Int(3100)), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_refused_and_how() {
+        for text in ["", "\n", "abc", "3100 mV", "3100 3200", "3100.0", "0x", "--5", "3_100", "\u{0663}"] {
+            assert_eq!(errno(&VOLTAGE, text), Errno::EINVAL, "{text:?}");
+        }
+        for text in ["999", "3701", "-3100", "99999999999999999999999"] {
+            assert_eq!(errno(&VOLTAGE, text), Errno::ERANGE, "{text:?}");
+        }
+        for text in ["nan", "inf", "-", "0.5 x"] {
+            assert_eq!(errno(&GAIN, text), Errno::EINVAL, "{text:?}");
+        }
+        for text in ["0.09999", "41", "-1"] {
+            assert_eq!(errno(&GAIN, text), Errno::ERANGE, "{text:?}");
+        }
+        assert_eq!(errno(&NAME, "LiFePO4"), Errno::EINVAL);
+        assert_eq!(errno(&NAME, "a\u{1b}b"), Errno::EINVAL);
+        assert_eq!(parse(&VOLTAGE, b"\xff\xfe").expect_err("not UTF-8").errno(), Errno::EINVAL);
+    }
+
+    #[test]
+    fn texts_are_the_manuals_own() {
+        assert_eq!(render(Type::H(2), &Value::Int(0x161)), "0x0161");
+        assert_eq!(render(Type::H(4), &Value::Int(0x1234)), "0x00001234");
+        assert_eq!(render(Type::I(2), &Value::Int(-400)), "-400");
+        for text in ["0.4768", "567744.56", "0.1", "0.01953125", "40", "-1"] {
+            let value = Value::Float(text.parse().expect("a number"));
+            let stored = codec::encode(Type::F4, &value).expect("fits");
+            assert_eq!(render(Type::F4, &codec::decode(Type::F4, &stored)), text);
+        }
+        assert_eq!(render(Type::S(12), &Value::Text(b"Texas Inst.".to_vec())), "Texas Inst.");
+        assert_eq!(render(Type::S(12), &Value::Text(b"a$(id)`\x1b".to_vec())), "a__id___");
+        assert_eq!(parse(&CONFIG, b"0x01e1"), Ok(Value::Int(0x1e1)));
+    }
+}
