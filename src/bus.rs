@@ -23,6 +23,8 @@ pub enum BusError {
     Short,
     /// The adapter is gone.
     Gone,
+    /// A kernel driver is bound to the address.
+    Busy,
     /// Any other errno of the adapter's.
     Other(Errno),
 }
@@ -36,6 +38,7 @@ impl BusError {
             BusError::Timeout => Errno::ETIMEDOUT,
             BusError::Short => Errno::EPROTO,
             BusError::Gone => Errno::ENODEV,
+            BusError::Busy => Errno::EBUSY,
             BusError::Other(errno) => errno,
         }
     }
@@ -53,6 +56,7 @@ impl fmt::Display for BusError {
             }
             BusError::Short => f.write_str("the adapter moved only a part of the transfer"),
             BusError::Gone => f.write_str("the adapter is gone"),
+            BusError::Busy => f.write_str("a kernel driver is bound to the address; unbind it first"),
             BusError::Other(errno) => write!(f, "the adapter answered {errno}"),
         }
     }
@@ -69,6 +73,11 @@ pub trait Bus: Send {
     /// An error may leave the transfer's effect on the target unknown.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
 
+    /// Makes sure that no kernel driver is bound to the address. No transfer is needed for it.
+    fn claim(&mut self) -> Result<(), BusError> {
+        Ok(())
+    }
+
     /// From now on transfers carry keys or security data (`true`), or no longer do (`false`).
     /// Whatever records transfers must hide those in between.
     fn hush(&mut self, _secret: bool) {}
@@ -77,6 +86,10 @@ pub trait Bus: Send {
 impl<B: Bus + ?Sized> Bus for Box<B> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         (**self).transfer(write, read)
+    }
+
+    fn claim(&mut self) -> Result<(), BusError> {
+        (**self).claim()
     }
 
     fn hush(&mut self, secret: bool) {

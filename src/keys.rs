@@ -7,7 +7,9 @@ use std::fmt;
 pub struct Keys {
     /// The two words that unseal, in the order they are sent.
     pub unseal: Option<[u16; 2]>,
-    /// Whether the manual's default unseal key may be tried where none is given.
+    /// The two words that lead from UNSEALED to FULL ACCESS.
+    pub full_access: Option<[u16; 2]>,
+    /// Whether the manual's default keys must not be tried where none is given.
     pub no_default: bool,
 }
 

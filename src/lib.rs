@@ -5,6 +5,7 @@ pub mod chip;
 pub mod clock;
 pub mod codec;
 pub mod error;
+pub mod gauge;
 pub mod keys;
 pub mod poll;
 pub mod text;

@@ -9,18 +9,8 @@ use std::time::Duration;
 
 use crate::chip::{Chip, Register};
 use crate::error::Result;
+pub use crate::gauge::{Answers, Seal};
 use crate::value::Value;
-
-/// The seal state of a gauge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Seal {
-    /// Data flash is out of reach.
-    Sealed,
-    /// Data flash can be read and written.
-    Unsealed,
-    /// As UNSEALED, and keys can be changed.
-    FullAccess,
-}
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -48,19 +38,6 @@ impl Snapshot {
         let span = 1i64 << (8 * size);
         Some(if register.signed && raw >= span / 2 { raw - span } else { raw })
     }
-}
-
-/// What the gauge answered when it was asked who it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Answers {
-    /// Control(DEVICE_TYPE).
-    pub device_type: u16,
-    /// Control(FW_VERSION).
-    pub firmware_version: u16,
-    /// Control(HW_VERSION).
-    pub hardware_version: u16,
-    /// Control(CHEM_ID), where the part has it.
-    pub chem_id: Option<u16>,
 }
 
 /// What is known of a gauge at one moment; replaced as a whole.

@@ -1,0 +1,413 @@
+//! A chip's table on a bus: registers, Control() subcommands, seal states.
+//!
+//! Everything that is sent to a gauge passes through [`Gauge::transfer`], where it is counted. Retries
+//! live here and only for what is idempotent; the checksum that commits a block is not.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use crate::bus::{Bus, BusError, wire_bytes};
+use crate::chip::{Chip, Register, SealStatus, Tier};
+use crate::clock::Clock;
+use crate::error::{Cause, Error, Result, Step};
+use crate::keys::Keys;
+
+/// Address of Control().
+const CONTROL: u8 = 0x00;
+/// Control(CONTROL_STATUS).
+const CONTROL_STATUS: u16 = 0x0000;
+/// Control(DEVICE_TYPE).
+const DEVICE_TYPE: u16 = 0x0001;
+/// Control(FW_VERSION).
+const FW_VERSION: u16 = 0x0002;
+/// Control(HW_VERSION).
+const HW_VERSION: u16 = 0x0003;
+
+/// How often an idempotent transfer is tried, and the pause before each further try: the gauge
+/// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
+const TRIES: u32 = 4;
+const PAUSE: Duration = Duration::from_millis(25);
+
+/// The seal state of a gauge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Seal {
+    /// Data flash is out of reach.
+    Sealed,
+    /// Data flash can be read and written.
+    Unsealed,
+    /// As UNSEALED, and keys can be changed.
+    FullAccess,
+}
+
+impl Seal {
+    /// The word that stands for it in `gauge/seal`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Seal::Sealed => "sealed",
+            Seal::Unsealed => "unsealed",
+            Seal::FullAccess => "full-access",
+        }
+    }
+}
+
+/// What the gauge answered when it was asked who it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Answers {
+    /// Control(DEVICE_TYPE).
+    pub device_type: u16,
+    /// Control(FW_VERSION).
+    pub firmware_version: u16,
+    /// Control(HW_VERSION).
+    pub hardware_version: u16,
+    /// Control(CHEM_ID), where the part has it.
+    pub chem_id: Option<u16>,
+}
+
+/// What has passed since the gauge was opened.
+#[derive(Debug, Default)]
+pub struct Statistics {
+    /// START...STOP transfers.
+    pub transfers: AtomicU64,
+    /// Bytes on the wire, address bytes included.
+    pub bytes: AtomicU64,
+    /// Transfers that were tried again.
+    pub retries: AtomicU64,
+    /// Polls that succeeded.
+    pub polls: AtomicU64,
+    /// Polls that failed.
+    pub failed_polls: AtomicU64,
+    /// Blocks of data flash that were programmed.
+    pub flash_writes: AtomicU64,
+    /// Resets that were sent.
+    pub resets: AtomicU64,
+}
+
+impl Statistics {
+    /// One more.
+    pub fn count(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Names and values, in the order of `gauge/statistics`.
+    pub fn list(&self) -> Vec<(&'static str, u64)> {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        vec![
+            ("transfers", read(&self.transfers)),
+            ("bytes", read(&self.bytes)),
+            ("retries", read(&self.retries)),
+            ("polls", read(&self.polls)),
+            ("failed_polls", read(&self.failed_polls)),
+            ("flash_writes", read(&self.flash_writes)),
+            ("resets", read(&self.resets)),
+        ]
+    }
+}
+
+/// One gauge, in the hands of its owner.
+pub struct Gauge {
+    /// Its table.
+    pub chip: &'static Chip,
+    /// What has passed.
+    pub statistics: Arc<Statistics>,
+    /// Time, to wait and to measure with.
+    pub clock: Arc<dyn Clock>,
+    bus: Box<dyn Bus>,
+    keys: Keys,
+    byte_writes: bool,
+    /// The unseal key that would be sent has been refused; it is not sent again.
+    refused: bool,
+    /// No transfer starts after this moment: a write(2) must have its answer in time.
+    deadline: Option<Duration>,
+}
+
+impl Gauge {
+    /// A gauge with that table behind that bus. Nothing is sent yet.
+    pub fn new(
+        chip: &'static Chip,
+        bus: Box<dyn Bus>,
+        clock: Arc<dyn Clock>,
+        keys: Keys,
+        byte_writes: bool,
+    ) -> Self {
+        let statistics = Arc::default();
+        Self { chip, statistics, clock, bus, keys, byte_writes, refused: false, deadline: None }
+    }
+
+    /// From now on, no transfer starts later than `time` from now; `None` lifts the limit.
+    pub fn limit(&mut self, time: Option<Duration>) {
+        self.deadline = time.map(|time| self.clock.now() + time);
+    }
+
+    /// Lets time pass without any transfer.
+    pub fn wait(&self, time: Duration) {
+        if !time.is_zero() {
+            self.clock.sleep(time);
+        }
+    }
+
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if self.deadline.is_some_and(|deadline| self.clock.now() >= deadline) {
+            return Err(BusError::Timeout);
+        }
+        Statistics::count(&self.statistics.transfers);
+        self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
+        self.bus.transfer(write, read)
+    }
+
+    /// Tries an idempotent transfer a bounded number of times.
+    fn again(&mut self, mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>) -> Result<(), BusError> {
+        let mut outcome = attempt(self);
+        for _ in 1..TRIES {
+            match outcome {
+                Ok(()) | Err(BusError::Gone | BusError::Busy | BusError::Other(_)) => break,
+                Err(BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short) => {}
+            }
+            self.wait(PAUSE);
+            Statistics::count(&self.statistics.retries);
+            outcome = attempt(self);
+        }
+        outcome
+    }
+
+    /// Reads from an address on, as many bytes as `into` holds.
+    pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
+        self.again(|gauge| gauge.transfer(&[code], into))
+            .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)).at(Step::Read))
+    }
+
+    /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
+    pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
+        self.again(|gauge| gauge.write_once(code, data))
+            .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)))
+    }
+
+    /// Writes bytes whose effect must not happen twice.
+    pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+        // Control() words stay whole: split, a poll in between would break a key (SLUSBZ5D 7.3.3.4).
+        if self.byte_writes && code != CONTROL {
+            for (at, &byte) in (code..).zip(data) {
+                self.transfer(&[at, byte], &mut [])?;
+            }
+            return Ok(());
+        }
+        let mut message = [0; 1 + crate::codec::WINDOW];
+        message[0] = code;
+        message[1..=data.len()].copy_from_slice(data);
+        self.transfer(&message[..=data.len()], &mut [])
+    }
+
+    fn name_of(&self, code: u8) -> String {
+        let register = self.chip.registers.iter().find(|register| register.code == code);
+        register.map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
+    }
+
+    /// Sends a subcommand that has no answer, or whose answer nobody wants.
+    pub fn command(&mut self, code: u16) -> Result<()> {
+        let subject = self.subcommand_name(code);
+        self.write(CONTROL, &code.to_le_bytes()).map_err(|error| error.about(subject).at(Step::Control))
+    }
+
+    /// Sends a subcommand and reads the word that it answers with.
+    pub fn ask(&mut self, code: u16) -> Result<u16> {
+        self.command(code)?;
+        // CONTROL_STATUS answers at Control() itself on every part.
+        let at = if code == CONTROL_STATUS { CONTROL } else { self.chip.identity.answer };
+        let mut word = [0; 2];
+        let subject = self.subcommand_name(code);
+        self.read(at, &mut word).map_err(|error| error.about(subject).at(Step::Control))?;
+        Ok(u16::from_le_bytes(word))
+    }
+
+    fn subcommand_name(&self, code: u16) -> String {
+        let known = self.chip.subcommands.iter().find(|subcommand| subcommand.code == code);
+        known.map_or_else(|| format!("Control(0x{code:04x})"), |known| format!("Control({})", known.name))
+    }
+
+    /// Makes sure that no kernel driver has taken the address.
+    pub fn claim(&mut self) -> Result<()> {
+        self.bus.claim().map_err(|bus| Error::new(self.chip.name, Cause::Bus(bus)).at(Step::Check))
+    }
+
+    /// Asks the gauge who it is.
+    pub fn identify(&mut self) -> Result<Answers> {
+        let named = |error: Error| error.at(Step::Identify);
+        let device_type = self.ask(DEVICE_TYPE).map_err(named)?;
+        let firmware_version = self.ask(FW_VERSION).map_err(named)?;
+        let hardware_version = self.ask(HW_VERSION).map_err(named)?;
+        let chem_id = self.chip.subcommands.iter().find(|subcommand| subcommand.name == "CHEM_ID");
+        let chem_id = chem_id.map(|subcommand| self.ask(subcommand.code)).transpose().map_err(named)?;
+        Ok(Answers { device_type, firmware_version, hardware_version, chem_id })
+    }
+
+    /// Makes sure that the part is still one of the table's.
+    pub fn confirm_identity(&mut self) -> Result<()> {
+        let found = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
+        let expected = self.chip.identity.device_type;
+        if found == expected {
+            return Ok(());
+        }
+        let why = format!(
+            "device type is 0x{found:04x}, not 0x{expected:04x}: another part answers; mount it anew"
+        );
+        Err(Error::new(self.chip.model, Cause::Gone(why)).at(Step::Identify))
+    }
+
+    /// Reads the seal state.
+    pub fn seal(&mut self) -> Result<Seal> {
+        self.control_status().map(|(seal, _)| seal)
+    }
+
+    /// Reads the seal state and the CONTROL_STATUS word.
+    pub fn control_status(&mut self) -> Result<(Seal, u16)> {
+        let status = self.ask(CONTROL_STATUS)?;
+        let seal = match self.chip.security.status {
+            SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
+            SealStatus::Bits { not_full_access, .. } => {
+                if not_full_access != 0 && status & not_full_access == 0 {
+                    Seal::FullAccess
+                } else {
+                    Seal::Unsealed
+                }
+            }
+            SealStatus::Field { register, shift } => {
+                let word = match register {
+                    None => status,
+                    Some(code) => {
+                        let mut word = [0; 2];
+                        self.read(code, &mut word)?;
+                        u16::from_le_bytes(word)
+                    }
+                };
+                match word >> shift & 3 {
+                    3 => Seal::Sealed,
+                    2 => Seal::Unsealed,
+                    1 => Seal::FullAccess,
+                    _ => {
+                        let why = format!("security bits of 0x{word:04x} are 00, which means no state");
+                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol(why)));
+                    }
+                }
+            }
+        };
+        Ok((seal, status))
+    }
+
+    /// Goes from SEALED to UNSEALED and confirms it.
+    ///
+    /// The two words go out with nothing in between. Where the gauge still says SEALED they go out once
+    /// more after a silence, as TI advises, and then never again: a refused key is not sent in a loop.
+    pub fn unseal(&mut self) -> Result<()> {
+        let refuse =
+            |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
+        let key = match self.keys.unseal {
+            Some(key) => key,
+            None if self.keys.no_default => {
+                return Err(refuse("SEALED, and no key is given; name a file with --key-file"));
+            }
+            None => self.chip.security.default_unseal,
+        };
+        if self.refused {
+            return Err(refuse(
+                "SEALED, and the key was refused before; mount again with the right --key-file",
+            ));
+        }
+        let silence = self.chip.security.key_silence;
+        if self.try_key(key, Seal::Unsealed)? || (self.quiet(silence) && self.try_key(key, Seal::Unsealed)?) {
+            return Ok(());
+        }
+        self.refused = true;
+        Err(Error::new(
+            self.chip.model,
+            Cause::NotPermitted(
+                "SEALED, and the gauge refused the key; name the right one with --key-file".into(),
+            ),
+        )
+        .at(Step::Unseal))
+    }
+
+    /// Goes from UNSEALED to FULL ACCESS and confirms it.
+    pub fn full_access(&mut self) -> Result<()> {
+        let key = self.keys.full_access.or(if self.keys.no_default { None } else { Some([0xffff; 2]) });
+        let refuse =
+            |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
+        if !self.chip.security.full_access {
+            return Err(refuse("this part has no FULL ACCESS"));
+        }
+        let key = key.ok_or_else(|| refuse("no full-access key is given; name a file with --key-file"))?;
+        let silence = self.chip.security.key_silence;
+        if self.try_key(key, Seal::FullAccess)?
+            || (self.quiet(silence) && self.try_key(key, Seal::FullAccess)?)
+        {
+            return Ok(());
+        }
+        Err(Error::new(self.chip.model, Cause::NotPermitted("the gauge refused the full-access key".into()))
+            .at(Step::Unseal))
+    }
+
+    fn quiet(&self, time: Duration) -> bool {
+        self.wait(time);
+        true
+    }
+
+    /// Sends both words of a key and tells whether the state followed.
+    fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
+        self.bus.hush(true);
+        let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
+        self.bus.hush(false);
+        // A word that was not acknowledged is as good as a refused key: the state tells.
+        if let Err(bus @ (BusError::Gone | BusError::Busy | BusError::Other(_))) = sent {
+            return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
+        }
+        Ok(self.seal().map_err(|error| error.at(Step::Unseal))? == goal)
+    }
+
+    /// Goes to a seal state from whatever state the gauge is in, and confirms it.
+    pub fn go_to(&mut self, goal: Seal) -> Result<()> {
+        let now = self.seal()?;
+        self.go(now, goal)
+    }
+
+    /// Goes to a seal state from the state `now`, and confirms it.
+    pub fn go(&mut self, now: Seal, goal: Seal) -> Result<()> {
+        match (now, goal) {
+            (now, goal) if now == goal => Ok(()),
+            (_, Seal::Sealed) => {
+                self.command(self.chip.security.seal).map_err(|error| error.at(Step::Seal))?;
+                match self.seal().map_err(|error| error.at(Step::Seal))? {
+                    Seal::Sealed => Ok(()),
+                    other => {
+                        let why = format!("the gauge was told to seal and is still {}", other.as_str());
+                        Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
+                    }
+                }
+            }
+            (Seal::Sealed, Seal::Unsealed) => self.unseal(),
+            (Seal::Sealed, Seal::FullAccess) => self.unseal().and_then(|()| self.full_access()),
+            (_, Seal::FullAccess) => self.full_access(),
+            // There is no way down but through SEALED.
+            (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
+        }
+    }
+
+    /// Forgets that a key was refused: the gauge may be another one of the same kind.
+    pub fn forget_refusal(&mut self) {
+        self.refused = false;
+    }
+}
+
+/// The reads that fetch all registers of a tier in the fewest bytes: a gap of at most three bytes costs
+/// no more than a transfer of its own.
+pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
+    let mut bursts: Vec<(u8, u8)> = Vec::new();
+    for register in registers.iter().filter(|register| wanted(register.tier)) {
+        let end = register.code + register.size;
+        match bursts.last_mut() {
+            Some((start, length)) if register.code <= *start + *length + 3 => {
+                *length = (end - *start).max(*length);
+            }
+            _ => bursts.push((register.code, register.size)),
+        }
+    }
+    bursts
+}
