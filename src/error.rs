@@ -125,6 +125,17 @@ impl Error {
         self
     }
 
+    /// The same error inside a larger subject: the parameter whose transaction met it.
+    #[must_use]
+    pub fn within(mut self, subject: &str) -> Self {
+        self.subject = if self.subject.is_empty() {
+            subject.to_string()
+        } else {
+            format!("{subject}: {}", self.subject)
+        };
+        self
+    }
+
     /// What decides the errno.
     pub fn cause(&self) -> &Cause {
         &self.cause

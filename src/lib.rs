@@ -4,6 +4,7 @@ pub mod bus;
 pub mod chip;
 pub mod clock;
 pub mod codec;
+pub mod dataflash;
 pub mod error;
 pub mod gauge;
 pub mod keys;

@@ -4,13 +4,31 @@
 //! requests of the file system one after the other. Nobody else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 
-use std::sync::{Arc, Condvar, Mutex};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
-use crate::chip::{Chip, Register};
-use crate::error::Result;
+use crate::bus::Bus;
+use crate::chip::{Chip, Kind, Register, Subclass, Tier};
+use crate::clock::Clock;
+use crate::codec;
+use crate::dataflash::{Change, DataFlash, Outcome};
+use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
+use crate::gauge::{Gauge, Statistics, bursts};
+use crate::keys::Keys;
 use crate::value::Value;
+
+/// Every so many polls the slow tier is read as well.
+const SLOW_EVERY: u64 = 10;
+/// So many polls that fail in a row make a gauge gone.
+const FAILURES: u32 = 3;
+/// A failed poll is tried again so soon, once.
+const RETRY: Duration = Duration::from_secs(1);
+/// No standard command more than twice a second, or the gauge's watchdog may reset it.
+const SHORTEST: Duration = Duration::from_millis(500);
+/// A request that has waited so long is answered rather than begun: write(2) returns within 30 s.
+const PATIENCE: Duration = Duration::from_secs(12);
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -19,8 +37,7 @@ pub struct Snapshot {
     pub taken: Duration,
     /// Counts the polls; two snapshots of one number are the same snapshot.
     pub number: u64,
-    bytes: [u8; 128],
-    known: u128,
+    registers: Registers,
     /// CONTROL_STATUS, as of the last slow poll.
     pub control_status: u16,
 }
@@ -30,11 +47,13 @@ impl Snapshot {
     pub fn value(&self, register: &Register) -> Option<i64> {
         let (start, size) = (usize::from(register.code), usize::from(register.size));
         let mask = ((1u128 << size) - 1) << start;
-        if self.known & mask != mask {
+        if self.registers.known & mask != mask {
             return None;
         }
-        let raw =
-            self.bytes[start..start + size].iter().rev().fold(0i64, |sum, &byte| sum << 8 | i64::from(byte));
+        let raw = self.registers.bytes[start..start + size]
+            .iter()
+            .rev()
+            .fold(0i64, |sum, &byte| sum << 8 | i64::from(byte));
         let span = 1i64 << (8 * size);
         Some(if register.signed && raw >= span / 2 { raw - span } else { raw })
     }
@@ -78,15 +97,57 @@ pub enum Request {
 }
 
 /// A gauge, as everything but its owner sees it. Cheap to clone; nothing here blocks or touches the
-/// bus.
+/// bus. When the last clone is dropped, the owner finishes what it is doing and ends.
 #[derive(Clone)]
 pub struct Handle {
     shared: Arc<Shared>,
+    queue: Sender<(Duration, Request)>,
 }
 
+/// What the owner lets others see.
 struct Shared {
     chip: &'static Chip,
+    clock: Arc<dyn Clock>,
+    statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
+    kept: Mutex<Vec<Option<Kept>>>,
+    signal: Arc<Signal>,
+}
+
+/// A subclass as it was read.
+struct Kept {
+    bytes: Arc<[u8]>,
+    /// The poll before which it was read; learned values are read again after the next.
+    poll: u64,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().expect("no thread panics while it holds the lock")
+}
+
+impl Shared {
+    fn published(&self) -> Arc<Published> {
+        lock(&self.published).clone()
+    }
+
+    fn publish(&self, change: impl FnOnce(&mut Published)) {
+        {
+            let mut published = lock(&self.published);
+            let mut next = Published::clone(&published);
+            change(&mut next);
+            *published = Arc::new(next);
+        }
+        self.signal.raise();
+    }
+
+    fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
+        let polls = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
+        let kept = lock(&self.kept);
+        let kept = kept.get(subclass)?.as_ref()?;
+        let learned = self.chip.subclasses[subclass].parameters.iter().any(|parameter| parameter.learned);
+        let fresh = !learned || polls == Some(kept.poll);
+        fresh.then(|| kept.bytes.clone())
+    }
 }
 
 impl Handle {
@@ -97,27 +158,369 @@ impl Handle {
 
     /// What is known now.
     pub fn published(&self) -> Arc<Published> {
-        self.shared.published.lock().expect("no thread panics while it holds the lock").clone()
+        self.shared.published()
     }
 
     /// The bytes of a subclass (by its index in the table), where they are kept and need not be read
     /// again first.
-    pub fn kept(&self, _subclass: usize) -> Option<Arc<[u8]>> {
-        None
+    pub fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
+        self.shared.kept(subclass)
     }
 
-    /// Age of the published snapshot.
+    /// Age of the published snapshot; `None` while the gauge is gone.
     pub fn age(&self) -> Option<Duration> {
-        None
+        let taken = self.published().snapshot.as_ref()?.taken;
+        Some(self.shared.clock.now().saturating_sub(taken))
     }
 
     /// Name and value of each file of `gauge/statistics`.
     pub fn statistics(&self) -> Vec<(&'static str, u64)> {
-        Vec::new()
+        self.shared.statistics.list()
     }
 
-    /// Queues a request; its outcome comes to its `Done`, within 30 s for a write.
-    pub fn submit(&self, _request: Request) {}
+    /// Queues a request; its outcome comes to its `Done`, within 30 s for a write. Where the owner has
+    /// ended, the request is dropped, and its `Done` with it.
+    pub fn submit(&self, request: Request) {
+        // Nobody is left to answer when the owner has ended; the dropped `Done` says so.
+        let _ = self.queue.send((self.shared.clock.now(), request));
+    }
+}
+
+/// How a gauge is to be run.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Its keys.
+    pub keys: Keys,
+    /// Time between polls.
+    pub interval: Duration,
+    /// Write one byte a transfer.
+    pub byte_writes: bool,
+}
+
+/// Opens a gauge: identifies it, polls it once, and starts the thread that owns it from then on.
+pub fn spawn(
+    chip: &'static Chip,
+    bus: Box<dyn Bus>,
+    clock: Arc<dyn Clock>,
+    settings: Settings,
+    signal: Arc<Signal>,
+) -> Result<Handle> {
+    let (queue, requests) = mpsc::channel();
+    let (mut owner, shared) = Owner::open(chip, bus, clock, settings, signal)?;
+    let thread = std::thread::Builder::new().name(format!("poll {}", chip.name)).stack_size(256 * 1024);
+    thread.spawn(move || owner.run(&requests)).map_err(|error| {
+        let errno = nix::errno::Errno::from_raw(error.raw_os_error().unwrap_or_default());
+        Error::host(chip.name, errno, format!("cannot start a thread: {error}"))
+    })?;
+    Ok(Handle { shared, queue })
+}
+
+/// The owner: the only one who has the gauge.
+struct Owner {
+    gauge: Gauge,
+    dataflash: DataFlash,
+    shared: Arc<Shared>,
+    /// Registers of the tiers that are not read with every poll.
+    other: Registers,
+    control_status: u16,
+    polls: u64,
+    failures: u32,
+    last_poll: Duration,
+}
+
+/// What the registers held, and which of them are known.
+#[derive(Clone, Debug)]
+struct Registers {
+    bytes: [u8; 128],
+    known: u128,
+}
+
+impl Registers {
+    const NONE: Self = Self { bytes: [0; 128], known: 0 };
+
+    fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
+        for (start, length) in bursts(gauge.chip.registers, wanted) {
+            let (from, to) = (usize::from(start), usize::from(start + length));
+            gauge.read(start, &mut self.bytes[from..to])?;
+            self.known |= (u128::MAX >> (128 - usize::from(length))) << from;
+        }
+        Ok(())
+    }
+}
+
+impl Owner {
+    fn open(
+        chip: &'static Chip,
+        bus: Box<dyn Bus>,
+        clock: Arc<dyn Clock>,
+        settings: Settings,
+        signal: Arc<Signal>,
+    ) -> Result<(Self, Arc<Shared>)> {
+        let gauge = Gauge::new(chip, bus, clock.clone(), settings.keys, settings.byte_writes);
+        let published = Published {
+            snapshot: None,
+            answers: Answers::default(),
+            seal: Seal::Sealed,
+            interval: settings.interval,
+            last_error: "".into(),
+        };
+        let shared = Arc::new(Shared {
+            chip,
+            clock,
+            statistics: gauge.statistics.clone(),
+            published: Mutex::new(Arc::new(published)),
+            kept: Mutex::new(chip.subclasses.iter().map(|_| None).collect()),
+            signal,
+        });
+        let mut owner = Self {
+            gauge,
+            dataflash: DataFlash::default(),
+            shared: shared.clone(),
+            other: Registers::NONE,
+            control_status: 0,
+            polls: 0,
+            failures: 0,
+            last_poll: Duration::ZERO,
+        };
+        owner.arrive()?;
+        owner.poll()?;
+        Ok((owner, shared))
+    }
+
+    /// A gauge has come, or come back: who is it, and what does it hold that does not change by itself?
+    fn arrive(&mut self) -> Result<()> {
+        let answers = self.gauge.identify()?;
+        let identity = &self.gauge.chip.identity;
+        let model = self.gauge.chip.model;
+        let refuse = |what: &str, found: u16, expected: String| {
+            let why = format!("{what} is 0x{found:04x}, a {model} has {expected}: this is another part");
+            Err(Error::new(model, Cause::Gone(why)).at(Step::Identify))
+        };
+        if answers.device_type != identity.device_type {
+            return refuse("device type", answers.device_type, format!("0x{:04x}", identity.device_type));
+        }
+        if let Some(hardware) = identity.hardware.filter(|&hardware| hardware != answers.hardware_version) {
+            return refuse("hardware version", answers.hardware_version, format!("0x{hardware:04x}"));
+        }
+        if !identity.firmware.contains(&answers.firmware_version) {
+            let known =
+                identity.firmware.iter().map(|version| format!("0x{version:04x}")).collect::<Vec<_>>();
+            return refuse("firmware version", answers.firmware_version, known.join(" or "));
+        }
+        self.gauge.forget_refusal();
+        self.dataflash.forget();
+        self.drop_kept();
+        self.other = Registers::NONE;
+        self.shared.publish(|published| published.answers = answers);
+        Ok(())
+    }
+
+    fn drop_kept(&self) {
+        lock(&self.shared.kept).iter_mut().for_each(|kept| *kept = None);
+    }
+
+    /// Serves requests and polls when it is time, until nobody is left to ask.
+    fn run(&mut self, requests: &Receiver<(Duration, Request)>) {
+        loop {
+            let due = self.last_poll + self.pause();
+            let wait = due.saturating_sub(self.gauge.clock.now());
+            match requests.recv_timeout(wait) {
+                Ok((asked, request)) => self.serve(asked, request),
+                Err(RecvTimeoutError::Timeout) => self.poll_or_say(),
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+
+    fn pause(&self) -> Duration {
+        let interval = self.shared.published().interval;
+        if self.failures == 1 { interval.min(RETRY) } else { interval }
+    }
+
+    fn poll_or_say(&mut self) {
+        let back = self.failures >= FAILURES;
+        let outcome = if back { self.arrive().and_then(|()| self.poll()) } else { self.poll() };
+        match outcome {
+            Ok(()) if back => log::info!("{}: the gauge is back", self.gauge.chip.name),
+            Ok(()) => {}
+            Err(error) => self.poll_failed(&error),
+        }
+    }
+
+    fn poll_failed(&mut self, error: &Error) {
+        self.failures = self.failures.saturating_add(1);
+        self.last_poll = self.gauge.clock.now();
+        Statistics::count(&self.shared.statistics.failed_polls);
+        // Once gone, it is gone: the log need not hear of each further poll.
+        if self.failures <= FAILURES {
+            self.say(error);
+        }
+        if self.failures == FAILURES {
+            log::warn!("{}: gone after {FAILURES} polls that failed", self.gauge.chip.name);
+            self.shared.publish(|published| published.snapshot = None);
+        }
+    }
+
+    /// Reads what is due and publishes it as a new Snapshot.
+    fn poll(&mut self) -> Result<()> {
+        let taken = self.gauge.clock.now();
+        let slow = self.polls.is_multiple_of(SLOW_EVERY);
+        let statics = self.other.known == 0;
+        // Statics and slow registers stand between the others: one pass reads them all.
+        if statics || slow {
+            self.other.read(&mut self.gauge, |tier| tier == Tier::Slow || statics && tier == Tier::Static)?;
+            let (seal, status) = self.gauge.control_status()?;
+            self.control_status = status;
+            self.shared.publish(|published| published.seal = seal);
+        }
+        let mut registers = self.other.clone();
+        registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
+        if registers
+            .bytes
+            .iter()
+            .enumerate()
+            .all(|(at, &byte)| registers.known >> at & 1 == 0 || byte == 0xff)
+        {
+            let why = "every byte reads 0xff, as a bus without a gauge does";
+            return Err(Error::new(self.gauge.chip.name, Cause::Protocol(why.into())).at(Step::Read));
+        }
+        self.polls += 1;
+        self.failures = 0;
+        self.last_poll = taken;
+        Statistics::count(&self.shared.statistics.polls);
+        let snapshot = Snapshot { taken, number: self.polls, registers, control_status: self.control_status };
+        self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
+        Ok(())
+    }
+
+    /// One line in the log and in `gauge/last_error`.
+    fn say(&self, error: &Error) {
+        log::warn!("{error}");
+        let line = error.to_string();
+        self.shared.publish(|published| published.last_error = line.into());
+    }
+
+    fn told<T>(&self, outcome: Result<T>) -> Result<T> {
+        if let Err(error) = &outcome {
+            self.say(error);
+        }
+        outcome
+    }
+
+    fn too_late(&self) -> Error {
+        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
+        Error::new(self.gauge.chip.name, Cause::NotNow(why.into()))
+    }
+
+    fn serve(&mut self, asked: Duration, request: Request) {
+        let waited = self.gauge.clock.now().saturating_sub(asked);
+        let late = waited > PATIENCE;
+        match request {
+            Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
+            Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
+            Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
+            Request::ReadSubclass(index, done) => {
+                done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
+            }
+            Request::ReadAll(done) => {
+                let kinds = self.gauge.chip.subclasses.iter().map(|subclass| subclass.kind);
+                let all =
+                    kinds.enumerate().filter(|(_, kind)| *kind != Kind::Security).map(|(index, _)| index);
+                done(self.read(&all.collect::<Vec<_>>(), waited).map(|_| ()));
+            }
+            Request::Write(subclass, parameter, value, done) => {
+                let outcome = self.write(subclass, parameter, &value, waited);
+                done(self.told(outcome));
+            }
+            Request::Seal(goal, done) => {
+                let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
+                self.look_at_seal();
+                done(self.told(outcome));
+            }
+            Request::Control(code, done) => {
+                let outcome = self.gauge.ask(code);
+                self.look_at_seal();
+                done(
+                    self.told(outcome)
+                        .map(|answer| log::info!("Control(0x{code:04x}) answered 0x{answer:04x}")),
+                );
+            }
+            Request::Refresh(done) => {
+                // However fast it is asked for, the gauge sees it twice a second at most.
+                let early = (self.last_poll + SHORTEST).saturating_sub(self.gauge.clock.now());
+                self.gauge.wait(early);
+                self.drop_kept();
+                self.dataflash.forget();
+                self.polls = self.polls.next_multiple_of(SLOW_EVERY);
+                self.other = Registers::NONE;
+                let outcome = if self.failures >= FAILURES { self.arrive() } else { Ok(()) };
+                let outcome = outcome.and_then(|()| self.poll());
+                if let Err(error) = &outcome {
+                    self.poll_failed(error);
+                }
+                done(outcome);
+            }
+            Request::Interval(interval, done) => {
+                self.shared.publish(|published| published.interval = interval);
+                done(Ok(()));
+            }
+        }
+    }
+
+    /// Reads subclasses that are not kept, all in one visit to the unsealed gauge.
+    fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let subclasses = self.gauge.chip.subclasses;
+        let missing: Vec<usize> =
+            wanted.iter().copied().filter(|&index| self.shared.kept(index).is_none()).collect();
+        if !missing.is_empty() {
+            let rows: Vec<&'static Subclass> = missing.iter().map(|&index| &subclasses[index]).collect();
+            let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+            let read = self.told(read.map_err(|error| error.within(&format!("df/{}", rows[0].id))))?;
+            let mut kept = lock(&self.shared.kept);
+            for (index, bytes) in missing.into_iter().zip(read) {
+                kept[index] = Some(Kept { bytes: bytes.into(), poll: self.polls });
+            }
+        }
+        let kept = lock(&self.shared.kept);
+        let gone = || Error::new(self.gauge.chip.name, Cause::Slow("not read".into()));
+        wanted.iter().map(|&index| Ok(kept[index].as_ref().ok_or_else(gone)?.bytes.clone())).collect()
+    }
+
+    fn write(&mut self, subclass: usize, parameter: usize, value: &Value, waited: Duration) -> Result<()> {
+        let row = &self.gauge.chip.subclasses[subclass];
+        let parameter = &row.parameters[parameter];
+        let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
+            Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
+        })?;
+        let changes = [Change { subclass: row, parameter, bytes }];
+        let outcome = self.dataflash.write(&mut self.gauge, &changes, waited);
+        match &outcome {
+            Ok(Outcome::Unchanged) => log::info!("{}: unchanged, nothing written", parameter.name),
+            Ok(Outcome::Written { .. }) => log::info!("{}: written and verified", parameter.name),
+            Err(_) => {}
+        }
+        // After a reset, and after a failure, nothing that was read before is taken for granted.
+        if outcome == (Ok(Outcome::Written { reset: false })) {
+            lock(&self.shared.kept)[subclass] = None;
+        } else if outcome != Ok(Outcome::Unchanged) {
+            self.drop_kept();
+            self.other = Registers::NONE;
+        }
+        outcome.map(|_| ())
+    }
+
+    /// Reads CONTROL_STATUS for whoever looks at it next; a failure shows in the next poll.
+    fn look_at_seal(&mut self) {
+        if let Ok((seal, status)) = self.gauge.control_status() {
+            self.control_status = status;
+            self.shared.publish(|published| {
+                published.seal = seal;
+                if let Some(snapshot) = &mut published.snapshot {
+                    Arc::make_mut(snapshot).control_status = status;
+                }
+            });
+        }
+    }
 }
 
 /// Raised by owners whenever something published has changed; the FUSE side waits on it.
