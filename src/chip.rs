@@ -10,7 +10,7 @@ use crate::value::Type;
 pub mod bq34z100_g1;
 
 /// Every chip that gaugefs knows, in the order of the README.
-pub static CHIPS: &[&Chip] = &[];
+pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP];
 
 /// One fuel gauge: everything that tells it from another.
 #[derive(Debug)]
@@ -109,9 +109,9 @@ pub enum Role {
     TimeToEmptyNow,
     /// `time_to_full_now`, min.
     TimeToFullNow,
-    /// `energy_now`, mWh times the scale of [`Chip`].
+    /// `energy_now`, mWh before the user's energy scale.
     EnergyNow,
-    /// `power_avg`, mW times the same scale.
+    /// `power_avg`, mW before the same scale.
     PowerAvg,
     /// `cycle_count`.
     CycleCount,
@@ -142,8 +142,8 @@ pub struct Register {
     pub bits: &'static [Bit],
 }
 
-/// A named bit of a flag word.
-#[derive(Debug)]
+/// A named bit of a flag word. Reserved bits have no entry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bit {
     /// The bit's mask.
     pub mask: u16,
@@ -268,7 +268,7 @@ pub struct Subclass {
     pub name: &'static str,
     /// Subclass id.
     pub id: u8,
-    /// Bytes that the subclass holds.
+    /// Bytes that the subclass holds, as far as its last documented parameter.
     pub length: u16,
     /// What its parameters need and allow.
     pub kind: Kind,
@@ -300,6 +300,8 @@ pub struct Parameter {
     pub range: Range,
     /// Unit as the manual prints it; empty for none.
     pub unit: &'static str,
+    /// Names of its bits, where it is a word of flags.
+    pub bits: &'static [Bit],
     /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
     pub learned: bool,
     /// Narrower limits than the manual's, where its range lets a pack be ruined.
@@ -343,13 +345,56 @@ pub enum Safe {
     AtLeast(i64, &'static str),
     /// Not above the voltage that the gauge measures now, scaled as its flash gate scales it.
     BelowPresentVoltage(&'static str),
-    /// These bits must keep the value they have.
-    Reserved(u32),
+    /// The bits of this mask must keep the value they have.
+    Keep(u32, &'static str),
+}
+
+impl Register {
+    /// A row of a manual's table: address, size and sign, name, unit, tier.
+    pub const fn new(code: u8, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
+        let signed = matches!(kind, Type::I(_));
+        Self { code, size: kind.size() as u8, signed, name, unit, tier, role: None, bits: &[] }
+    }
+
+    /// The property it feeds.
+    #[must_use]
+    pub const fn role(mut self, role: Role) -> Self {
+        self.role = Some(role);
+        self
+    }
+
+    /// Names of its bits.
+    #[must_use]
+    pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
+        self.bits = bits;
+        self
+    }
+}
+
+impl Bit {
+    /// A row of a manual's bit table.
+    pub const fn new(mask: u16, name: &'static str) -> Self {
+        Self { mask, name }
+    }
+}
+
+impl Subcommand {
+    /// A subcommand that a sealed gauge takes as well.
+    pub const fn new(code: u16, name: &'static str, effect: Effect) -> Self {
+        Self { code, name, sealed: true, effect }
+    }
+
+    /// A sealed gauge does not take it.
+    #[must_use]
+    pub const fn unsealed(mut self) -> Self {
+        self.sealed = false;
+        self
+    }
 }
 
 impl Parameter {
     const fn new(offset: u16, kind: Type, name: &'static str, range: Range, unit: &'static str) -> Self {
-        Self { offset, kind, name, range, unit, learned: false, safe: None, unproven: false }
+        Self { offset, kind, name, range, unit, bits: &[], learned: false, safe: None, unproven: false }
     }
 
     /// An integer row of a manual's table: offset, type, name, min, max, default, unit.
@@ -382,6 +427,40 @@ impl Parameter {
         Self::new(offset, Type::S(size), name, Range::Text { default: Some(default) }, "")
     }
 
+    /// An integer row of which no range and no default are printed: whatever the type can hold.
+    pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
+        let (min, max) = kind.bounds().expect("an integer type");
+        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+    }
+
+    /// Sources disagree about the default, or none is known.
+    #[must_use]
+    pub const fn no_default(mut self) -> Self {
+        match &mut self.range {
+            Range::Int { default, .. } => *default = None,
+            Range::Float { default, .. } => *default = None,
+            Range::Text { default } => *default = None,
+        }
+        self
+    }
+
+    /// Names of the bits. Those without a name are reserved, and a write must leave them alone.
+    #[must_use]
+    pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
+        assert!(self.kind.size() <= 2, "a flag word has one byte or two");
+        let mut reserved: u32 = (1 << (8 * self.kind.size())) - 1;
+        let mut at = 0;
+        while at < bits.len() {
+            reserved &= !(bits[at].mask as u32);
+            at += 1;
+        }
+        if reserved != 0 {
+            self.safe = Some(Safe::Keep(reserved, "the manual reserves them"));
+        }
+        self.bits = bits;
+        self
+    }
+
     /// The gauge rewrites this one itself.
     #[must_use]
     pub const fn learned(mut self) -> Self {
@@ -392,6 +471,7 @@ impl Parameter {
     /// Narrower limits than the manual's.
     #[must_use]
     pub const fn safe(mut self, safe: Safe) -> Self {
+        assert!(self.safe.is_none(), "one safe limit a parameter");
         self.safe = Some(safe);
         self
     }
@@ -413,6 +493,14 @@ impl Chip {
     /// The register that feeds a property.
     pub fn register(&self, role: Role) -> Option<&'static Register> {
         self.registers.iter().find(|register| register.role == Some(role))
+    }
+
+    /// The folder of a subclass in `df/by-name`: its name, and where two subclasses have the same one
+    /// the manual's class in front of both.
+    pub fn class_dir(&self, subclass: &Subclass) -> String {
+        let name = kebab_case(subclass.name);
+        let alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name).count();
+        if alike > 1 { format!("{}-{name}", kebab_case(subclass.class)) } else { name }
     }
 
     /// The subclass of that id.

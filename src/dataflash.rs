@@ -261,15 +261,13 @@ impl DataFlash {
                     Ok(())
                 }
             }
-            Some(Safe::Reserved(mask)) => {
+            Some(Safe::Keep(mask, why)) => {
                 let old = integer(change.parameter, &old_bytes(change, dirty));
                 let differ = (old ^ number) & i64::from(*mask);
                 if differ == 0 {
                     return Ok(());
                 }
-                refuse(format!(
-                    "bits 0x{differ:x} are reserved and must stay as they are; the word is now 0x{old:x}"
-                ))
+                refuse(format!("bits 0x{differ:x} must stay as they are: {why}; the word is now 0x{old:x}"))
             }
             Some(Safe::AtLeast(..)) => Ok(()),
         }

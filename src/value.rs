@@ -49,6 +49,30 @@ impl fmt::Display for Type {
     }
 }
 
+/// The types as the manuals write them, for the tables.
+pub mod types {
+    use super::Type;
+
+    /// One signed byte.
+    pub const I1: Type = Type::I(1);
+    /// Two signed bytes.
+    pub const I2: Type = Type::I(2);
+    /// Four signed bytes.
+    pub const I4: Type = Type::I(4);
+    /// One unsigned byte.
+    pub const U1: Type = Type::U(1);
+    /// Two unsigned bytes.
+    pub const U2: Type = Type::U(2);
+    /// Four unsigned bytes.
+    pub const U4: Type = Type::U(4);
+    /// One byte in hexadecimal.
+    pub const H1: Type = Type::H(1);
+    /// Two bytes in hexadecimal.
+    pub const H2: Type = Type::H(2);
+    /// Four bytes in hexadecimal.
+    pub const H4: Type = Type::H(4);
+}
+
 /// A data-flash value, decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {

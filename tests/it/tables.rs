@@ -1,0 +1,437 @@
+//! The tables of all chips: whole, free of overlaps, and as the manuals print them.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fmt::Debug;
+use std::hash::Hash;
+
+use gaugefs::bus::wire_bytes;
+use gaugefs::chip::{
+    Access, Bit, CHIPS, Chip, Effect, Kind, Parameter, Range, Role, Safe, SealStatus, Subclass, Tier,
+    kebab_case, snake_case,
+};
+use gaugefs::gauge::bursts;
+use gaugefs::value::Type;
+
+/// Fails with the first item that is there twice.
+#[track_caller]
+fn assert_unique<T: Eq + Hash + Debug>(what: &str, items: impl IntoIterator<Item = T>) {
+    let mut seen = HashSet::new();
+    for item in items {
+        let text = format!("{what}: {item:?} twice");
+        assert!(seen.insert(item), "{text}");
+    }
+}
+
+/// Every parameter, with its subclass and a name for messages.
+fn parameters(chip: &'static Chip) -> impl Iterator<Item = (&'static Subclass, &'static Parameter, String)> {
+    chip.subclasses.iter().flat_map(move |subclass| {
+        subclass.parameters.iter().map(move |parameter| {
+            let at = format!("{} {}/{} {}", chip.name, subclass.id, parameter.offset, parameter.name);
+            (subclass, parameter, at)
+        })
+    })
+}
+
+/// One line of a golden listing.
+fn row(subclass: &Subclass, parameter: &Parameter) -> String {
+    let Parameter { offset, kind, name, unit, .. } = parameter;
+    let range = match &parameter.range {
+        Range::Int { min, max, default } => format!("{min} {max} {}", shown(default)),
+        Range::Float { min, max, default } => format!("{min} {max} {}", shown(default)),
+        Range::Text { default } => format!("x x {}", shown(default)),
+    };
+    format!(
+        "{} | {} | {} {offset} {kind} | {name} | {range} | {unit}",
+        subclass.class, subclass.name, subclass.id
+    )
+}
+
+fn shown<T: ToString>(default: &Option<T>) -> String {
+    default.as_ref().map_or("?".to_string(), T::to_string)
+}
+
+#[test]
+fn names_are_unique() {
+    assert!(!CHIPS.is_empty());
+    assert_unique("chip", CHIPS.iter().map(|chip| chip.name));
+    for chip in CHIPS {
+        assert_eq!(chip.name, chip.name.to_lowercase());
+        assert!(!chip.documents.is_empty(), "{} names no document", chip.name);
+        assert!(Chip::by_name(chip.model).is_some_and(|found| found.name == chip.name), "{}", chip.model);
+        assert_unique("register", chip.registers.iter().map(|register| register.name));
+        assert_unique("register file", chip.registers.iter().map(|register| snake_case(register.name)));
+        assert_unique("subcommand", chip.subcommands.iter().map(|subcommand| subcommand.name));
+        assert_unique("subcommand word", chip.subcommands.iter().map(|one| snake_case(one.name)));
+        assert_unique("role", chip.registers.iter().filter_map(|register| register.role));
+        assert_unique("subclass", chip.subclasses.iter().map(|subclass| subclass.id));
+        assert_unique("class folder", chip.subclasses.iter().map(|subclass| chip.class_dir(subclass)));
+        for subclass in chip.subclasses {
+            let dir = chip.class_dir(subclass);
+            assert_unique(&dir, subclass.parameters.iter().map(|parameter| kebab_case(parameter.name)));
+            assert!(
+                !dir.is_empty() && subclass.parameters.iter().all(|one| !kebab_case(one.name).is_empty())
+            );
+        }
+    }
+}
+
+#[test]
+fn registers_are_in_order_and_do_not_overlap() {
+    for chip in CHIPS {
+        let mut end = 0;
+        for register in chip.registers {
+            let at = format!("{} 0x{:02x} {}", chip.name, register.code, register.name);
+            assert!(u16::from(register.code) >= end, "{at} overlaps the one before");
+            assert!(register.size > 0, "{at} is empty");
+            end = u16::from(register.code) + u16::from(register.size);
+            assert!(end <= 0x80, "{at} ends above 0x7f");
+            if register.tier != Tier::Window {
+                assert!(register.size <= 4, "{at} is no number");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_role_that_a_power_supply_needs_is_there() {
+    for chip in CHIPS {
+        for role in [Role::VoltageNow, Role::Temp] {
+            assert!(chip.register(role).is_some(), "{} lacks {role:?}", chip.name);
+        }
+        assert!(
+            chip.register(Role::CurrentNow).or(chip.register(Role::CurrentAvg)).is_some(),
+            "{} lacks a current",
+            chip.name
+        );
+        let Some(flags) = chip.register(Role::Flags) else {
+            panic!("{} lacks Flags", chip.name);
+        };
+        let condition = &chip.condition;
+        for mask in [
+            condition.full,
+            condition.low,
+            condition.critical,
+            condition.overheat,
+            condition.cold,
+            condition.present,
+        ] {
+            let named = flags.bits.iter().fold(0, |word, bit| word | bit.mask);
+            assert_eq!(mask & !named, 0, "{}: condition 0x{mask:04x} uses an unnamed flag", chip.name);
+        }
+        for register in chip.registers.iter().filter(|register| register.role.is_some()) {
+            assert!(
+                matches!(register.tier, Tier::Poll | Tier::Static),
+                "{}: {} feeds a property but is not polled",
+                chip.name,
+                register.name
+            );
+        }
+    }
+}
+
+#[test]
+fn a_poll_takes_the_bursts_that_it_should() {
+    for chip in CHIPS {
+        let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
+            "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
+            "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
+            "bq27441-g1" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            name => panic!("{name} has no bursts listed here"),
+        };
+        let bursts = bursts(chip.registers, |tier| tier == Tier::Poll);
+        assert_eq!(bursts, expected, "{}", chip.name);
+        assert_eq!(
+            bursts.iter().map(|&(_, length)| wire_bytes(1, length.into())).sum::<u64>(),
+            bytes,
+            "{}",
+            chip.name
+        );
+    }
+}
+
+#[test]
+fn bits_are_single_named_once_and_inside_their_word() {
+    fn check(at: &str, bits: &[Bit], size: usize) {
+        assert_unique(at, bits.iter().map(|bit| bit.name));
+        assert_unique(at, bits.iter().map(|bit| bit.mask));
+        for bit in bits {
+            assert_eq!(bit.mask.count_ones(), 1, "{at}: {}", bit.name);
+            assert!(size >= 2 || bit.mask < 1 << 8, "{at}: {} is outside", bit.name);
+            assert!(!bit.name.is_empty() && !bit.name.starts_with("RSVD"), "{at}: {:?}", bit.name);
+        }
+    }
+    for chip in CHIPS {
+        check(chip.name, chip.control_status, 2);
+        for register in chip.registers {
+            check(register.name, register.bits, register.size.into());
+        }
+        for (_, parameter, at) in parameters(chip) {
+            check(&at, parameter.bits, parameter.kind.size());
+        }
+        if let SealStatus::Bits { sealed, not_full_access } = chip.security.status {
+            let named = |mask| chip.control_status.iter().find(|bit| bit.mask == mask).map(|bit| bit.name);
+            assert_eq!(named(sealed), Some("SS"), "{}", chip.name);
+            assert_eq!(named(not_full_access).is_some(), chip.security.full_access, "{}", chip.name);
+        }
+    }
+}
+
+#[test]
+fn bits_without_a_name_keep_their_value() {
+    for (_, parameter, at) in CHIPS.iter().copied().flat_map(parameters) {
+        if parameter.bits.is_empty() {
+            continue;
+        }
+        let word = (1_u32 << (8 * parameter.kind.size())) - 1;
+        let named = parameter.bits.iter().fold(0, |word, bit| word | u32::from(bit.mask));
+        let kept = match parameter.safe {
+            Some(Safe::Keep(mask, _)) => mask,
+            _ => 0,
+        };
+        assert_eq!(word & !named & !kept, 0, "{at}");
+    }
+}
+
+#[test]
+fn no_subcommand_that_may_be_sent_is_dangerous() {
+    for chip in CHIPS {
+        assert_unique(chip.name, chip.subcommands.iter().map(|subcommand| subcommand.code));
+        let harmful = [0x0F00, 0x7C40, 0x29E7, 0xFFFF];
+        let keys = chip.security.default_unseal;
+        for subcommand in chip.subcommands {
+            let at = format!("{} 0x{:04x} {}", chip.name, subcommand.code, subcommand.name);
+            if harmful.contains(&subcommand.code) || keys.contains(&subcommand.code) {
+                assert_eq!(subcommand.effect, Effect::Never, "{at}");
+            }
+            if subcommand.code == chip.security.seal {
+                assert_eq!(subcommand.effect, Effect::Guarded, "{at}");
+            }
+        }
+        assert!(chip.subcommands.iter().any(|one| one.code == chip.security.seal), "{}", chip.name);
+    }
+}
+
+#[test]
+fn parameters_are_in_order_inside_their_subclass_and_do_not_overlap() {
+    for chip in CHIPS {
+        for subclass in chip.subclasses {
+            assert!(!subclass.parameters.is_empty(), "{} {} is empty", chip.name, subclass.id);
+            assert!(subclass.length > 0, "{} {}", chip.name, subclass.id);
+        }
+        let mut last: (u8, usize) = (0, 0);
+        for (subclass, parameter, at) in parameters(chip) {
+            let start = usize::from(parameter.offset);
+            let end = start + parameter.kind.size();
+            assert!(parameter.kind.size() > 0, "{at} is empty");
+            assert!(last.0 != subclass.id || start >= last.1, "{at} overlaps the one before");
+            assert!(end <= subclass.length.into(), "{at} ends outside the subclass");
+            last = (subclass.id, end);
+        }
+    }
+}
+
+#[test]
+fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
+    for (_, parameter, at) in CHIPS.iter().copied().flat_map(parameters) {
+        match &parameter.range {
+            Range::Int { min, max, default } => {
+                let Some((least, most)) = parameter.kind.bounds() else {
+                    panic!("{at}: {} has no integer range", parameter.kind);
+                };
+                assert!(least <= *min && min < max && *max <= most, "{at}: {min} to {max}");
+                assert!(default.is_none_or(|default| (*min..=*max).contains(&default)), "{at}: {default:?}");
+            }
+            Range::Float { min, max, default } => {
+                assert_eq!(parameter.kind, Type::F4, "{at}");
+                assert!(min.is_finite() && max.is_finite() && min < max, "{at}: {min} to {max}");
+                assert!(default.is_none_or(|default| (*min..=*max).contains(&default)), "{at}: {default:?}");
+            }
+            Range::Text { default } => {
+                let Type::S(size) = parameter.kind else { panic!("{at}: {} has no text", parameter.kind) };
+                assert!(default.is_none_or(|text| text.len() < size.into()), "{at}: {default:?}");
+            }
+        }
+        let Some(safe) = &parameter.safe else { continue };
+        let (min, max, default) = match parameter.range {
+            Range::Int { min, max, default } => (min, max, default),
+            _ => panic!("{at}: a safe limit on what is no integer"),
+        };
+        let why = match safe {
+            Safe::AtLeast(least, why) => {
+                assert!(min < *least && *least <= max, "{at}: at least {least} narrows nothing");
+                assert!(default.is_none_or(|default| default >= *least), "{at}: unsafe default");
+                why
+            }
+            Safe::BelowPresentVoltage(why) => why,
+            Safe::Keep(mask, why) => {
+                assert!(
+                    *mask != 0 && u64::from(*mask) < 1 << (8 * parameter.kind.size()),
+                    "{at}: 0x{mask:x}"
+                );
+                why
+            }
+        };
+        assert!(!why.is_empty(), "{at}");
+    }
+}
+
+#[test]
+fn no_key_has_a_default_to_show() {
+    let keys = CHIPS.iter().copied().flat_map(parameters).filter(|(class, ..)| class.kind == Kind::Security);
+    let mut found = 0;
+    for (_, parameter, at) in keys {
+        assert!(
+            matches!(parameter.range, Range::Int { default: None, .. } | Range::Text { default: None }),
+            "{at}"
+        );
+        found += 1;
+    }
+    assert!(found > 0);
+}
+
+#[test]
+fn the_flash_gate_refers_to_parameters_that_are_there() {
+    for chip in CHIPS {
+        let Some(gate) = &chip.gate else { continue };
+        let find = |id, offset| chip.subclass(id).and_then(|subclass| subclass.parameter(offset));
+        let limit = find(gate.limit.0, gate.limit.1).expect(chip.name);
+        assert!(matches!(limit.safe, Some(Safe::BelowPresentVoltage(_))), "{} {}", chip.name, limit.name);
+        if let Some((id, offset, scale)) = gate.divider {
+            let divider = find(id, offset).expect(chip.name);
+            assert!(matches!(divider.safe, Some(Safe::AtLeast(1, _))), "{} {}", chip.name, divider.name);
+            assert!(scale > 0);
+        }
+    }
+}
+
+#[test]
+fn waits_are_those_that_a_gauge_needs() {
+    for chip in CHIPS {
+        assert!(chip.security.key_silence.as_secs() >= 4, "{}", chip.name);
+        match &chip.access {
+            Access::Block(times) => {
+                assert!(times.select.as_millis() >= 1, "{}", chip.name);
+                assert!(times.commit.as_millis() >= 100, "{}", chip.name);
+                assert!(times.reset_limit > times.reset, "{}", chip.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn each_chip_has_as_many_rows_as_its_manual() {
+    let counts: BTreeMap<&str, [usize; 6]> = CHIPS
+        .iter()
+        .map(|chip| {
+            let learned = parameters(chip).filter(|(_, parameter, _)| parameter.learned).count();
+            let safe = parameters(chip).filter(|(_, parameter, _)| parameter.safe.is_some()).count();
+            let rows = parameters(chip).count();
+            let counts =
+                [chip.subclasses.len(), rows, learned, safe, chip.registers.len(), chip.subcommands.len()];
+            (chip.name, counts)
+        })
+        .collect();
+    // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
+    let expected = BTreeMap::from([("bq34z100-g1", [22, 211, 51, 9, 43, 23])]);
+    assert_eq!(counts, expected);
+}
+
+#[test]
+fn bq34z100_g1_reads_like_table_7_11() {
+    let chip = Chip::by_name("bq34z100-g1").unwrap();
+    let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
+    assert_eq!(
+        ids,
+        [2, 32, 34, 36, 48, 49, 56, 59, 60, 64, 66, 67, 68, 58, 80, 81, 82, 88, 89, 104, 107, 112]
+    );
+    let golden = "\
+Configuration | Safety | 2 0 I2 | OT Chg | 0 1200 550 | 0.1°C
+Configuration | Charge | 34 5 F4 | Pb Temp Comp | 0 0.078125 ? | %
+Configuration | Charge Termination | 36 7 I1 | TCA Set % | -1 100 99 | %
+Configuration | Data | 48 4 H2 | Serial Number | 0 65535 1 | hex
+Configuration | Data | 48 11 I2 | Design Capacity | 0 32767 1000 | mAh
+Configuration | Data | 48 15 I2 | SOH Load I | -32767 0 -400 | mA
+Configuration | Data | 48 31 S12 | Device Name | x x BQ34Z100-G1 | 
+Configuration | Data | 48 55 S5 | Device Chemistry | x x LION | 
+Configuration | Registers | 64 0 H2 | Pack Configuration | 0 65535 ? | flags
+Configuration | Registers | 64 7 U1 | Number of series cell | 0 100 1 | Num
+Configuration | Power | 68 0 I2 | Flash Update OK Cell Volt | 0 4200 2800 | mV
+System Data | Manufacturer Info | 58 31 H1 | Block A 31 | 0 255 0 | hex
+Gas Gauging | IT Cfg | 80 53 I2 | Cell Terminate Voltage | 1000 3700 3000 | mV
+Gas Gauging | IT Cfg | 80 64 I2 | User Rate-Pwr | -32767 32767 0 | mW/cW
+Gas Gauging | IT Cfg | 80 91 I2 | Smooth Relax Time | 1 32767 1000 | s
+Gas Gauging | State | 82 4 H1 | Update Status | 0 6 0 | Num
+Ra Table | R_a0x | 89 30 I2 | R_a0x 14 | 0 32767 1500 | Num
+Calibration | Data | 104 4 F4 | CC Delta | 29800 1190000 567744.56 | Num
+Calibration | Data | 104 14 U2 | Voltage Divider | 0 65535 5000 | mV
+Calibration | Current | 107 1 U1 | Deadband | 0 255 5 | mA
+Security | Codes | 112 20 H4 | Authen Key0 | 0 4294967295 ? | hex
+";
+    let listing: Vec<String> =
+        chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(|one| row(class, one))).collect();
+    for line in golden.lines() {
+        assert!(listing.iter().any(|row| row == line), "{line}\n{}", listing.join("\n"));
+    }
+}
+
+#[test]
+fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
+    let chip = Chip::by_name("bq34z100-g1").unwrap();
+    let safe: Vec<String> = parameters(chip)
+        .filter_map(|(class, parameter, _)| {
+            let limit = match parameter.safe.as_ref()? {
+                Safe::AtLeast(least, _) => format!("at least {least}"),
+                Safe::BelowPresentVoltage(_) => "below the voltage".to_string(),
+                Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
+            };
+            Some(format!("{}/{} {limit}", class.id, parameter.offset))
+        })
+        .collect();
+    // The reserved bits of Tables 7-17, 7-18 and 7-22 among them; Table 7-19 has none.
+    assert_eq!(
+        safe,
+        [
+            "48/11 at least 1",
+            "64/0 keep 0x1000",
+            "64/2 keep 0x50",
+            "64/4 keep 0x4",
+            "64/5 keep 0x68",
+            "64/7 at least 1",
+            "68/0 below the voltage",
+            "82/0 at least 1",
+            "104/14 at least 1",
+        ]
+    );
+}
+
+#[test]
+fn bq34z100_g1_flags_read_like_their_tables() {
+    let chip = Chip::by_name("bq34z100-g1").unwrap();
+    let listed = |bits: &[Bit]| {
+        let names = bits.iter().map(|bit| format!("{}:{}", bit.mask.trailing_zeros(), bit.name));
+        names.collect::<Vec<_>>().join(" ")
+    };
+    let register = |name| chip.registers.iter().find(|register| register.name == name).unwrap();
+    assert_eq!(
+        listed(chip.control_status),
+        "14:FAS 13:SS 12:CALEN 11:CCA 10:BCA 9:CSV 5:FULLSLEEP 4:SLEEP 3:LDMD 2:RUP_DIS 1:VOK 0:QEN"
+    );
+    assert_eq!(
+        listed(register("Flags").bits),
+        "15:OTC 14:OTD 13:BATHI 12:BATLOW 11:CHG_INH 10:XCHG 9:FC 8:CHG 7:OCVTAKEN 4:CF 2:SOC1 1:SOCF 0:DSG"
+    );
+    assert_eq!(listed(register("FlagsB").bits), "15:SOH 14:LIFE 13:FIRSTDOD 10:DODEOC 9:DTRC");
+    assert_eq!(listed(register("LearnedStatus").bits), "3:Qmax 2:ITEN 1:CF1 0:CF0");
+    let roles = chip.registers.iter().filter(|register| register.role.is_some()).count();
+    assert_eq!(roles, 16, "this part feeds every property there is");
+}
+
+#[test]
+fn two_classes_of_one_name_get_the_manuals_class_in_front() {
+    let chip = Chip::by_name("bq34z100-g1").unwrap();
+    let dir = |id| chip.class_dir(chip.subclass(id).unwrap());
+    assert_eq!(dir(48), "configuration-data");
+    assert_eq!(dir(104), "calibration-data");
+    assert_eq!(dir(80), "it-cfg");
+    assert_eq!(dir(56), "manufacturer-data");
+}
