@@ -228,25 +228,36 @@ pub enum SealStatus {
     },
 }
 
-/// How data flash is reached.
+/// How data flash is reached, and the waits that go with it. None is optional; each names its source in
+/// the table.
 #[derive(Debug)]
-pub enum Access {
-    /// Unsealed block access: BlockDataControl, DataFlashClass, DataFlashBlock, 32-byte window, checksum
-    /// that commits.
-    Block(BlockTimes),
-}
-
-/// Waits of unsealed block access. None is optional; each names its source in the table.
-#[derive(Debug)]
-pub struct BlockTimes {
+pub struct Access {
+    /// The sequence that reads and writes a block.
+    pub scheme: Scheme,
     /// From selecting a block until its bytes stand in the window.
     pub select: Duration,
-    /// From the checksum that commits until the gauge has programmed the block.
+    /// From the checksum that commits until the gauge has stored the block.
     pub commit: Duration,
-    /// From RESET until the gauge answers again.
+    /// From SET_CFGUPDATE until it is worth asking for `[CFGUPMODE]`, and how long to go on asking.
+    pub enter: Duration,
+    /// See `enter`.
+    pub enter_limit: Duration,
+    /// From RESET, or SOFT_RESET, until the gauge answers again, and how long to go on asking.
     pub reset: Duration,
-    /// How long to go on asking after that.
+    /// See `reset`.
     pub reset_limit: Duration,
+}
+
+/// The sequences by which TI's gauges give access to data flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheme {
+    /// Unsealed block access: BlockDataControl, DataFlashClass, DataFlashBlock, a 32-byte window, and a
+    /// checksum that commits.
+    Block,
+    /// The same between SET_CFGUPDATE and SOFT_RESET; data memory is RAM.
+    CfgUpdate,
+    /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
+    Mac,
 }
 
 /// The voltage below which the gauge takes a flash write, acknowledges it and stores nothing.
@@ -259,6 +270,9 @@ pub struct Gate {
     pub divider: Option<(u8, u16, u32)>,
 }
 
+/// The id of every group of a part with a flat address space, where offsets are addresses.
+pub const FLAT: u8 = 0;
+
 /// A subclass of data flash.
 #[derive(Debug)]
 pub struct Subclass {
@@ -266,9 +280,9 @@ pub struct Subclass {
     pub class: &'static str,
     /// The manual's name, such as `IT Cfg`.
     pub name: &'static str,
-    /// Subclass id.
+    /// Subclass id; [`FLAT`] for a group of parameters of a part that addresses data flash directly.
     pub id: u8,
-    /// Bytes that the subclass holds, as far as its last documented parameter.
+    /// Bytes from [`Subclass::start`] to the end of its last documented parameter.
     pub length: u16,
     /// What its parameters need and allow.
     pub kind: Kind,
@@ -510,6 +524,11 @@ impl Chip {
 }
 
 impl Subclass {
+    /// Offset of its first byte: 0, or the address at which a flat group begins.
+    pub fn start(&self) -> u16 {
+        if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
+    }
+
     /// The parameter at that offset.
     pub fn parameter(&self, offset: u16) -> Option<&'static Parameter> {
         self.parameters.iter().find(|parameter| parameter.offset == offset)

@@ -8,15 +8,18 @@
 //! Until the first block is committed an error means that nothing has changed. From then on the answer
 //! is success, [`Cause::RolledBack`] (the old bytes were put back and verified) or [`Cause::Unknown`].
 
+use std::ops::Range;
 use std::time::Duration;
 
-use crate::chip::{Access, Kind, Parameter, Role, Safe, Subclass};
+use crate::chip::{FLAT, Kind, Parameter, Role, Safe, Scheme, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics};
 use crate::value::Value;
 
 mod block;
+mod cfgupdate;
+mod mac;
 
 /// A write(2) answers within 30 s: so much for the way forward ...
 const FORWARD: Duration = Duration::from_secs(16);
@@ -36,12 +39,6 @@ pub struct Change {
     pub bytes: Vec<u8>,
 }
 
-impl Change {
-    fn subject(&self) -> String {
-        format!("{} ({}/{})", self.parameter.name, self.subclass.id, self.parameter.offset)
-    }
-}
-
 /// What a change did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
@@ -57,8 +54,10 @@ pub enum Outcome {
 /// A 32-byte piece of data flash, as the window shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
+    /// Subclass id, or [`FLAT`].
     subclass: u8,
-    block: u8,
+    /// Offset, or flat address, of the window's first byte.
+    base: u16,
 }
 
 /// A block that a change touches.
@@ -69,7 +68,36 @@ struct Dirty {
     /// As it shall be.
     new: [u8; WINDOW],
     /// Where in the window the changed parameters stand.
-    written: std::ops::Range<usize>,
+    written: Range<usize>,
+}
+
+/// What the access schemes do differently. Each step is straight-line code, to be read beside the manual.
+trait Sequence {
+    /// Lets data flash be read.
+    fn enable(&self, gauge: &mut Gauge) -> Result<()>;
+    /// Lets data flash be written, where that is a mode of its own.
+    fn begin(&self, gauge: &mut Gauge) -> Result<()>;
+    /// Brings a block into the window and reads it whole, with its checksum.
+    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]>;
+    /// Brings a block into the window and reads some of its bytes.
+    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()>;
+    /// Changes the bytes that differ, in the gauge's buffer only. The block is in the window.
+    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
+    /// Sends what makes the gauge store the block. Never sent twice: whoever calls finds out what the
+    /// block holds instead.
+    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
+    /// Makes new data flash take effect: a reset, or the end of the mode that `begin` began.
+    fn finish(&self, gauge: &mut Gauge) -> Result<()>;
+    /// Whether `finish` has to follow every `begin`.
+    fn always_finishes(&self) -> bool;
+}
+
+fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
+    match gauge.chip.access.scheme {
+        Scheme::Block => &block::Block,
+        Scheme::CfgUpdate => &cfgupdate::CfgUpdate,
+        Scheme::Mac => &mac::Mac,
+    }
 }
 
 /// What has to be known about a gauge's data flash from one transaction to the next.
@@ -85,7 +113,8 @@ impl DataFlash {
         self.gate = None;
     }
 
-    /// Reads whole subclasses in one go, and leaves the gauge sealed as it was.
+    /// Reads whole subclasses in one go, and leaves the gauge sealed as it was. `waited` is how long ago
+    /// this was asked for.
     pub fn read(
         &mut self,
         gauge: &mut Gauge,
@@ -97,7 +126,6 @@ impl DataFlash {
             let mut visit = Visit::new(found);
             let read = visit
                 .open(gauge)
-                .and_then(|()| block::enable(gauge))
                 .and_then(|()| {
                     wanted.iter().map(|subclass| read_subclass(gauge, subclass)).collect::<Result<_>>()
                 })
@@ -113,7 +141,7 @@ impl DataFlash {
             if goal == Seal::Sealed {
                 return Ok(());
             }
-            block::enable(gauge)?;
+            sequence(gauge).enable(gauge)?;
             self.learn_gate(gauge)
         })
     }
@@ -128,8 +156,7 @@ impl DataFlash {
             gauge.claim()?;
             gauge.confirm_identity()?;
             let voltage_mv = voltage(gauge)?;
-            let found = gauge.seal()?;
-            let mut visit = Visit::new(found);
+            let mut visit = Visit::new(gauge.seal()?);
             let outcome =
                 visit.open(gauge).and_then(|()| self.change(gauge, changes, voltage_mv, &mut visit));
             visit.close(gauge, outcome)
@@ -146,11 +173,10 @@ impl DataFlash {
         voltage_mv: u16,
         visit: &mut Visit,
     ) -> Result<Outcome> {
-        block::enable(gauge)?;
         self.check_gate(gauge, voltage_mv)?;
         let mut dirty = gather(gauge, changes)?;
         // The window holds the block that was read last; where there was only one, it is still there.
-        let selected = dirty.len() == 1;
+        let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
             self.check_safe(gauge, change, &dirty, voltage_mv)?;
         }
@@ -159,24 +185,22 @@ impl DataFlash {
             return Ok(Outcome::Unchanged);
         }
         let reset = changes.iter().any(|change| change.subclass.kind == Kind::Reset);
-        if changes.iter().any(|change| self.is_gate(gauge, change)) {
+        if changes.iter().any(|change| is_gate(gauge, change)) {
             self.gate = None;
         }
+        visit.begin(gauge)?;
         let mut touched = 0;
         let forward = dirty.iter().try_for_each(|block| {
-            if !selected {
-                block::select(gauge, block.place)?;
+            if !in_window {
+                sequence(gauge).load(gauge, block.place)?;
             }
             store(gauge, block, &mut touched)
         });
         let forward = forward.and_then(|()| {
-            if !reset {
+            if !reset && !sequence(gauge).always_finishes() {
                 return Ok(());
             }
-            visit.now = None;
-            block::reset(gauge)?;
-            visit.now = Some(reopen(gauge, visit.found)?);
-            block::enable(gauge)?;
+            visit.finish(gauge)?;
             dirty.iter().try_for_each(|block| verify_written(gauge, block))
         });
         let Err(error) = forward else { return Ok(Outcome::Written { reset }) };
@@ -185,7 +209,7 @@ impl DataFlash {
         }
         visit.now = None;
         gauge.limit(Some(BACK));
-        match restore(gauge, &dirty[..touched]) {
+        match visit.restore(gauge, &dirty[..touched]) {
             Ok(()) => {
                 let why = format!("{error}; the old value was put back and verified");
                 Err(Error::new("", Cause::RolledBack(why)))
@@ -197,20 +221,13 @@ impl DataFlash {
         }
     }
 
-    fn is_gate(&self, gauge: &Gauge, change: &Change) -> bool {
-        gauge.chip.gate.as_ref().is_some_and(|gate| {
-            let at = (change.subclass.id, change.parameter.offset);
-            at == gate.limit || gate.divider.is_some_and(|(subclass, offset, _)| at == (subclass, offset))
-        })
-    }
-
     /// Reads what decides whether the gauge stores a block, unless it is known. UNSEALED only.
     fn learn_gate(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(gate) = &gauge.chip.gate else { return Ok(()) };
         if self.gate.is_none() {
-            let limit_mv = read_word(gauge, gate.limit.0, gate.limit.1)?;
+            let limit_mv = read_word(gauge, gate.limit)?;
             let divider = match gate.divider {
-                Some((subclass, offset, _)) => read_word(gauge, subclass, offset)?,
+                Some((subclass, offset, _)) => read_word(gauge, (subclass, offset))?,
                 None => 0,
             };
             self.gate = Some((limit_mv, divider));
@@ -218,48 +235,49 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Voltage() as the gate compares it: scaled back to one cell where there is a divider.
+    /// Voltage() as the gate compares it, scaled back to one cell where there is a divider, and the limit.
     fn gate_voltage(&self, gauge: &Gauge, voltage_mv: u16) -> Option<(u32, u16)> {
         let (limit_mv, divider) = self.gate?;
-        let scaled = match gauge.chip.gate.as_ref()?.divider {
+        let scaled_mv = match gauge.chip.gate.as_ref()?.divider {
             Some((_, _, full)) if divider != 0 => u32::from(voltage_mv) * full / u32::from(divider),
             Some(_) | None => u32::from(voltage_mv),
         };
-        Some((scaled, limit_mv))
+        Some((scaled_mv, limit_mv))
     }
 
     fn check_gate(&mut self, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
         self.learn_gate(gauge)?;
-        let Some(gate) = &gauge.chip.gate else { return Ok(()) };
-        let Some((scaled_mv, limit_mv)) = self.gate_voltage(gauge, voltage_mv) else { return Ok(()) };
+        let (Some(gate), Some((scaled_mv, limit_mv))) =
+            (&gauge.chip.gate, self.gate_voltage(gauge, voltage_mv))
+        else {
+            return Ok(());
+        };
         if scaled_mv >= u32::from(limit_mv) {
             return Ok(());
         }
+        let (subclass, offset) = gate.limit;
         let why = format!(
-            "the gauge measures {scaled_mv} mV a cell and stores nothing below {limit_mv} mV ({}/{}): charge the \
-             pack, or check Voltage Divider",
-            gate.limit.0, gate.limit.1
+            "the gauge measures {scaled_mv} mV a cell and stores nothing below {limit_mv} mV ({subclass}/{offset}): \
+             charge the pack, or check Voltage Divider"
         );
         Err(Error::new("", Cause::NotNow(why)).at(Step::Check))
     }
 
     /// The limits that are narrower than the manual's.
     fn check_safe(&self, gauge: &Gauge, change: &Change, dirty: &[Dirty], voltage_mv: u16) -> Result<()> {
-        let refuse = |why: String| Err(Error::new(change.subject(), Cause::OutOfRange(why)).at(Step::Check));
+        let refuse = |why: String| Err(Error::new("", Cause::OutOfRange(why)).at(Step::Check));
         let number = integer(change.parameter, &change.bytes);
         match &change.parameter.safe {
-            None => Ok(()),
             Some(Safe::AtLeast(least, why)) if number < *least => {
                 refuse(format!("{number} is below {least}: {why}"))
             }
             Some(Safe::BelowPresentVoltage(why)) => {
-                let present =
+                let present_mv =
                     i64::from(self.gate_voltage(gauge, voltage_mv).map_or(0, |(scaled_mv, _)| scaled_mv));
-                if number > present {
-                    refuse(format!("{number} is above the present {present} mV: {why}"))
-                } else {
-                    Ok(())
+                if number <= present_mv {
+                    return Ok(());
                 }
+                refuse(format!("{number} is above the present {present_mv} mV a cell: {why}"))
             }
             Some(Safe::Keep(mask, why)) => {
                 let old = integer(change.parameter, &old_bytes(change, dirty));
@@ -269,9 +287,59 @@ impl DataFlash {
                 }
                 refuse(format!("bits 0x{differ:x} must stay as they are: {why}; the word is now 0x{old:x}"))
             }
-            Some(Safe::AtLeast(..)) => Ok(()),
+            Some(Safe::AtLeast(..)) | None => Ok(()),
         }
     }
+}
+
+impl Change {
+    fn subject(&self) -> String {
+        let Self { subclass, parameter, .. } = self;
+        let place = match subclass.id {
+            FLAT => format!("flash/0x{:04x}", parameter.offset),
+            id => format!("{id}/{}", parameter.offset),
+        };
+        format!("{} ({place})", parameter.name)
+    }
+
+    /// The windows that hold its bytes, a byte each, and where in them.
+    fn places(&self) -> impl Iterator<Item = (Place, usize)> {
+        let Self { subclass, parameter, bytes } = self;
+        let offsets = (parameter.offset..).take(bytes.len());
+        offsets.map(|offset| locate(subclass.id, subclass.start(), offset))
+    }
+}
+
+impl Dirty {
+    /// The bytes from the first to the last that differ.
+    fn differing(&self) -> Option<Range<usize>> {
+        let differs = |&at: &usize| self.old[at] != self.new[at];
+        Some((0..WINDOW).find(differs)?..(0..WINDOW).rfind(differs)? + 1)
+    }
+}
+
+impl Place {
+    /// The byte at a position of the window, for a message.
+    fn name(self, at: usize) -> String {
+        let offset = usize::from(self.base) + at;
+        match self.subclass {
+            FLAT => format!("address 0x{offset:04x}"),
+            subclass => format!("subclass {subclass} offset {offset}"),
+        }
+    }
+}
+
+/// The window that shows an offset of a subclass which begins at `start`, and where in it.
+fn locate(subclass: u8, start: u16, offset: u16) -> (Place, usize) {
+    let at = usize::from(offset - start) % WINDOW;
+    (Place { subclass, base: offset - at as u16 }, at)
+}
+
+fn is_gate(gauge: &Gauge, change: &Change) -> bool {
+    let at = (change.subclass.id, change.parameter.offset);
+    gauge.chip.gate.as_ref().is_some_and(|gate| {
+        at == gate.limit || gate.divider.is_some_and(|(subclass, offset, _)| at == (subclass, offset))
+    })
 }
 
 /// The number that a parameter's bytes stand for; the safe limits are all about integers.
@@ -291,25 +359,20 @@ fn voltage(gauge: &mut Gauge) -> Result<u16> {
     Ok(u16::from_le_bytes(word))
 }
 
-fn read_word(gauge: &mut Gauge, subclass: u8, offset: u16) -> Result<u16> {
-    let (place, at) = locate(subclass, offset);
+fn read_word(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u16> {
+    let start = if subclass == FLAT { offset } else { 0 };
+    let (place, at) = locate(subclass, start, offset);
     let mut word = [0; 2];
-    block::select(gauge, place)?;
-    block::read_part(gauge, at, &mut word)?;
+    sequence(gauge).read_part(gauge, place, at, &mut word)?;
     Ok(u16::from_be_bytes(word))
-}
-
-fn locate(subclass: u8, offset: u16) -> (Place, usize) {
-    let block = u8::try_from(usize::from(offset) / WINDOW).expect("a subclass has few blocks");
-    (Place { subclass, block }, usize::from(offset) % WINDOW)
 }
 
 fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
     let length = usize::from(subclass.length);
     let mut bytes = Vec::with_capacity(length);
-    for start in (0..subclass.length).step_by(WINDOW) {
-        let (place, _) = locate(subclass.id, start);
-        let window = block::load(gauge, place)?;
+    while bytes.len() < length {
+        let base = subclass.start() + bytes.len() as u16;
+        let window = sequence(gauge).load(gauge, Place { subclass: subclass.id, base })?;
         bytes.extend_from_slice(&window[..WINDOW.min(length - bytes.len())]);
     }
     Ok(bytes)
@@ -319,12 +382,11 @@ fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
 fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
     let mut dirty: Vec<Dirty> = Vec::new();
     for change in changes {
-        for (offset, &byte) in (change.parameter.offset..).zip(&change.bytes) {
-            let (place, at) = locate(change.subclass.id, offset);
+        for ((place, at), &byte) in change.places().zip(&change.bytes) {
             let index = match dirty.iter().position(|block| block.place == place) {
                 Some(index) => index,
                 None => {
-                    let old = block::load(gauge, place)?;
+                    let old = sequence(gauge).load(gauge, place)?;
                     dirty.push(Dirty { place, old, new: old, written: at..at });
                     dirty.len() - 1
                 }
@@ -338,68 +400,59 @@ fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
 }
 
 fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
-    let places =
-        (change.parameter.offset..).take(change.bytes.len()).map(|offset| locate(change.subclass.id, offset));
-    places.filter_map(|(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at])).collect()
+    let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
+    change.places().filter_map(byte).collect()
 }
 
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
 /// committed: from that moment on the block's content has to be found out, not assumed.
 fn store(gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-    block::fill(gauge, &block.old, &block.new)?;
+    sequence(gauge).fill(gauge, block)?;
     *touched += 1;
     Statistics::count(&gauge.statistics.flash_writes);
-    let committed = block::commit(gauge, &block.new);
+    let committed = sequence(gauge).commit(gauge, block);
     // A checksum whose acknowledgement was lost may have done its work all the same.
     verify(gauge, block).map_err(|error| committed.err().unwrap_or(error))
 }
 
 /// Selects and reads the block again: the window right after a write shows the buffer, not flash.
 fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-    let stored = block::load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-    if stored == block.new {
-        return Ok(());
-    }
-    Err(mismatch(block, &stored))
+    let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
+    compare(block, &stored)
 }
 
 /// After a reset only the written bytes count: the gauge rewrites others itself.
 fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let range = block.written.clone();
     let mut stored = block.new;
-    block::select(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-    block::read_part(gauge, range.start, &mut stored[range]).map_err(|error| error.at(Step::Verify))?;
-    if stored == block.new {
-        return Ok(());
-    }
-    Err(mismatch(block, &stored))
+    let read = sequence(gauge).read_part(gauge, block.place, range.start, &mut stored[range]);
+    read.map_err(|error| error.at(Step::Verify))?;
+    compare(block, &stored)
 }
 
-fn mismatch(block: &Dirty, stored: &[u8; WINDOW]) -> Error {
-    let Place { subclass, block: number } = block.place;
+fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
+    let Some(at) = (0..WINDOW).find(|&at| stored[at] != block.new[at]) else { return Ok(()) };
+    let place = block.place.name(at);
     let why = if *stored == block.old {
-        format!("subclass {subclass} block {number}: the gauge acknowledged the write and stored nothing")
+        format!("{place}: the gauge acknowledged the write and stored nothing")
     } else {
-        let at = (0..WINDOW).find(|&at| stored[at] != block.new[at]).unwrap_or_default();
-        let offset = usize::from(number) * WINDOW + at;
-        format!(
-            "subclass {subclass} offset {offset} reads 0x{:02x}, wrote 0x{:02x}",
-            stored[at], block.new[at]
-        )
+        format!("{place} reads 0x{:02x}, wrote 0x{:02x}", stored[at], block.new[at])
     };
-    Error::new("", Cause::Protocol(why)).at(Step::Verify)
+    Err(Error::new("", Cause::Protocol(why)).at(Step::Verify))
 }
 
-/// One visit to an unsealed gauge: how it was found, and what is known of its seal state now.
+/// One visit to an unsealed gauge: how it was found, and what is known of its state now.
 struct Visit {
     found: Seal,
     /// `None` from the moment on in which something may have changed it until it is confirmed.
     now: Option<Seal>,
+    /// A mode was begun that has to be finished on every way out.
+    begun: bool,
 }
 
 impl Visit {
     fn new(found: Seal) -> Self {
-        Self { found, now: Some(found) }
+        Self { found, now: Some(found), begun: false }
     }
 
     /// Makes data flash readable.
@@ -409,20 +462,67 @@ impl Visit {
             gauge.unseal()?;
             self.now = Some(Seal::Unsealed);
         }
-        Ok(())
+        sequence(gauge).enable(gauge)
+    }
+
+    /// Makes data flash writable.
+    fn begin(&mut self, gauge: &mut Gauge) -> Result<()> {
+        self.begun = sequence(gauge).always_finishes();
+        sequence(gauge).begin(gauge)
+    }
+
+    /// Makes what was written take effect, and data flash readable again.
+    fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
+        self.now = None;
+        sequence(gauge).finish(gauge)?;
+        self.begun = false;
+        self.now = Some(reopen(gauge, self.found)?);
+        sequence(gauge).enable(gauge)
+    }
+
+    /// Puts the old bytes back where they were written, and nothing else: what the gauge learned
+    /// meanwhile stays.
+    fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty]) -> Result<()> {
+        let mut outcome = Ok(());
+        for _ in 0..RESTORES {
+            outcome = gauge
+                .seal()
+                .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
+                .and_then(|()| sequence(gauge).enable(gauge))
+                .and_then(|()| touched.iter().try_for_each(|block| self.restore_block(gauge, block)));
+            if outcome.is_ok() {
+                break;
+            }
+            gauge.wait(Duration::from_millis(200));
+        }
+        outcome.map_err(|error| error.at(Step::Restore))
+    }
+
+    fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+        let present = sequence(gauge).load(gauge, block.place)?;
+        let mut wanted = present;
+        wanted[block.written.clone()].copy_from_slice(&block.old[block.written.clone()]);
+        if wanted == present {
+            return Ok(());
+        }
+        self.begin(gauge)?;
+        sequence(gauge).load(gauge, block.place)?;
+        let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
+        store(gauge, &back, &mut 0)
     }
 
     /// The way out of every transaction: seals as found, confirms it, and reports both failures if there
     /// are two.
-    fn close<T>(self, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
+    fn close<T>(mut self, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
         gauge.limit(Some(BACK));
+        let finished = if self.begun { self.finish(gauge) } else { Ok(()) };
         // After a failure nothing is taken for granted: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
             Some(now) => gauge.go(now, self.found),
             None => gauge.seal().and_then(|now| gauge.go(now, self.found)),
         };
         let found = self.found.as_str();
-        match (outcome, closed) {
+        match (outcome, finished.and(closed)) {
             (outcome, Ok(())) => outcome,
             (Ok(_), Err(error)) => {
                 let why = format!("done, but the gauge could not be left {found} as it was: {error}");
@@ -438,6 +538,25 @@ impl Visit {
     }
 }
 
+/// Waits for the end of a reset and goes back to a state in which data flash can be read.
+fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
+    let access = &gauge.chip.access;
+    let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
+    gauge.wait(access.reset);
+    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to ask first.
+    if found == Seal::Sealed && gauge.unseal().is_ok() {
+        return Ok(goal);
+    }
+    let limit = gauge.clock.now() + access.reset_limit;
+    loop {
+        match gauge.seal() {
+            Ok(now) => return gauge.go(now, goal).map(|()| goal),
+            Err(_) if gauge.clock.now() < limit => gauge.wait(access.reset.max(Duration::from_millis(50))),
+            Err(error) => return Err(error.at(Step::Reset)),
+        }
+    }
+}
+
 /// Runs a transaction so that it answers within 30 s of being asked for, `waited` ago, and lifts the
 /// limit again.
 fn in_time<T>(gauge: &mut Gauge, waited: Duration, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
@@ -445,52 +564,4 @@ fn in_time<T>(gauge: &mut Gauge, waited: Duration, run: impl FnOnce(&mut Gauge) 
     let outcome = run(gauge);
     gauge.limit(None);
     outcome
-}
-
-/// Waits for the end of a reset and goes back to a state in which data flash can be read.
-fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
-    let Access::Block(times) = &gauge.chip.access;
-    let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
-    gauge.wait(times.reset);
-    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to ask first.
-    if found == Seal::Sealed && gauge.unseal().is_ok() {
-        return Ok(goal);
-    }
-    let limit = gauge.clock.now() + times.reset_limit;
-    loop {
-        match gauge.seal() {
-            Ok(now) => return gauge.go(now, goal).map(|()| goal),
-            Err(_) if gauge.clock.now() < limit => gauge.wait(times.reset),
-            Err(error) => return Err(error.at(Step::Reset)),
-        }
-    }
-}
-
-/// Puts the old bytes back where they were written, and nothing else: what the gauge learned meanwhile
-/// stays.
-fn restore(gauge: &mut Gauge, touched: &[Dirty]) -> Result<()> {
-    let mut outcome = Ok(());
-    for _ in 0..RESTORES {
-        outcome = gauge
-            .seal()
-            .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
-            .and_then(|()| block::enable(gauge))
-            .and_then(|()| touched.iter().try_for_each(|block| restore_block(gauge, block)));
-        if outcome.is_ok() {
-            break;
-        }
-        gauge.wait(Duration::from_millis(200));
-    }
-    outcome.map_err(|error| error.at(Step::Restore))
-}
-
-fn restore_block(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-    let present = block::load(gauge, block.place)?;
-    let mut wanted = present;
-    wanted[block.written.clone()].copy_from_slice(&block.old[block.written.clone()]);
-    if wanted == present {
-        return Ok(());
-    }
-    let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
-    store(gauge, &back, &mut 0)
 }

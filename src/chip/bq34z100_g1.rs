@@ -10,7 +10,7 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, BlockTimes, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role, Safe,
+    Access, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role, Safe, Scheme,
     SealStatus, Security, Subclass, Subcommand,
 };
 use crate::value::Type::U;
@@ -49,15 +49,18 @@ pub static CHIP: Chip = Chip {
         // TI's advice to owners whose keys were refused; not in the datasheet.
         key_silence: Duration::from_secs(4),
     },
-    access: Access::Block(BlockTimes {
+    access: Access {
+        scheme: Scheme::Block,
         // No document gives it. Drivers in the field wait 5 to 30 ms; without a wait zeros are read.
         select: Duration::from_millis(5),
         // Not given either: 100 ms after a checksum is the rule for the sibling bq27545-G1 (SLUSAT0E).
         commit: Duration::from_millis(100),
+        enter: Duration::ZERO,
+        enter_limit: Duration::ZERO,
         // Owners measured 150 to 175 ms; the limit is ours, power-up itself takes 250 ms (6.3).
         reset: Duration::from_millis(200),
         reset_limit: Duration::from_secs(2),
-    }),
+    },
     // 7.3.16.3 and 8.2.2.1.3: cell voltages are compared at the internal divider's full scale of 5000.
     gate: Some(Gate { limit: (68, 0), divider: Some((104, 14, 5000)) }),
     subclasses: SUBCLASSES,

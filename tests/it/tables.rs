@@ -6,7 +6,7 @@ use std::hash::Hash;
 
 use gaugefs::bus::wire_bytes;
 use gaugefs::chip::{
-    Access, Bit, CHIPS, Chip, Effect, Kind, Parameter, Range, Role, Safe, SealStatus, Subclass, Tier,
+    Bit, CHIPS, Chip, Effect, Kind, Parameter, Range, Role, Safe, Scheme, SealStatus, Subclass, Tier,
     kebab_case, snake_case,
 };
 use gaugefs::gauge::bursts;
@@ -308,13 +308,15 @@ fn the_flash_gate_refers_to_parameters_that_are_there() {
 fn waits_are_those_that_a_gauge_needs() {
     for chip in CHIPS {
         assert!(chip.security.key_silence.as_secs() >= 4, "{}", chip.name);
-        match &chip.access {
-            Access::Block(times) => {
-                assert!(times.select.as_millis() >= 1, "{}", chip.name);
-                assert!(times.commit.as_millis() >= 100, "{}", chip.name);
-                assert!(times.reset_limit > times.reset, "{}", chip.name);
-            }
-        }
+        let access = &chip.access;
+        assert!(access.select.as_millis() >= 1, "{}", chip.name);
+        assert!(access.reset_limit > access.reset, "{}", chip.name);
+        let (commit_ms, enters) = match access.scheme {
+            Scheme::Block | Scheme::Mac => (100, false),
+            Scheme::CfgUpdate => (10, true),
+        };
+        assert!(access.commit.as_millis() >= commit_ms, "{}", chip.name);
+        assert_eq!(!access.enter_limit.is_zero(), enters, "{}", chip.name);
     }
 }
 

@@ -1,0 +1,85 @@
+//! CONFIG UPDATE (SLUUAC9A 3.1): the block access of the flash parts, between SET_CFGUPDATE and
+//! SOFT_RESET. Data memory is RAM; while the mode lasts the gauge does not gauge, and it is never left
+//! set by any way out.
+
+use std::time::Duration;
+
+use super::block::Block;
+use super::{Dirty, Place, Sequence};
+use crate::chip::Role;
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Statistics};
+
+/// Control(SET_CFGUPDATE).
+const SET_CFGUPDATE: u16 = 0x0013;
+/// Control(SOFT_RESET), which ends CONFIG UPDATE with a new OCV and a new simulation.
+const SOFT_RESET: u16 = 0x0042;
+/// Flags() `[CFGUPMODE]`.
+const CFGUPMODE: u16 = 0x0010;
+/// Between two looks at `[CFGUPMODE]`, as the kernel's driver does.
+const LOOK: Duration = Duration::from_millis(25);
+
+pub(super) struct CfgUpdate;
+
+impl Sequence for CfgUpdate {
+    fn enable(&self, gauge: &mut Gauge) -> Result<()> {
+        Block.enable(gauge)
+    }
+
+    fn begin(&self, gauge: &mut Gauge) -> Result<()> {
+        if in_mode(gauge)? {
+            return Ok(());
+        }
+        gauge.command(SET_CFGUPDATE).map_err(|error| error.at(Step::WriteBlock))?;
+        gauge.wait(gauge.chip.access.enter);
+        wait_for(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::WriteBlock))?;
+        // SLUUAC9A 3.1 opens the window after the mode has come.
+        Block.enable(gauge)
+    }
+
+    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+        Block.load(gauge, place)
+    }
+
+    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()> {
+        Block.read_part(gauge, place, at, into)
+    }
+
+    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+        Block.fill(gauge, block)
+    }
+
+    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+        Block.commit(gauge, block)
+    }
+
+    fn finish(&self, gauge: &mut Gauge) -> Result<()> {
+        Statistics::count(&gauge.statistics.resets);
+        gauge.command(SOFT_RESET).map_err(|error| error.at(Step::Reset))?;
+        wait_for(gauge, false, gauge.chip.access.reset_limit).map_err(|error| error.at(Step::Reset))
+    }
+
+    fn always_finishes(&self) -> bool {
+        true
+    }
+}
+
+fn in_mode(gauge: &mut Gauge) -> Result<bool> {
+    let flags = gauge.chip.register(Role::Flags).expect("the tables' tests ask for Flags()");
+    let mut word = [0; 2];
+    gauge.read(flags.code, &mut word)?;
+    Ok(u16::from_le_bytes(word) & CFGUPMODE != 0)
+}
+
+fn wait_for(gauge: &mut Gauge, set: bool, limit: Duration) -> Result<()> {
+    let limit = gauge.clock.now() + limit;
+    while in_mode(gauge)? != set {
+        if gauge.clock.now() >= limit {
+            let why = if set { "[CFGUPMODE] does not come" } else { "[CFGUPMODE] stays" };
+            return Err(Error::new("Flags()", Cause::Slow(why.into())));
+        }
+        gauge.wait(LOOK);
+    }
+    Ok(())
+}

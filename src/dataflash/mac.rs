@@ -1,0 +1,110 @@
+//! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
+//! MACDataSum and MACDataLen. The gauge echoes the address, and what it echoes is checked.
+
+use super::{Dirty, Place, Sequence};
+use crate::codec::{WINDOW, checksum};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Statistics};
+
+/// ManufacturerAccessControl(); MACData() follows it.
+const MAC: u8 = 0x3e;
+/// MACData().
+const MAC_DATA: u8 = 0x40;
+/// MACDataSum(); MACDataLen() follows it.
+const MAC_DATA_SUM: u8 = 0x60;
+/// What MACDataLen() counts beside the data: the address, the sum and itself.
+const OVERHEAD: usize = 4;
+/// Control(RESET).
+const RESET: u16 = 0x0041;
+
+pub(super) struct Mac;
+
+impl Sequence for Mac {
+    fn enable(&self, _: &mut Gauge) -> Result<()> {
+        Ok(())
+    }
+
+    fn begin(&self, _: &mut Gauge) -> Result<()> {
+        Ok(())
+    }
+
+    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+        let mut outcome = load_once(gauge, place);
+        // Read too early, the answer is the one before; it is asked for once more.
+        let early = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
+        if outcome.as_ref().is_err_and(early) {
+            Statistics::count(&gauge.statistics.retries);
+            gauge.wait(gauge.chip.access.select * 4);
+            outcome = load_once(gauge, place);
+        }
+        outcome
+    }
+
+    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()> {
+        let window = self.load(gauge, place)?;
+        into.copy_from_slice(&window[at..at + into.len()]);
+        Ok(())
+    }
+
+    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+        let Some(range) = block.differing() else { return Ok(()) };
+        let address = block.place.base + range.start as u16;
+        let selected = gauge.write(MAC, &address.to_le_bytes());
+        let filled = selected.and_then(|()| gauge.write(MAC_DATA, &block.new[range]));
+        filled.map_err(|error| error.at(Step::WriteBlock))
+    }
+
+    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+        let Some(range) = block.differing() else { return Ok(()) };
+        let address = block.place.base + range.start as u16;
+        let length = (range.len() + OVERHEAD) as u8;
+        let sent = gauge.write_once(MAC_DATA_SUM, &[sum(address, &block.new[range]), length]);
+        gauge.wait(gauge.chip.access.commit);
+        sent.map_err(|bus| Error::new("MACDataSum()", Cause::Bus(bus)).at(Step::WriteBlock))
+    }
+
+    fn finish(&self, gauge: &mut Gauge) -> Result<()> {
+        Statistics::count(&gauge.statistics.resets);
+        gauge.command(RESET).map_err(|error| error.at(Step::Reset))
+    }
+
+    fn always_finishes(&self) -> bool {
+        false
+    }
+}
+
+/// MACDataSum(): the complement of the sum of address and data.
+fn sum(address: u16, data: &[u8]) -> u8 {
+    let [low, high] = address.to_le_bytes();
+    checksum(data).wrapping_sub(low).wrapping_sub(high)
+}
+
+fn load_once(gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+    let address = place.base;
+    let at = |error: Error| error.at(Step::ReadBlock);
+    gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
+    gauge.wait(gauge.chip.access.select);
+    let mut answer = [0; 2 + WINDOW + 2];
+    gauge.read(MAC, &mut answer).map_err(at)?;
+    let echo = u16::from_le_bytes([answer[0], answer[1]]);
+    let (told, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
+    let refuse = |cause: Cause| Err(Error::new("", cause).at(Step::ReadBlock));
+    if echo != address {
+        let why = format!("{}: the gauge echoes address 0x{echo:04x}", place.name(0));
+        return refuse(Cause::Protocol(why));
+    }
+    if !(OVERHEAD..=OVERHEAD + WINDOW).contains(&length) {
+        return refuse(Cause::Protocol(format!("{}: MACDataLen() is {length}", place.name(0))));
+    }
+    let data = &answer[2..2 + length - OVERHEAD];
+    let adds_up = sum(address, data);
+    if adds_up != told {
+        let why =
+            format!("{}: MACDataSum() is 0x{told:02x}, the data adds up to 0x{adds_up:02x}", place.name(0));
+        return refuse(Cause::BadChecksum(why));
+    }
+    // Past the end of data flash the window is shorter; nobody asks for what is not there.
+    let mut window = [0; WINDOW];
+    window[..data.len()].copy_from_slice(data);
+    Ok(window)
+}
