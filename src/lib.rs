@@ -9,5 +9,6 @@ pub mod error;
 pub mod gauge;
 pub mod keys;
 pub mod poll;
+pub mod sim;
 pub mod text;
 pub mod value;

@@ -1,0 +1,83 @@
+//! The 32-byte window at 0x40 to 0x5F and its checksum, kept apart from flash: what a host reads there
+//! after writing is this buffer, whether or not anything was stored.
+
+use std::time::Duration;
+
+use super::flash::BLOCK;
+
+/// What the window shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    /// Nothing: no such block.
+    Nothing,
+    /// A block of flash.
+    Flash(u16, u8),
+    /// Challenge and digest.
+    Authentication,
+}
+
+/// The window.
+#[derive(Debug)]
+pub(super) struct Window {
+    pub(super) source: Source,
+    pub(super) data: [u8; BLOCK],
+    /// Bytes that the block really has; those after it stay 0.
+    length: usize,
+    /// The checksum as loaded or committed, not that of `data`.
+    pub(super) sum: u8,
+    /// From when on the bytes are there.
+    ready: Duration,
+}
+
+impl Window {
+    pub(super) fn new() -> Self {
+        Self {
+            source: Source::Authentication,
+            data: [0; BLOCK],
+            length: BLOCK,
+            sum: 0xFF,
+            ready: Duration::ZERO,
+        }
+    }
+
+    /// Shows `bytes` of `source` from `ready` on.
+    pub(super) fn load(&mut self, source: Source, bytes: &[u8], ready: Duration) {
+        self.source = source;
+        self.data = [0; BLOCK];
+        self.length = match source {
+            Source::Authentication => BLOCK,
+            _ => bytes.len(),
+        };
+        self.data[..bytes.len()].copy_from_slice(bytes);
+        self.sum = checksum(&self.data);
+        self.ready = ready;
+    }
+
+    /// A byte of the window; zeros until it is loaded.
+    pub(super) fn read(&self, index: usize, now: Duration) -> u8 {
+        if now < self.ready { 0 } else { self.data[index] }
+    }
+
+    /// The checksum as the host reads it.
+    pub(super) fn read_sum(&self, now: Duration) -> u8 {
+        if now < self.ready { 0 } else { self.sum }
+    }
+
+    /// Changes a byte of the buffer. What comes before the block is loaded is overwritten by it, and
+    /// beyond the block's end there is nothing to change.
+    pub(super) fn write(&mut self, index: usize, byte: u8, now: Duration) {
+        if now >= self.ready && index < self.length {
+            self.data[index] = byte;
+        }
+    }
+
+    /// The block's own bytes as they now stand in the buffer.
+    pub(super) fn block(&self) -> &[u8] {
+        &self.data[..self.length]
+    }
+}
+
+/// 255 less the sum of the bytes.
+pub(super) fn checksum(bytes: &[u8]) -> u8 {
+    !bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
+}
