@@ -1,3 +1,5 @@
 //! One test binary for everything that needs more than one module.
 
+mod rig;
 mod tables;
+mod write;

@@ -1,0 +1,77 @@
+//! A simulated gauge on a simulated clock, and the engine on its bus.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gaugefs::chip::Chip;
+use gaugefs::clock::{Clock, SimClock};
+use gaugefs::codec;
+use gaugefs::dataflash::{Change, DataFlash, Outcome};
+use gaugefs::error::Result;
+use gaugefs::gauge::{Gauge, Seal};
+use gaugefs::keys::Keys;
+use gaugefs::sim::{Options, Sim};
+use gaugefs::text;
+
+pub(crate) struct Rig {
+    pub(crate) clock: Arc<SimClock>,
+    pub(crate) sim: Sim,
+    pub(crate) gauge: Gauge,
+    pub(crate) dataflash: DataFlash,
+}
+
+impl Rig {
+    pub(crate) fn new(chip: &str) -> Self {
+        Self::with(chip, Keys::default(), false)
+    }
+
+    pub(crate) fn with(chip: &str, keys: Keys, byte_writes: bool) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
+        sim.keep_log(true);
+        let table = Chip::by_name(chip).expect("a chip in the tables");
+        let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
+        // A gauge answers some 250 ms after power-up.
+        clock.sleep(Duration::from_secs(1));
+        Self { clock, sim, gauge, dataflash: DataFlash::default() }
+    }
+
+    /// A change as `echo text > df/subclass/offset` asks for it.
+    pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
+        let subclass = self.gauge.chip.subclass(subclass).expect("a subclass of the table");
+        let parameter = subclass.parameter(offset).expect("a parameter of the table");
+        let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
+        let bytes = codec::encode(parameter.kind, &value).expect("a value of the type");
+        Change { subclass, parameter, bytes }
+    }
+
+    pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
+        let change = self.change(subclass, offset, text);
+        self.dataflash.write(&mut self.gauge, &[change], Duration::ZERO)
+    }
+
+    /// The bytes of a parameter, read through the engine.
+    pub(crate) fn read(&mut self, subclass: u8, offset: u16) -> Result<Vec<u8>> {
+        let row = self.gauge.chip.subclass(subclass).expect("a subclass of the table");
+        let parameter = row.parameter(offset).expect("a parameter of the table");
+        let bytes = self.dataflash.read(&mut self.gauge, &[row], Duration::ZERO)?.remove(0);
+        let at = usize::from(offset - row.start());
+        Ok(bytes[at..at + parameter.kind.size()].to_vec())
+    }
+
+    pub(crate) fn seal(&mut self) -> Seal {
+        self.gauge.seal().expect("the gauge answers")
+    }
+
+    /// Transfers and bytes since the last call, retries included.
+    pub(crate) fn cost(&self) -> (u64, u64) {
+        let list = self.gauge.statistics.list();
+        let find = |name| list.iter().find(|(found, _)| *found == name).map_or(0, |(_, value)| *value);
+        (find("transfers"), find("bytes"))
+    }
+
+    /// What has passed on the wire since the log was last cleared, a line each.
+    pub(crate) fn log(&self) -> Vec<String> {
+        self.sim.log().iter().map(ToString::to_string).collect()
+    }
+}

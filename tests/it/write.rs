@@ -1,0 +1,163 @@
+//! The write transaction against the simulated gauge: its bytes on the wire, its cost, its refusals.
+
+use std::time::Duration;
+
+use gaugefs::dataflash::Outcome;
+use gaugefs::error::Cause;
+use gaugefs::gauge::Seal;
+use gaugefs::keys::Keys;
+use nix::errno::Errno;
+
+use crate::rig::Rig;
+
+const WRITTEN: Outcome = Outcome::Written { reset: true };
+
+fn spent(rig: &mut Rig, run: impl FnOnce(&mut Rig)) -> (u64, u64) {
+    let before = rig.cost();
+    run(rig);
+    let after = rig.cost();
+    (after.0 - before.0, after.1 - before.1)
+}
+
+#[test]
+fn a_value_is_stored_and_the_gauge_sealed_again() {
+    let mut rig = Rig::new("bq34z100-g1");
+    assert_eq!(rig.seal(), Seal::Sealed);
+    assert_eq!(rig.read(80, 53), Ok(vec![0x0b, 0xb8]));
+    assert_eq!(rig.write(80, 53, "3100"), Ok(WRITTEN));
+    assert_eq!(rig.seal(), Seal::Sealed);
+    assert_eq!(rig.read(80, 53), Ok(vec![0x0c, 0x1c]));
+    // Power off and on: flash, not the window's buffer.
+    rig.sim.set("power", "off").expect("a knob");
+    rig.sim.set("power", "on").expect("a knob");
+    gaugefs::clock::Clock::sleep(&*rig.clock, Duration::from_secs(1));
+    assert_eq!(rig.read(80, 53), Ok(vec![0x0c, 0x1c]));
+}
+
+/// SLUSBZ5D 7.3.3.1 with byte-wise writes: the order and the bytes of the manual's own example, VOLTSEL.
+#[test]
+fn the_bytes_are_those_of_the_manuals_example() {
+    let mut rig = Rig::with("bq34z100-g1", Keys::default(), true);
+    rig.read(64, 0).expect("the gate is known from here on");
+    rig.sim.clear_log();
+    assert_eq!(rig.write(64, 0, "0x0961"), Ok(WRITTEN));
+    let sent: Vec<_> = rig.log().into_iter().filter(|line| line.starts_with('W')).collect();
+    assert_eq!(
+        sent,
+        [
+            "W 00 01 00", // DEVICE_TYPE
+            "W 00 00 00", // CONTROL_STATUS: sealed
+            "W 00 00 00", // and after the key words, which are hidden
+            "W 61 00",
+            "W 3E 40",
+            "W 3F 00", // step 2 to 4
+            "W 40 09",
+            "W 60 65", // step 8 and 9, checksum as derived
+            "W 3E 40",
+            "W 3F 00",    // read back
+            "W 00 41 00", // step 10
+            "W 00 00 00",
+            "W 61 00",
+            "W 3E 40",
+            "W 3F 00",    // verified after the reset
+            "W 00 20 00", // step 11
+            "W 00 00 00",
+        ]
+    );
+    let hidden = rig.log().iter().filter(|line| *line == "; hidden").count();
+    assert_eq!(hidden, 4, "two key words before the write, two after the reset");
+}
+
+#[test]
+fn a_write_costs_no_more_than_promised() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let (transfers, bytes) = spent(&mut rig, |rig| assert_eq!(rig.write(80, 53, "3100"), Ok(WRITTEN)));
+    assert!(transfers <= 32 && bytes <= 222, "found SEALED: {transfers} transfers, {bytes} bytes");
+    rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO).expect("the default key");
+    let (transfers, bytes) = spent(&mut rig, |rig| assert_eq!(rig.write(80, 53, "3200"), Ok(WRITTEN)));
+    assert!(transfers <= 23 && bytes <= 184, "found UNSEALED: {transfers} transfers, {bytes} bytes");
+    assert_eq!(rig.seal(), Seal::Unsealed);
+}
+
+#[test]
+fn an_unchanged_value_costs_no_flash_write() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let before = rig.sim.get("wear");
+    assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
+    assert_eq!(rig.sim.get("wear"), before);
+    assert_eq!(rig.seal(), Seal::Sealed);
+}
+
+#[test]
+fn a_class_that_is_only_stored_needs_no_reset() {
+    let mut rig = Rig::new("bq34z100-g1");
+    assert_eq!(rig.write(58, 3, "0x5a"), Ok(Outcome::Written { reset: false }));
+    assert_eq!(rig.read(58, 3), Ok(vec![0x5a]));
+}
+
+/// Device Name stands across two blocks: both are programmed, one reset.
+#[test]
+fn a_string_across_two_blocks() {
+    let mut rig = Rig::new("bq34z100-g1");
+    assert_eq!(rig.write(48, 31, "My Pack"), Ok(WRITTEN));
+    assert_eq!(rig.read(48, 31), Ok(b"\x07My Pack\0\0\0\0".to_vec()));
+    assert_eq!(rig.read(48, 43), Ok(b"\x0bTexas Inst.".to_vec()));
+}
+
+/// Every refusal leaves data flash as it was, bit for bit, and the gauge sealed.
+#[test]
+fn refusals_change_nothing() {
+    type Set = fn(&mut Rig);
+    let low: Set = |rig| rig.sim.set("voltage_mv", "2700").expect("a knob");
+    let nothing: Set = |_| {};
+    for (errno, prepare, at, text) in [
+        (Errno::EAGAIN, low, (80, 53), "3100"),
+        (Errno::ERANGE, nothing, (104, 14), "0"),
+        (Errno::ERANGE, nothing, (64, 7), "0"),
+        (Errno::ERANGE, nothing, (68, 0), "4200"),
+        (Errno::ERANGE, nothing, (64, 0), "0x1161"),
+        (Errno::EPERM, nothing, (112, 0), "0x12345678"),
+    ] {
+        let mut rig = Rig::new("bq34z100-g1");
+        prepare(&mut rig);
+        let before = rig.sim.flash();
+        let error = rig.write(at.0, at.1, text).expect_err(text);
+        assert_eq!(error.errno(), errno, "{at:?} {text}: {error}");
+        assert!(rig.sim.flash() == before, "{at:?} {text}: data flash changed");
+        assert_eq!(rig.seal(), Seal::Sealed, "{at:?} {text}");
+    }
+}
+
+#[test]
+fn without_a_key_a_sealed_gauge_stays_sealed() {
+    let none = Keys { no_default: true, ..Keys::default() };
+    let wrong = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+    for keys in [none, wrong] {
+        let mut rig = Rig::with("bq34z100-g1", keys, false);
+        let before = rig.sim.flash();
+        for _ in 0..3 {
+            assert_eq!(rig.write(80, 53, "3100").expect_err("no key").errno(), Errno::EPERM);
+            assert_eq!(rig.read(80, 53).expect_err("no key").errno(), Errno::EPERM);
+        }
+        assert!(rig.sim.flash() == before);
+        let tries = rig.log().iter().filter(|line| *line == "; hidden").count();
+        assert!(tries <= 4, "a refused key went out {tries} words");
+    }
+}
+
+/// Acknowledged and not stored, stored wrongly, and a checksum that came through damaged: three errors,
+/// each seen, and the old value back.
+#[test]
+fn what_the_gauge_did_not_store_is_seen() {
+    for (fault, says) in [("drop-commit", "stored nothing"), ("corrupt-commit", "wrote 0x")] {
+        let mut rig = Rig::new("bq34z100-g1");
+        let before = rig.sim.flash();
+        rig.sim.set("fault", fault).expect("a fault");
+        let error = rig.write(80, 53, "3100").expect_err(fault);
+        assert_eq!(error.errno(), Errno::EIO, "{fault}: {error}");
+        assert!(matches!(error.cause(), Cause::RolledBack(_)));
+        assert!(error.to_string().contains(says), "{fault}: {error}");
+        assert!(rig.sim.flash() == before, "{fault}: {error}");
+        assert_eq!(rig.seal(), Seal::Sealed, "{fault}");
+    }
+}
