@@ -189,7 +189,7 @@ impl DataFlash {
             self.gate = None;
         }
         visit.begin(gauge)?;
-        let mut touched = 0;
+        let (mut touched, mut finished) = (0, false);
         let forward = dirty.iter().try_for_each(|block| {
             if !in_window {
                 sequence(gauge).load(gauge, block.place)?;
@@ -200,6 +200,7 @@ impl DataFlash {
             if !reset && !sequence(gauge).always_finishes() {
                 return Ok(());
             }
+            finished = true;
             visit.finish(gauge)?;
             dirty.iter().try_for_each(|block| verify_written(gauge, block))
         });
@@ -209,7 +210,7 @@ impl DataFlash {
         }
         visit.now = None;
         gauge.limit(Some(BACK));
-        match visit.restore(gauge, &dirty[..touched]) {
+        match visit.restore(gauge, &dirty[..touched], finished) {
             Ok(()) => {
                 let why = format!("{error}; the old value was put back and verified");
                 Err(Error::new("", Cause::RolledBack(why)))
@@ -480,16 +481,20 @@ impl Visit {
         sequence(gauge).enable(gauge)
     }
 
-    /// Puts the old bytes back where they were written, and nothing else: what the gauge learned
-    /// meanwhile stays.
-    fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty]) -> Result<()> {
+    /// Puts the old bytes back. Once the gauge has begun to work with new data flash that is what was
+    /// written and nothing else, so that what it learned meanwhile stays; before, it is the whole block: a
+    /// bit lost in a register's address puts a byte in the wrong place, and the checksum, a sum, does not
+    /// see it.
+    fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty], finished: bool) -> Result<()> {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
             outcome = gauge
                 .seal()
                 .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
                 .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| touched.iter().try_for_each(|block| self.restore_block(gauge, block)));
+                .and_then(|()| {
+                    touched.iter().try_for_each(|block| self.restore_block(gauge, block, finished))
+                });
             if outcome.is_ok() {
                 break;
             }
@@ -498,10 +503,11 @@ impl Visit {
         outcome.map_err(|error| error.at(Step::Restore))
     }
 
-    fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
+        let range = if finished { block.written.clone() } else { 0..WINDOW };
         let present = sequence(gauge).load(gauge, block.place)?;
         let mut wanted = present;
-        wanted[block.written.clone()].copy_from_slice(&block.old[block.written.clone()]);
+        wanted[range.clone()].copy_from_slice(&block.old[range]);
         if wanted == present {
             return Ok(());
         }
@@ -519,7 +525,7 @@ impl Visit {
         // After a failure nothing is taken for granted: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
             Some(now) => gauge.go(now, self.found),
-            None => gauge.seal().and_then(|now| gauge.go(now, self.found)),
+            None => gauge.go_to(self.found),
         };
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {

@@ -1,6 +1,6 @@
 //! A chip's table on a bus: registers, Control() subcommands, seal states.
 //!
-//! Everything that is sent to a gauge passes through [`Gauge::transfer`], where it is counted. Retries
+//! Everything that is sent to a gauge passes through one method, where it is counted. Retries
 //! live here and only for what is idempotent; the checksum that commits a block is not.
 
 use std::sync::Arc;
@@ -23,6 +23,8 @@ const DEVICE_TYPE: u16 = 0x0001;
 const FW_VERSION: u16 = 0x0002;
 /// Control(HW_VERSION).
 const HW_VERSION: u16 = 0x0003;
+/// Control(RESET).
+const RESET: u16 = 0x0041;
 
 /// How often an idempotent transfer is tried, and the pause before each further try: the gauge
 /// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
@@ -117,6 +119,8 @@ pub struct Gauge {
     byte_writes: bool,
     /// The unseal key that would be sent has been refused; it is not sent again.
     refused: bool,
+    /// The seal state when it was last read, or that a command since then should have led to.
+    expected: Option<Seal>,
     /// No transfer starts after this moment: a write(2) must have its answer in time.
     deadline: Option<Duration>,
 }
@@ -131,7 +135,17 @@ impl Gauge {
         byte_writes: bool,
     ) -> Self {
         let statistics = Arc::default();
-        Self { chip, statistics, clock, bus, keys, byte_writes, refused: false, deadline: None }
+        Self {
+            chip,
+            statistics,
+            clock,
+            bus,
+            keys,
+            byte_writes,
+            refused: false,
+            expected: None,
+            deadline: None,
+        }
     }
 
     /// From now on, no transfer starts later than `time` from now; `None` lifts the limit.
@@ -259,7 +273,23 @@ impl Gauge {
     }
 
     /// Reads the seal state and the CONTROL_STATUS word.
+    ///
+    /// I2C has no check of its own, and a gauge whose state was misread would be left in that state. So an
+    /// answer that is not the expected one counts only when a second one agrees with it.
     pub fn control_status(&mut self) -> Result<(Seal, u16)> {
+        let (mut seal, mut status) = self.control_status_once()?;
+        for _ in 1..TRIES {
+            if self.expected == Some(seal) {
+                break;
+            }
+            self.expected = Some(seal);
+            (seal, status) = self.control_status_once()?;
+        }
+        self.expected = Some(seal);
+        Ok((seal, status))
+    }
+
+    fn control_status_once(&mut self) -> Result<(Seal, u16)> {
         let status = self.ask(CONTROL_STATUS)?;
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
@@ -359,6 +389,7 @@ impl Gauge {
         if let Err(bus @ (BusError::Gone | BusError::Busy | BusError::Other(_))) = sent {
             return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
         }
+        self.expected = Some(goal);
         Ok(self.seal().map_err(|error| error.at(Step::Unseal))? == goal)
     }
 
@@ -374,6 +405,7 @@ impl Gauge {
             (now, goal) if now == goal => Ok(()),
             (_, Seal::Sealed) => {
                 self.command(self.chip.security.seal).map_err(|error| error.at(Step::Seal))?;
+                self.expected = Some(Seal::Sealed);
                 match self.seal().map_err(|error| error.at(Step::Seal))? {
                     Seal::Sealed => Ok(()),
                     other => {
@@ -388,6 +420,13 @@ impl Gauge {
             // There is no way down but through SEALED.
             (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
         }
+    }
+
+    /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11).
+    pub fn reset(&mut self) -> Result<()> {
+        Statistics::count(&self.statistics.resets);
+        self.expected = Some(Seal::Sealed);
+        self.command(RESET).map_err(|error| error.at(Step::Reset))
     }
 
     /// Forgets that a key was refused: the gauge may be another one of the same kind.

@@ -14,8 +14,6 @@ const MAC_DATA: u8 = 0x40;
 const MAC_DATA_SUM: u8 = 0x60;
 /// What MACDataLen() counts beside the data: the address, the sum and itself.
 const OVERHEAD: usize = 4;
-/// Control(RESET).
-const RESET: u16 = 0x0041;
 
 pub(super) struct Mac;
 
@@ -64,8 +62,7 @@ impl Sequence for Mac {
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
-        Statistics::count(&gauge.statistics.resets);
-        gauge.command(RESET).map_err(|error| error.at(Step::Reset))
+        gauge.reset()
     }
 
     fn always_finishes(&self) -> bool {

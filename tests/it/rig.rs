@@ -30,9 +30,11 @@ impl Rig {
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
         sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
-        let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
+        let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
         // A gauge answers some 250 ms after power-up.
         clock.sleep(Duration::from_secs(1));
+        // As after the first poll.
+        gauge.seal().expect("the gauge answers");
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 

@@ -1,0 +1,129 @@
+//! One fault at every transfer of a write: the field then holds the old or the new value, no other byte
+//! has changed, the seal is as found or the error says that it is not, and success is never false.
+
+use std::time::Duration;
+
+use gaugefs::clock::Clock;
+use gaugefs::dataflash::Outcome;
+use gaugefs::error::Cause;
+use gaugefs::gauge::Seal;
+use nix::errno::Errno;
+
+use crate::rig::Rig;
+
+/// What a write of this kind does without a fault.
+struct Case {
+    chip: &'static str,
+    at: (u8, u16),
+    text: &'static str,
+    found: Seal,
+}
+
+const CASES: &[Case] = &[
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::Sealed },
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::Unsealed },
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::FullAccess },
+    Case { chip: "bq34z100-g1", at: (48, 31), text: "Pack 7", found: Seal::Sealed },
+    Case { chip: "bq34z100-g1", at: (58, 3), text: "0x5a", found: Seal::Sealed },
+];
+
+impl Case {
+    fn rig(&self) -> Rig {
+        let mut rig = Rig::new(self.chip);
+        if self.found != Seal::Sealed {
+            rig.dataflash.go_to(&mut rig.gauge, self.found, Duration::ZERO).expect("the default keys");
+        }
+        rig
+    }
+
+    fn run(&self, rig: &mut Rig) -> gaugefs::error::Result<Outcome> {
+        rig.write(self.at.0, self.at.1, self.text)
+    }
+
+    /// Flash before and after a write without a fault, and its transfers.
+    fn model(&self) -> (Vec<u8>, Vec<u8>, u64) {
+        let mut rig = self.rig();
+        let old = rig.sim.flash();
+        let before = rig.cost().0;
+        self.run(&mut rig).expect("no fault");
+        (old, rig.sim.flash(), rig.cost().0 - before)
+    }
+}
+
+/// The faults that are tried at a transfer `n`, whose first bytes are the most telling ones.
+fn faults(n: u64) -> Vec<String> {
+    let mut faults = vec![
+        format!("nack {n}"),
+        format!("short {n}"),
+        format!("lost {n}"),
+        format!("stuck {n}"),
+        format!("arbitration {n}"),
+        format!("stretch {n} 30"),
+        format!("power-cut {n} 300"),
+        format!("power-cut-after {n} 300"),
+        format!("power-cut {n}"),
+        format!("power-cut-after {n}"),
+    ];
+    for byte in 0..36 {
+        faults.push(format!("nack {n} {byte}"));
+        faults.push(format!("stuck {n} {byte}"));
+        for bit in [0, 3, 7] {
+            faults.push(format!("flip {n} {byte} {bit}"));
+        }
+    }
+    faults
+}
+
+#[test]
+fn one_fault_at_every_transfer_never_lies() {
+    let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown) = (0, 0, 0, 0, 0);
+    for case in CASES {
+        let (old, new, transfers) = case.model();
+        assert_ne!(old, new);
+        let commits = ["drop-commit", "corrupt-commit", "torn-commit 0", "torn-commit 1", "torn-commit 5"];
+        let faults = (1..=transfers).flat_map(faults).chain(commits.map(String::from));
+        for fault in faults {
+            let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.at, case.found);
+            let mut rig = case.rig();
+            rig.sim.set("fault", &fault).expect("a fault");
+            let outcome = case.run(&mut rig);
+            let answered = rig.clock.now();
+            assert!(answered < Duration::from_secs(35), "{at}: answered after {answered:?}");
+            runs += 1;
+            let flash = rig.sim.flash();
+            let certain = match &outcome {
+                Ok(_) => {
+                    succeeded += 1;
+                    assert!(flash == new, "{at}: success is false");
+                    true
+                }
+                Err(error) if error.errno() == Errno::ENOTRECOVERABLE => {
+                    unknown += 1;
+                    false
+                }
+                Err(error) => {
+                    match error.cause() {
+                        Cause::RolledBack(_) => rolled_back += 1,
+                        _ => refused += 1,
+                    }
+                    assert!(flash == old, "{at}: {error}, but data flash has changed");
+                    true
+                }
+            };
+            // Whatever was answered, the rest of the gauge is as it was.
+            if !fault.starts_with("torn") {
+                assert!(flash == old || flash == new || !certain, "{at}: neither old nor new");
+            }
+            rig.sim.set("fault", "none").expect("a knob");
+            rig.sim.set("power", "on").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(1));
+            if certain && !fault.starts_with("power") && !fault.starts_with("torn") {
+                assert_eq!(rig.seal(), case.found, "{at}: {outcome:?}");
+            }
+        }
+    }
+    println!(
+        "{runs} runs with a fault: {succeeded} succeeded, {refused} refused with nothing changed, \
+         {rolled_back} rolled back, {unknown} unknown and said so"
+    );
+}
