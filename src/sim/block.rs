@@ -373,7 +373,8 @@ impl Gauge {
             Source::Nothing | Source::Authentication => Vec::new(),
         };
         let source = if bytes.is_empty() && !special { Source::Nothing } else { source };
-        self.window.load(source, &bytes, now + wait);
+        // A sealed gauge's blocks are blank at first, as drivers of its siblings found out.
+        self.window.load(source, &bytes, special, now + wait);
     }
 
     /// SHA-1 of the key and SHA-1 of the key and the challenge (SLUSBZ5D 7.3.15). The first byte on the
@@ -392,7 +393,7 @@ impl Gauge {
         if !self.manner.as_sent {
             digest.reverse();
         }
-        self.window.load(Source::Authentication, &digest, now + self.manner.authentication);
+        self.window.load(Source::Authentication, &digest, false, now + self.manner.authentication);
     }
 
     fn status(&self) -> u16 {

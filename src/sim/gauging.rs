@@ -386,9 +386,10 @@ impl Gauging {
                 self.flags &= !bit;
             }
         }
-        let percent = self.percent().round() as i8;
-        let full = if s.full.0 < 0 { self.tapered } else { percent >= s.full.0 };
-        let stop = if s.charge_alert.0 < 0 { self.tapered } else { percent >= s.charge_alert.0 };
+        // Nothing is full by rounding up.
+        let (exact, percent) = (self.percent(), self.percent().round() as i8);
+        let full = if s.full.0 < 0 { self.tapered } else { exact >= f64::from(s.full.0) };
+        let stop = if s.charge_alert.0 < 0 { self.tapered } else { exact >= f64::from(s.charge_alert.0) };
         if full {
             self.flags |= FC;
         } else if percent <= s.full.1 {

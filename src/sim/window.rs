@@ -25,8 +25,9 @@ pub(super) struct Window {
     length: usize,
     /// The checksum as loaded or committed, not that of `data`.
     pub(super) sum: u8,
-    /// From when on the bytes are there.
+    /// From when on the bytes are there, and what shows until then.
     ready: Duration,
+    early: ([u8; BLOCK], u8),
 }
 
 impl Window {
@@ -37,11 +38,14 @@ impl Window {
             length: BLOCK,
             sum: 0xFF,
             ready: Duration::ZERO,
+            early: ([0; BLOCK], 0),
         }
     }
 
-    /// Shows `bytes` of `source` from `ready` on.
-    pub(super) fn load(&mut self, source: Source, bytes: &[u8], ready: Duration) {
+    /// Shows `bytes` of `source` from `ready` on; until then zeros where `blank`, else still what it
+    /// shows now, with the checksum that belongs to it.
+    pub(super) fn load(&mut self, source: Source, bytes: &[u8], blank: bool, ready: Duration) {
+        self.early = if blank { ([0; BLOCK], 0) } else { (self.data, self.sum) };
         self.source = source;
         self.data = [0; BLOCK];
         self.length = match source {
@@ -53,14 +57,14 @@ impl Window {
         self.ready = ready;
     }
 
-    /// A byte of the window; zeros until it is loaded.
+    /// A byte of the window.
     pub(super) fn read(&self, index: usize, now: Duration) -> u8 {
-        if now < self.ready { 0 } else { self.data[index] }
+        if now < self.ready { self.early.0[index] } else { self.data[index] }
     }
 
     /// The checksum as the host reads it.
     pub(super) fn read_sum(&self, now: Duration) -> u8 {
-        if now < self.ready { 0 } else { self.sum }
+        if now < self.ready { self.early.1 } else { self.sum }
     }
 
     /// Changes a byte of the buffer. What comes before the block is loaded is overwritten by it, and

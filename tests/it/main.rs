@@ -2,5 +2,6 @@
 
 mod faults;
 mod rig;
+mod sim;
 mod tables;
 mod write;
