@@ -991,6 +991,26 @@ mod battery {
         assert!(seen.iter().all(|&(percent, flags)| (flags & CHG != 0) == (percent <= 95)), "{seen:?}");
     }
 
+    /// SLUSBZ5D table 7-17, `[RMFCC]`: a taper current of 400 mA ends the charge before the pack is full.
+    #[test]
+    fn termination_makes_remaining_capacity_full_where_it_is_set_so() {
+        for (pack_configuration, full) in [([0x01, 0x61], true), ([0x01, 0x41], false)] {
+            let bench = Bench::unsealed();
+            bench.write(36, 0, &[0x01, 0x90]);
+            bench.write(64, 0, &pack_configuration);
+            bench.reset();
+            bench.set("soc", "97");
+            bench.set("load_ma", "-500");
+            // FlagsB() [DODEOC]: the end of charge was seen.
+            while bench.word(0x12) & 0x0400 == 0 {
+                assert!(bench.word(0x04) < 999 && bench.clock.now() < Duration::from_secs(1800));
+                bench.sleep(1);
+            }
+            assert_eq!(bench.word(0x04) == 1000, full);
+            assert_eq!(bench.word(FLAGS) & FC != 0, full);
+        }
+    }
+
     #[test]
     fn cycles_count_discharge_and_are_kept() {
         let bench = Bench::new();
