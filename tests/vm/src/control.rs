@@ -1,0 +1,95 @@
+//! The control line: commands that change the gauge or ask about the bus while the guest runs.
+//!
+//! One command a line; the answer is any number of lines, then `ok` or `error: why`.
+//!
+//! ```text
+//! set KNOB VALUE    get KNOB    knobs      the simulated gauge's
+//! counters [reset]                         what passed on the bus: transfers bytes bits refused
+//! log [clear]                              the last transfers, a line each
+//! pass SECONDS                             time goes on by so much, at the gauge's `speed`
+//! pace on|off                              the bus takes its time at 100 kHz, or none
+//! unplug   plug                            the adapter itself (needs --qmp)
+//! ```
+
+use std::io::{self, BufRead, BufReader, Write as _};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+
+use gaugefs::sim::Knob;
+
+use crate::adapter::Bench;
+use crate::qmp::Slot;
+use crate::wire::Counters;
+
+/// What a command works on.
+#[derive(Clone, Debug)]
+pub(crate) struct Control {
+    pub(crate) bench: Arc<Mutex<Bench>>,
+    pub(crate) slot: Option<Slot>,
+}
+
+impl Control {
+    /// Answers every connection to `listener`, each on a thread of its own, for ever.
+    pub(crate) fn serve(self, listener: UnixListener) {
+        for connection in listener.incoming() {
+            let control = self.clone();
+            match connection {
+                Ok(stream) => drop(thread::spawn(move || control.converse(&stream))),
+                Err(error) => eprintln!("gaugefs-vm-bus: control: {error}"),
+            }
+        }
+    }
+
+    fn converse(&self, stream: &UnixStream) -> io::Result<()> {
+        let mut answer = stream;
+        for line in BufReader::new(stream).lines() {
+            let text = match self.command(&line?) {
+                Ok(lines) => lines + "ok\n",
+                Err(why) => format!("error: {why}\n"),
+            };
+            answer.write_all(text.as_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn command(&self, line: &str) -> Result<String, String> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        // Unplugging takes the adapter's thread, which may need the bench: no lock meanwhile.
+        let slot = || self.slot.as_ref().ok_or_else(|| "started without --qmp".to_owned());
+        match words[..] {
+            ["unplug"] => return slot()?.unplug().map(|()| String::new()),
+            ["plug"] => return slot()?.plug().map(|()| String::new()),
+            _ => {}
+        }
+        let mut bench = self.bench.lock().unwrap_or_else(PoisonError::into_inner);
+        let Bench { gauge, wire } = &mut *bench;
+        match words[..] {
+            ["set", knob, ref value @ ..] if !value.is_empty() => {
+                gauge.sim.set(knob, &value.join(" ")).map_err(|error| error.to_string())?;
+            }
+            ["get", knob] => {
+                let value = gauge.sim.get(knob).ok_or_else(|| format!("{knob}: there is no such knob"))?;
+                return Ok(value + "\n");
+            }
+            ["knobs"] => {
+                let line = |knob: &Knob| format!("{}: {}\n", knob.name, knob.help);
+                return Ok(gauge.sim.knobs().iter().map(line).collect());
+            }
+            ["pass", seconds] => {
+                gauge.clock.pass(seconds.parse().map_err(|_| format!("{seconds}: not a time"))?);
+            }
+            ["pace", "on"] => gauge.clock.pace(true),
+            ["pace", "off"] => gauge.clock.pace(false),
+            ["counters"] => {
+                let Counters { transfers, bytes, bits, refused } = wire.counters;
+                return Ok(format!("transfers {transfers}\nbytes {bytes}\nbits {bits}\nrefused {refused}\n"));
+            }
+            ["counters", "reset"] => wire.counters = Counters::default(),
+            ["log"] => return Ok(gauge.sim.log().iter().map(|record| format!("{record}\n")).collect()),
+            ["log", "clear"] => gauge.sim.clear_log(),
+            _ => return Err(format!("{line}: no such command")),
+        }
+        Ok(String::new())
+    }
+}
