@@ -45,6 +45,9 @@ pub struct Chip {
     pub subclasses: &'static [Subclass],
     /// Single-byte writes only above this bus clock; `None` where the manual says nothing.
     pub byte_writes_above_hz: Option<u32>,
+    /// What data flash looks like where offsets moved between firmwares: all of it has to fit before
+    /// the first write. Empty where the answers to [`Identity`] are enough.
+    pub signature: &'static [Signature],
 }
 
 /// How far anyone has checked a table or a row.
@@ -63,12 +66,27 @@ pub enum Evidence {
 pub struct Identity {
     /// Control(DEVICE_TYPE).
     pub device_type: u16,
-    /// Control(FW_VERSION) values the table was made for.
+    /// Control(FW_VERSION) values the table was made for; empty where none is known and any is taken.
     pub firmware: &'static [u16],
     /// Control(HW_VERSION), where it tells colliding device types apart.
     pub hardware: Option<u16>,
     /// Where the answers to DEVICE_TYPE and its like are read.
     pub answer: u8,
+}
+
+/// A parameter that has to hold a plausible value before anything is written.
+#[derive(Debug)]
+pub struct Signature {
+    /// Subclass id.
+    pub subclass: u8,
+    /// Offset in the subclass.
+    pub offset: u16,
+    /// Type; of an `F4` the bytes are compared, as an `H4`.
+    pub kind: Type,
+    /// Smallest plausible value.
+    pub min: i64,
+    /// Largest plausible value.
+    pub max: i64,
 }
 
 /// How often a register is read.
@@ -192,6 +210,9 @@ pub struct Condition {
     pub cold: u16,
     /// Set while a battery is present; 0 where the gauge cannot tell.
     pub present: u16,
+    /// A primary cell, which nobody charges: `status` is `Discharging` while a current flows, whatever its
+    /// sign, and else `Not charging`; never `Charging` or `Full`.
+    pub primary: bool,
 }
 
 /// Seal states and keys.
@@ -441,6 +462,18 @@ impl Parameter {
         Self::new(offset, Type::S(size), name, Range::Text { default: Some(default) }, "")
     }
 
+    /// An integer row of which no default is known.
+    pub const fn within(
+        offset: u16,
+        kind: Type,
+        name: &'static str,
+        min: i64,
+        max: i64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+    }
+
     /// An integer row of which no range and no default are printed: whatever the type can hold.
     pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
         let (min, max) = kind.bounds().expect("an integer type");
@@ -520,6 +553,12 @@ impl Chip {
     /// The subclass of that id.
     pub fn subclass(&self, id: u8) -> Option<&'static Subclass> {
         self.subclasses.iter().find(|subclass| subclass.id == id)
+    }
+
+    /// The parameter at an offset of the subclass of that id, or with [`FLAT`] at an address.
+    pub fn parameter(&self, id: u8, offset: u16) -> Option<&'static Parameter> {
+        let alike = self.subclasses.iter().filter(|subclass| subclass.id == id);
+        alike.filter_map(|subclass| subclass.parameter(offset)).next()
     }
 }
 

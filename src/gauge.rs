@@ -25,6 +25,9 @@ const FW_VERSION: u16 = 0x0002;
 const HW_VERSION: u16 = 0x0003;
 /// Control(RESET).
 const RESET: u16 = 0x0041;
+/// What Control() of a part that answers in MACData() reads once after DEVICE_TYPE or FW_VERSION, in place
+/// of CONTROL_STATUS.
+const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
 /// How often an idempotent transfer is tried, and the pause before each further try: the gauge
 /// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
@@ -226,7 +229,21 @@ impl Gauge {
     pub fn ask(&mut self, code: u16) -> Result<u16> {
         self.command(code)?;
         // CONTROL_STATUS answers at Control() itself on every part.
-        let at = if code == CONTROL_STATUS { CONTROL } else { self.chip.identity.answer };
+        if code != CONTROL_STATUS {
+            return self.answer(code, self.chip.identity.answer);
+        }
+        match self.answer(code, CONTROL)? {
+            ANSWERED_ELSEWHERE if self.chip.identity.answer != CONTROL => self.answer(code, CONTROL),
+            status => Ok(status),
+        }
+    }
+
+    /// Reads the word that a subcommand answers with.
+    fn answer(&mut self, code: u16, at: u8) -> Result<u16> {
+        // MACData() shows the answer before this one until the gauge has put it there.
+        if at != CONTROL {
+            self.wait(self.chip.access.select);
+        }
         let mut word = [0; 2];
         let subject = self.subcommand_name(code);
         self.read(at, &mut word).map_err(|error| error.about(subject).at(Step::Control))?;

@@ -302,7 +302,7 @@ impl Owner {
         if let Some(hardware) = identity.hardware.filter(|&hardware| hardware != answers.hardware_version) {
             return refuse("hardware version", answers.hardware_version, format!("0x{hardware:04x}"));
         }
-        if !identity.firmware.contains(&answers.firmware_version) {
+        if !identity.firmware.is_empty() && !identity.firmware.contains(&answers.firmware_version) {
             let known =
                 identity.firmware.iter().map(|version| format!("0x{version:04x}")).collect::<Vec<_>>();
             return refuse("firmware version", answers.firmware_version, known.join(" or "));

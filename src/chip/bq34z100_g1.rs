@@ -39,6 +39,7 @@ pub static CHIP: Chip = Chip {
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
         present: 0,
+        primary: false,
     },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
@@ -65,6 +66,7 @@ pub static CHIP: Chip = Chip {
     gate: Some(Gate { limit: (68, 0), divider: Some((104, 14, 5000)) }),
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
+    signature: &[],
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The
