@@ -153,6 +153,9 @@ fn a_poll_takes_the_bursts_that_it_should() {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
             "bq27441-g1" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
+            // cost more than the three of a transfer.
+            "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
             name => panic!("{name} has no bursts listed here"),
         };
         let bursts = bursts(chip.registers, |tier| tier == Tier::Poll);
@@ -452,7 +455,8 @@ fn each_chip_has_as_many_rows_as_its_manual() {
         })
         .collect();
     // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
-    let expected = BTreeMap::from([("bq34z100-g1", [22, 211, 51, 9, 43, 23])]);
+    let expected =
+        BTreeMap::from([("bq34z100-g1", [22, 211, 51, 9, 43, 23]), ("bq34110", [20, 87, 8, 6, 33, 56])]);
     assert_eq!(counts, expected);
 }
 
@@ -573,4 +577,43 @@ fn two_classes_of_one_name_get_the_manuals_class_in_front() {
     assert_eq!(dir(104), "calibration-data");
     assert_eq!(dir(80), "it-cfg");
     assert_eq!(dir(56), "manufacturer-data");
+}
+
+#[test]
+fn bq34110_reads_like_what_its_drivers_agree_on() {
+    let chip = Chip::by_name("bq34110").unwrap();
+    // 16384 is 0x4000. Design Capacity's address and byte order are those of E2E 797502.
+    let golden = "\
+Calibration | Data | 0 16384 F4 | CC Gain | 0.02 10 0.47095 | 
+Calibration | Data | 0 16388 F4 | CC Delta | 29826.2 5677445 567744.6 | 
+Calibration | Data | 0 16400 U2 | Voltage Divider | 0 65535 ? | mV
+Settings | Manufacturing | 0 16599 H2 | Mfg Status Init | 0 4095 ? | hex
+Charge | Termination | 0 16674 U1 | Current Taper Window | 0 255 ? | s | unproven
+Configuration | Registers | 0 16698 H2 | Operation Config A | 0 65535 ? | hex
+Configuration | Registers | 0 16701 H1 | Pin Control Config | 0 31 0 | hex
+Configuration | Data | 0 16725 U1 | Number of Series Cells | 1 100 ? | Num
+Configuration | Power | 0 16727 I2 | Flash Update OK Voltage | 0 5000 2800 | mV
+Calibration | Temp Model | 0 16837 I2 | Int Coeff 3 | -32768 32767 -12324 | Num | unproven
+Gas Gauging | Design | 0 16885 I2 | Design Capacity mAh | 0 32767 ? | mAh
+Gas Gauging | CEDV Profile | 0 16986 I2 | Fixed EDV 0 | 0 32767 ? | mV
+Gas Gauging | CEDV Profile | 0 16988 U1 | EDV 0 Hold Time | 0 255 ? | s | unproven
+Gas Gauging | CEDV Profile | 0 17015 I2 | Voltage 100% DOD | -32768 32767 ? | mV
+Gas Gauging | CEDV Config | 0 17054 U1 | RemCap Init Percent | 0 100 ? | %
+";
+    assert_lists(chip, golden);
+    assert_eq!(unproven(chip), 48);
+}
+
+#[test]
+fn bq34110_flags_read_like_their_sources() {
+    let bits = |chip: &str, name| {
+        let register = Chip::by_name(chip).unwrap().registers.iter().find(|one| one.name == name);
+        listed(register.unwrap().bits)
+    };
+    assert_eq!(
+        bits("bq34110", "BatteryStatus"),
+        "14:SOCLOW 13:UTC 12:UTD 11:OTC 10:OTD 9:BATHIGH 8:BATLOW 7:SLEEP 6:CHGINH 5:FD 4:FC 3:TCA 2:TDA 1:CHG \
+         0:DSG"
+    );
+    assert_eq!(bits("bq34110", "OperationStatus"), "9:INITCOMP 4:VDQ 3:EDV2 2:SEC1 1:SEC0 0:CALMD");
 }
