@@ -9,9 +9,10 @@ use crate::value::Type;
 
 pub mod bq34110;
 pub mod bq34z100_g1;
+pub mod bq35100;
 
 /// Every chip that gaugefs knows, in the order of the README.
-pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq34110::CHIP];
+pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
 
 /// One fuel gauge: everything that tells it from another.
 #[derive(Debug)]

@@ -156,6 +156,8 @@ fn a_poll_takes_the_bursts_that_it_should() {
             // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
             // cost more than the three of a transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
+            // No byte is read for nothing.
+            "bq35100" => (&[(0x02, 0x0C), (0x2E, 1)], 19),
             name => panic!("{name} has no bursts listed here"),
         };
         let bursts = bursts(chip.registers, |tier| tier == Tier::Poll);
@@ -455,8 +457,11 @@ fn each_chip_has_as_many_rows_as_its_manual() {
         })
         .collect();
     // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
-    let expected =
-        BTreeMap::from([("bq34z100-g1", [22, 211, 51, 9, 43, 23]), ("bq34110", [20, 87, 8, 6, 33, 56])]);
+    let expected = BTreeMap::from([
+        ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
+        ("bq34110", [20, 87, 8, 6, 33, 56]),
+        ("bq35100", [20, 186, 81, 5, 21, 21]),
+    ]);
     assert_eq!(counts, expected);
 }
 
@@ -605,7 +610,33 @@ Gas Gauging | CEDV Config | 0 17054 U1 | RemCap Init Percent | 0 100 ? | %
 }
 
 #[test]
-fn bq34110_flags_read_like_their_sources() {
+fn bq35100_reads_like_its_documents() {
+    let chip = Chip::by_name("bq35100").unwrap();
+    // 16817 is 0x41B1, the address of SLUA790's example; SLUUBH1C chapters 7 and 8; SLUAAL7, section 7.
+    let golden = "\
+Calibration | Data | 0 16384 F4 | CC Gain | 0.02 10 ? | 
+System Data | Manufacturer Info | 0 16469 H1 | Manufacturer Info Block A32 | 0 255 ? | hex
+Configuration | Data | 0 16480 S8 | Device Name | x x bq35100 |  | unproven
+Configuration | Registers | 0 16817 H1 | Operation Config A | 0 255 128 | hex
+Configuration | Registers | 0 16818 H1 | ALERT Configuration | 0 255 0 | hex
+Configuration | Power | 0 16822 I2 | Flash Update OK Voltage | -32768 32767 ? | mV | unproven
+Security | Codes | 0 16844 H2 | Unseal Step 1 | 1 65535 ? | hex
+Configuration | Discharge | 0 16859 I2 | BatLow Voltage Set Threshold | 0 5000 2800 | mV
+Configuration | Discharge | 0 16861 U1 | BatLow Voltage Set Time | 0 255 10 | s | unproven
+Configuration | Discharge | 0 16864 I2 | Under Temperature Set Threshold | -400 850 -200 | 0.1°C
+Configuration | Discharge | 0 16867 I2 | Under Temperature Clear Threshold | 0 255 100 | 0.1°C
+Gas Gauging | Design | 0 16894 I2 | Cell Design Capacity mAh | -32768 32767 ? | mAh
+EOS Data | Values | 0 16987 U1 | R Short Trend Filter | 1 255 251 | 
+EOS Data | Values | 0 16990 U2 | EOS Detection Pulse Count Thrshd | 1 20000 120 | Num
+EOS Data | Values | 0 16996 U4 | Long Trend Average | 1 8355712 ? | 
+Accumulator Table | Table1 | 0 17144 I4 | Table1 Fractional Part 8 | -2147483648 2147483647 ? |  | unproven
+";
+    assert_lists(chip, golden);
+    assert_eq!(unproven(chip), 115);
+}
+
+#[test]
+fn bq34110_and_bq35100_flags_read_like_their_sources() {
     let bits = |chip: &str, name| {
         let register = Chip::by_name(chip).unwrap().registers.iter().find(|one| one.name == name);
         listed(register.unwrap().bits)
@@ -616,4 +647,25 @@ fn bq34110_flags_read_like_their_sources() {
          0:DSG"
     );
     assert_eq!(bits("bq34110", "OperationStatus"), "9:INITCOMP 4:VDQ 3:EDV2 2:SEC1 1:SEC0 0:CALMD");
+    assert_eq!(
+        listed(Chip::by_name("bq35100").unwrap().control_status),
+        "15:FLASHF 14:SEC1 13:SEC0 12:CALMODE 11:BCA 10:CCA 9:LTEN 8:OCVFAIL 7:INITCOMP 6:G_DONE 5:SOH_ERR \
+         4:SOH_MERIT 3:EOS_BAD_OCV 0:GA"
+    );
+    assert_eq!(bits("bq35100", "BatteryStatus"), "2:ALERT 0:DSG");
+    assert_eq!(
+        bits("bq35100", "BatteryAlert"),
+        "7:BATLOW 6:TEMPLOW 5:TEMPHIGH 4:SOH_LOW 3:EOS 1:G_DONE 0:INITCOMP"
+    );
+}
+
+#[test]
+fn flat_groups_of_one_name_get_their_class_in_front() {
+    let chip = Chip::by_name("bq35100").unwrap();
+    let dirs: Vec<String> = chip.subclasses.iter().map(|class| chip.class_dir(class)).collect();
+    for name in ["calibration-data", "configuration-data", "lifetime-data", "registers", "values", "table0"] {
+        assert!(dirs.iter().any(|dir| dir == name), "{name} is not in {dirs:?}");
+    }
+    assert_eq!(chip.parameter(FLAT, 0x41B1).map(|one| one.name), Some("Operation Config A"));
+    assert_eq!(chip.parameter(FLAT, 0x41B4).map(|one| one.name), None);
 }

@@ -1,0 +1,54 @@
+//! Subcommands of the parts that answer in MACData(), on a wire of a few bytes.
+
+use std::sync::Arc;
+
+use gaugefs::bus::{Bus, BusError};
+use gaugefs::chip::Chip;
+use gaugefs::clock::SimClock;
+use gaugefs::gauge::{Gauge, Seal};
+use gaugefs::keys::Keys;
+
+/// UNSEALED, with CONTROL_STATUS 0x4080 and OperationStatus() 0x0004. After DEVICE_TYPE and FW_VERSION,
+/// Control() reads 0xFFA5 once, as the underwater vehicle's bq34110 driver tells.
+struct Wire {
+    device_type: u16,
+    last: u16,
+    elsewhere: bool,
+}
+
+impl Bus for Wire {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if let &[0x00, low, high] = write {
+            self.last = u16::from_le_bytes([low, high]);
+            self.elsewhere |= matches!(self.last, 1 | 2);
+            return Ok(());
+        }
+        let word: u16 = match write {
+            [0x00] if std::mem::take(&mut self.elsewhere) => 0xffa5,
+            [0x00] => 0x4080,
+            [0x3a] => 0x0004,
+            [0x40] if self.last == 1 => self.device_type,
+            [0x40] => 0x0001,
+            _ => return Err(BusError::NoAck),
+        };
+        read.copy_from_slice(&word.to_le_bytes());
+        Ok(())
+    }
+}
+
+#[test]
+fn the_word_that_stands_in_for_control_status_once_is_no_seal_state() {
+    for name in ["bq34110", "bq35100"] {
+        let chip = Chip::by_name(name).expect("a chip in the tables");
+        let device_type = chip.identity.device_type;
+        let wire = Wire { device_type, last: 0, elsewhere: false };
+        let clock = Arc::new(SimClock::new());
+        let mut gauge = Gauge::new(chip, Box::new(wire), clock, Keys::default(), false);
+        let answers = gauge.identify().expect("it answers");
+        assert_eq!((answers.device_type, answers.firmware_version), (device_type, 0x0001));
+        // Bits 14 and 13 of 0xFFA5 would say SEALED.
+        assert_eq!(gauge.control_status(), Ok((Seal::Unsealed, 0x4080)), "{name}");
+        gauge.confirm_identity().expect("the same part");
+        assert_eq!(gauge.seal(), Ok(Seal::Unsealed), "{name}");
+    }
+}
