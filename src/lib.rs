@@ -6,6 +6,8 @@ pub mod clock;
 pub mod codec;
 pub mod dataflash;
 pub mod error;
+pub mod fs;
+pub mod fuse;
 pub mod gauge;
 pub mod keys;
 pub mod poll;

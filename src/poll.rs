@@ -140,6 +140,13 @@ impl Shared {
         self.signal.raise();
     }
 
+    /// One line in the log and in `gauge/last_error`.
+    fn say(&self, error: &Error) {
+        log::warn!("{error}");
+        let line = error.to_string();
+        self.publish(|published| published.last_error = line.into());
+    }
+
     fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
         let polls = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
         let kept = lock(&self.kept);
@@ -176,6 +183,11 @@ impl Handle {
     /// Name and value of each file of `gauge/statistics`.
     pub fn statistics(&self) -> Vec<(&'static str, u64)> {
         self.shared.statistics.list()
+    }
+
+    /// One line in the log and in `gauge/last_error`, for what was refused before the owner heard of it.
+    pub fn note(&self, error: &Error) {
+        self.shared.say(error);
     }
 
     /// Queues a request; its outcome comes to its `Done`, within 30 s for a write. Where the owner has
@@ -393,11 +405,8 @@ impl Owner {
         Ok(())
     }
 
-    /// One line in the log and in `gauge/last_error`.
     fn say(&self, error: &Error) {
-        log::warn!("{error}");
-        let line = error.to_string();
-        self.shared.publish(|published| published.last_error = line.into());
+        self.shared.say(error);
     }
 
     fn told<T>(&self, outcome: Result<T>) -> Result<T> {

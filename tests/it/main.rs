@@ -2,6 +2,7 @@
 
 mod faults;
 mod gauge;
+mod mount;
 mod rig;
 mod sim;
 mod tables;

@@ -1,0 +1,774 @@
+//! The tree: names, modes, contents, reads and writes, with no FUSE in it.
+//!
+//! A [`Node`] names one file, folder or link for ever; what it holds is asked for anew each time. Nothing
+//! here blocks or touches a bus: what needs the gauge goes to its owner with a `Done`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use nix::errno::Errno;
+
+use crate::chip::{
+    Bit, Chip, Effect, FLAT, Kind, Parameter, Range, Register, Subclass, Tier, kebab_case, snake_case,
+};
+use crate::codec;
+use crate::error::{Cause, Error, Result};
+use crate::poll::{Done, Handle, Published, Request, Seal, Snapshot};
+use crate::text;
+
+mod attribute;
+
+pub use attribute::Attribute;
+use attribute::Source;
+
+/// What a data-flash file shows as its size before it has been read: as sysfs does.
+const UNREAD: u64 = 4096;
+
+/// The files of `sim/`, behind which stands a simulated gauge.
+pub trait Knobs: Send + Sync {
+    /// Names, and whether each may be written.
+    fn list(&self) -> Vec<(&'static str, bool)>;
+    /// Its text.
+    fn get(&self, name: &str) -> Option<String>;
+    /// Changes it.
+    fn set(&self, name: &str, text: &str) -> Result<()>;
+}
+
+/// How figures are shown.
+#[derive(Clone, Debug)]
+pub struct Scales {
+    /// Factor of currents and charges.
+    pub current: f64,
+    /// Factor of voltages.
+    pub voltage: f64,
+    /// Factor of energies and powers.
+    pub energy: f64,
+    /// Currents without their sign.
+    pub absolute_current: bool,
+    /// Show `energy_now` and `power_avg`.
+    pub energy_shown: bool,
+}
+
+impl Default for Scales {
+    fn default() -> Self {
+        Self { current: 1.0, voltage: 1.0, energy: 1.0, absolute_current: false, energy_shown: false }
+    }
+}
+
+/// One folder below the mount point.
+pub struct Entry {
+    /// Its name, such as `BAT0`.
+    pub name: String,
+    /// The gauge.
+    pub handle: Handle,
+    /// How its figures are shown.
+    pub scales: Scales,
+    /// The files of `sim/`, for a simulated gauge.
+    pub knobs: Option<Box<dyn Knobs>>,
+}
+
+/// Who may write, and read data flash.
+#[derive(Clone, Copy, Debug)]
+pub struct Access {
+    /// The mount's owner.
+    pub uid: u32,
+    /// The group of all files.
+    pub gid: u32,
+    /// Whether the group may do what the owner may.
+    pub group: bool,
+}
+
+/// The tree.
+pub struct Fs {
+    gauges: Vec<Entry>,
+    access: Access,
+}
+
+/// One file, folder or link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Node {
+    /// The mount point.
+    Root,
+    /// Something of the gauge of that index.
+    Of(u16, Item),
+}
+
+/// What a gauge's folder holds. Numbers are indices into its chip's table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Item {
+    /// The gauge's folder.
+    Folder,
+    /// A power_supply attribute.
+    Attribute(Attribute),
+    /// `uevent`.
+    Uevent,
+    /// `subsystem`.
+    Subsystem,
+    /// `df`.
+    Df,
+    /// `df/SUBCLASS`.
+    Subclass(u16),
+    /// `df/flash`.
+    Flat,
+    /// A parameter: subclass, and index in it.
+    Parameter(u16, u16),
+    /// `df/SUBCLASS/raw`.
+    Raw(u16),
+    /// `df/by-name`.
+    ByName,
+    /// `df/by-name/CLASS`.
+    ByNameClass(u16),
+    /// `df/by-name/CLASS/PARAM`.
+    ByNameLink(u16, u16),
+    /// `df/index`.
+    Index,
+    /// `gauge`.
+    Gauge,
+    /// `gauge/registers`.
+    Registers,
+    /// `gauge/registers/NAME`.
+    Register(u16),
+    /// `gauge/flags` and other words of bits.
+    Bits(u16),
+    /// `gauge/statistics`.
+    Statistics,
+    /// `gauge/statistics/NAME`.
+    Statistic(u16),
+    /// Any other file of `gauge`.
+    State(State),
+    /// `sim`.
+    Sim,
+    /// `sim/NAME`.
+    Knob(u16),
+}
+
+/// The files of `gauge/` that stand alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum State {
+    /// Names of the CONTROL_STATUS bits that are set.
+    ControlStatus,
+    /// Control(DEVICE_TYPE).
+    DeviceType,
+    /// Control(FW_VERSION).
+    FirmwareVersion,
+    /// Control(HW_VERSION).
+    HardwareVersion,
+    /// Control(CHEM_ID).
+    ChemId,
+    /// The seal state, to read and to go to.
+    Seal,
+    /// A subcommand to send.
+    Control,
+    /// Seconds between polls.
+    PollInterval,
+    /// Written: poll now.
+    Refresh,
+    /// Age of the values now shown.
+    AgeMs,
+    /// The last failure.
+    LastError,
+}
+
+const STATES: &[State] = &[
+    State::ControlStatus,
+    State::DeviceType,
+    State::FirmwareVersion,
+    State::HardwareVersion,
+    State::ChemId,
+    State::Seal,
+    State::Control,
+    State::PollInterval,
+    State::Refresh,
+    State::AgeMs,
+    State::LastError,
+];
+
+impl State {
+    fn name(self) -> &'static str {
+        match self {
+            State::ControlStatus => "control_status",
+            State::DeviceType => "device_type",
+            State::FirmwareVersion => "firmware_version",
+            State::HardwareVersion => "hardware_version",
+            State::ChemId => "chem_id",
+            State::Seal => "seal",
+            State::Control => "control",
+            State::PollInterval => "poll_interval",
+            State::Refresh => "refresh",
+            State::AgeMs => "age_ms",
+            State::LastError => "last_error",
+        }
+    }
+}
+
+/// What kind of node it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// A folder.
+    Folder,
+    /// A symbolic link.
+    Link,
+    /// A regular file.
+    File,
+}
+
+/// What a file holds now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// These bytes.
+    Bytes(Vec<u8>),
+    /// The gauge has to be asked ([`Fs::read`]); until then it shows this size, which is no smaller than
+    /// what will come.
+    Unread(u64),
+    /// Nothing: the value is not there, and neither is the file.
+    Absent,
+}
+
+impl Fs {
+    /// A tree of these gauges.
+    pub fn new(gauges: Vec<Entry>, access: Access) -> Self {
+        Self { gauges, access }
+    }
+
+    fn entry(&self, gauge: u16) -> &Entry {
+        &self.gauges[usize::from(gauge)]
+    }
+
+    /// The folder that holds a node; the root holds itself.
+    pub fn parent(&self, node: Node) -> Node {
+        let Node::Of(gauge, item) = node else { return Node::Root };
+        Node::Of(
+            gauge,
+            match item {
+                Item::Folder => return Node::Root,
+                Item::Attribute(_) | Item::Uevent | Item::Subsystem | Item::Df | Item::Gauge | Item::Sim => {
+                    Item::Folder
+                }
+                Item::Subclass(_) | Item::Flat | Item::ByName | Item::Index => Item::Df,
+                Item::Parameter(subclass, _) | Item::Raw(subclass) => self.parameter_folder(gauge, subclass),
+                Item::ByNameClass(_) => Item::ByName,
+                Item::ByNameLink(subclass, _) => Item::ByNameClass(subclass),
+                Item::Registers | Item::Bits(_) | Item::Statistics | Item::State(_) => Item::Gauge,
+                Item::Register(_) => Item::Registers,
+                Item::Statistic(_) => Item::Statistics,
+                Item::Knob(_) => Item::Sim,
+            },
+        )
+    }
+
+    fn parameter_folder(&self, gauge: u16, subclass: u16) -> Item {
+        if self.subclass(gauge, subclass).id == FLAT { Item::Flat } else { Item::Subclass(subclass) }
+    }
+
+    fn chip(&self, gauge: u16) -> &'static Chip {
+        self.entry(gauge).handle.chip()
+    }
+
+    fn subclass(&self, gauge: u16, subclass: u16) -> &'static Subclass {
+        &self.chip(gauge).subclasses[usize::from(subclass)]
+    }
+
+    fn row(&self, gauge: u16, subclass: u16, parameter: u16) -> (&'static Subclass, &'static Parameter) {
+        let subclass = self.subclass(gauge, subclass);
+        (subclass, &subclass.parameters[usize::from(parameter)])
+    }
+
+    /// Folder, link or file.
+    pub fn shape(&self, node: Node) -> Shape {
+        let Node::Of(_, item) = node else { return Shape::Folder };
+        match item {
+            Item::Folder
+            | Item::Df
+            | Item::Subclass(_)
+            | Item::Flat
+            | Item::ByName
+            | Item::ByNameClass(_)
+            | Item::Gauge
+            | Item::Registers
+            | Item::Statistics
+            | Item::Sim => Shape::Folder,
+            Item::Subsystem | Item::ByNameLink(..) => Shape::Link,
+            Item::Attribute(_)
+            | Item::Uevent
+            | Item::Parameter(..)
+            | Item::Raw(_)
+            | Item::Index
+            | Item::Register(_)
+            | Item::Bits(_)
+            | Item::Statistic(_)
+            | Item::State(_)
+            | Item::Knob(_) => Shape::File,
+        }
+    }
+
+    /// Owner and group of every node.
+    pub fn owner(&self) -> (u32, u32) {
+        (self.access.uid, self.access.gid)
+    }
+
+    /// Permissions. Attributes are for all; data flash and what can be written are for the mount's owner,
+    /// and its group where one was named.
+    pub fn mode(&self, node: Node) -> u16 {
+        let kept = |bits: u16| if self.access.group { bits * 0o110 } else { bits * 0o100 };
+        let Node::Of(gauge, item) = node else { return 0o555 };
+        match item {
+            Item::Parameter(subclass, parameter) => {
+                let unproven = self.row(gauge, subclass, parameter).1.unproven;
+                kept(if unproven { 4 } else { 6 })
+            }
+            Item::Raw(_) | Item::Index => kept(4),
+            Item::State(State::Seal | State::PollInterval) => kept(6),
+            Item::State(State::Control | State::Refresh) => kept(2),
+            Item::Knob(knob) => {
+                let writable =
+                    self.knobs(gauge).get(usize::from(knob)).is_some_and(|(_, writable)| *writable);
+                if writable { kept(6) } else { kept(4) }
+            }
+            _ => match self.shape(node) {
+                Shape::Folder => 0o555,
+                Shape::Link => 0o777,
+                Shape::File => 0o444,
+            },
+        }
+    }
+
+    fn knobs(&self, gauge: u16) -> Vec<(&'static str, bool)> {
+        self.entry(gauge).knobs.as_ref().map(|knobs| knobs.list()).unwrap_or_default()
+    }
+
+    /// Whether the kernel may keep the name and the text until told otherwise: only attributes, which
+    /// change with a poll and at no other time.
+    pub fn may_be_cached(&self, node: Node) -> bool {
+        match node {
+            Node::Root => true,
+            Node::Of(_, item) => {
+                matches!(item, Item::Attribute(_) | Item::Uevent) || self.shape(node) != Shape::File
+            }
+        }
+    }
+
+    /// What a folder holds now.
+    pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
+        let Node::Of(gauge, item) = folder else {
+            return (0..)
+                .zip(&self.gauges)
+                .map(|(at, entry)| (entry.name.clone(), Node::Of(at, Item::Folder)))
+                .collect();
+        };
+        let chip = self.chip(gauge);
+        let of = |name: &str, item: Item| (name.to_string(), Node::Of(gauge, item));
+        let subclasses = || (0u16..).zip(chip.subclasses);
+        let parameters = |at: u16| (0u16..).zip(chip.subclasses[usize::from(at)].parameters);
+        match item {
+            Item::Folder => {
+                let snapshot = self.fresh(gauge);
+                let source = self.source(gauge, snapshot.as_deref());
+                let there = |attribute: &&Attribute| attribute.text(&source).is_some();
+                let attributes = attribute::ALL.iter().filter(there);
+                let mut list: Vec<_> =
+                    attributes.map(|attribute| of(attribute.name(), Item::Attribute(*attribute))).collect();
+                list.push(of("uevent", Item::Uevent));
+                list.push(of("subsystem", Item::Subsystem));
+                list.push(of("df", Item::Df));
+                list.push(of("gauge", Item::Gauge));
+                if self.entry(gauge).knobs.is_some() {
+                    list.push(of("sim", Item::Sim));
+                }
+                list
+            }
+            Item::Df => {
+                let mut list = vec![of("index", Item::Index), of("by-name", Item::ByName)];
+                if chip.subclasses.iter().any(|subclass| subclass.id == FLAT) {
+                    list.push(of("flash", Item::Flat));
+                }
+                let numbered = subclasses().filter(|(_, subclass)| subclass.id != FLAT);
+                list.extend(numbered.map(|(at, subclass)| of(&subclass.id.to_string(), Item::Subclass(at))));
+                list
+            }
+            Item::Subclass(at) => {
+                let mut list: Vec<_> = parameters(at)
+                    .map(|(row, parameter)| of(&parameter.offset.to_string(), Item::Parameter(at, row)))
+                    .collect();
+                list.push(of("raw", Item::Raw(at)));
+                list
+            }
+            Item::Flat => subclasses()
+                .filter(|(_, subclass)| subclass.id == FLAT)
+                .flat_map(|(at, _)| parameters(at).map(move |(row, parameter)| (at, row, parameter)))
+                .map(|(at, row, parameter)| {
+                    of(&format!("0x{:04x}", parameter.offset), Item::Parameter(at, row))
+                })
+                .collect(),
+            Item::ByName => subclasses()
+                .map(|(at, subclass)| of(&chip.class_dir(subclass), Item::ByNameClass(at)))
+                .collect(),
+            Item::ByNameClass(at) => parameters(at)
+                .map(|(row, parameter)| of(&kebab_case(parameter.name), Item::ByNameLink(at, row)))
+                .collect(),
+            Item::Gauge => {
+                let mut list = vec![of("registers", Item::Registers), of("statistics", Item::Statistics)];
+                let words = registers(chip).filter(|(_, register)| !register.bits.is_empty());
+                list.extend(words.map(|(at, register)| of(&snake_case(register.name), Item::Bits(at))));
+                let there = |state: &&State| {
+                    **state != State::ChemId || self.published(gauge).answers.chem_id.is_some()
+                };
+                list.extend(STATES.iter().filter(there).map(|state| of(state.name(), Item::State(*state))));
+                list
+            }
+            Item::Registers => registers(chip)
+                .map(|(at, register)| of(&snake_case(register.name), Item::Register(at)))
+                .collect(),
+            Item::Statistics => {
+                let statistics = self.entry(gauge).handle.statistics();
+                (0..).zip(statistics).map(|(at, (name, _))| of(name, Item::Statistic(at))).collect()
+            }
+            Item::Sim => {
+                (0..).zip(self.knobs(gauge)).map(|(at, (name, _))| of(name, Item::Knob(at))).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The node of that name in a folder.
+    pub fn lookup(&self, folder: Node, name: &str) -> Option<Node> {
+        self.list(folder).into_iter().find(|(found, _)| found == name).map(|(_, node)| node)
+    }
+
+    /// The name of a file in its folder, whether it is there now or not.
+    pub fn file_name(&self, node: Node) -> Option<String> {
+        match node {
+            Node::Of(_, Item::Attribute(attribute)) => Some(attribute.name().to_string()),
+            _ => self
+                .list(self.parent(node))
+                .into_iter()
+                .find(|(_, found)| *found == node)
+                .map(|(name, _)| name),
+        }
+    }
+
+    fn published(&self, gauge: u16) -> Arc<Published> {
+        self.entry(gauge).handle.published()
+    }
+
+    /// The Snapshot that may be shown: none older than three poll intervals.
+    fn fresh(&self, gauge: u16) -> Option<Arc<Snapshot>> {
+        let published = self.published(gauge);
+        let age = self.entry(gauge).handle.age()?;
+        published.snapshot.clone().filter(|_| age <= published.interval * 3)
+    }
+
+    fn source<'a>(&'a self, gauge: u16, snapshot: Option<&'a Snapshot>) -> Source<'a> {
+        Source { chip: self.chip(gauge), snapshot, scales: &self.entry(gauge).scales }
+    }
+
+    /// What a file holds now.
+    pub fn content(&self, node: Node) -> Content {
+        let Node::Of(gauge, item) = node else { return Content::Absent };
+        let entry = self.entry(gauge);
+        let line = |text: Option<String>| match text {
+            Some(text) => Content::Bytes((text + "\n").into_bytes()),
+            None => Content::Absent,
+        };
+        match item {
+            Item::Attribute(attribute) => {
+                let snapshot = self.fresh(gauge);
+                line(attribute.text(&self.source(gauge, snapshot.as_deref())))
+            }
+            Item::Uevent => {
+                let snapshot = self.fresh(gauge);
+                Content::Bytes(
+                    attribute::uevent(&entry.name, &self.source(gauge, snapshot.as_deref())).into_bytes(),
+                )
+            }
+            Item::Parameter(subclass, parameter) => match entry.handle.kept(subclass.into()) {
+                Some(bytes) => Content::Bytes(self.parameter_text(gauge, subclass, parameter, &bytes)),
+                None => Content::Unread(UNREAD),
+            },
+            Item::Raw(subclass) => match entry.handle.kept(subclass.into()) {
+                Some(bytes) => Content::Bytes(bytes.to_vec()),
+                None => Content::Unread(self.subclass(gauge, subclass).length.into()),
+            },
+            Item::Index => {
+                let rows = entry.handle.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
+                Content::Unread(256 * (1 + rows.sum::<usize>() as u64))
+            }
+            Item::Register(at) => {
+                let register = &entry.handle.chip().registers[usize::from(at)];
+                line(
+                    self.fresh(gauge)
+                        .and_then(|snapshot| snapshot.value(register))
+                        .map(|value| value.to_string()),
+                )
+            }
+            Item::Bits(at) => {
+                let register = &entry.handle.chip().registers[usize::from(at)];
+                let word = self.fresh(gauge).and_then(|snapshot| snapshot.value(register));
+                line(word.map(|word| set_bits(register.bits, word)))
+            }
+            Item::Statistic(at) => {
+                line(entry.handle.statistics().get(usize::from(at)).map(|(_, value)| value.to_string()))
+            }
+            Item::State(state) => self.state(gauge, state),
+            Item::Knob(at) => {
+                let knobs = entry.knobs.as_ref();
+                line(knobs.and_then(|knobs| knobs.get(knobs.list().get(usize::from(at))?.0)))
+            }
+            _ => Content::Absent,
+        }
+    }
+
+    fn state(&self, gauge: u16, state: State) -> Content {
+        let published = self.published(gauge);
+        let word = |word: u16| Some(format!("0x{word:04x}"));
+        let text = match state {
+            State::ControlStatus => self
+                .fresh(gauge)
+                .map(|snapshot| set_bits(self.chip(gauge).control_status, snapshot.control_status.into())),
+            State::DeviceType => word(published.answers.device_type),
+            State::FirmwareVersion => word(published.answers.firmware_version),
+            State::HardwareVersion => word(published.answers.hardware_version),
+            State::ChemId => published.answers.chem_id.and_then(word),
+            State::Seal => Some(published.seal.as_str().to_string()),
+            State::PollInterval => Some(published.interval.as_secs_f64().to_string()),
+            State::AgeMs => self.entry(gauge).handle.age().map(|age| age.as_millis().to_string()),
+            State::LastError if published.last_error.is_empty() => return Content::Bytes(Vec::new()),
+            State::LastError => Some(published.last_error.to_string()),
+            State::Control | State::Refresh => return Content::Bytes(Vec::new()),
+        };
+        match text {
+            Some(text) => Content::Bytes((text + "\n").into_bytes()),
+            None => Content::Absent,
+        }
+    }
+
+    fn parameter_text(&self, gauge: u16, subclass: u16, parameter: u16, bytes: &[u8]) -> Vec<u8> {
+        let (subclass, parameter) = self.row(gauge, subclass, parameter);
+        (value_text(subclass, parameter, bytes) + "\n").into_bytes()
+    }
+
+    /// Asks the gauge for what [`Content::Unread`] stands for. `done` gets the bytes, perhaps at once,
+    /// perhaps from the owner's thread.
+    pub fn read(self: &Arc<Self>, node: Node, done: Done<Vec<u8>>) {
+        let Node::Of(gauge, item) = node else { return done(Err(not_there())) };
+        let fs = Arc::clone(self);
+        let handle = &self.entry(gauge).handle;
+        match item {
+            Item::Parameter(subclass, _) | Item::Raw(subclass)
+                if self.subclass(gauge, subclass).kind == Kind::Security =>
+            {
+                let why = "keys are never read";
+                done(Err(Error::new(self.subclass(gauge, subclass).name, Cause::NotPermitted(why.into()))));
+            }
+            Item::Parameter(subclass, parameter) => handle.submit(Request::ReadSubclass(
+                subclass.into(),
+                Box::new(move |bytes| {
+                    done(bytes.map(|bytes| fs.parameter_text(gauge, subclass, parameter, &bytes)));
+                }),
+            )),
+            Item::Raw(subclass) => handle.submit(Request::ReadSubclass(
+                subclass.into(),
+                Box::new(move |bytes| done(bytes.map(|bytes| bytes.to_vec()))),
+            )),
+            Item::Index => handle.submit(Request::ReadAll(Box::new(move |read| match read {
+                // A sealed gauge still has its table; only the values are missing.
+                Ok(()) => done(Ok(fs.index(gauge))),
+                Err(error) if error.errno() == Errno::EPERM => done(Ok(fs.index(gauge))),
+                Err(error) => done(Err(error)),
+            }))),
+            _ => match self.content(node) {
+                Content::Bytes(bytes) => done(Ok(bytes)),
+                Content::Unread(_) | Content::Absent => done(Err(not_there())),
+            },
+        }
+    }
+
+    /// `df/index`: every parameter of the table, a line each.
+    fn index(&self, gauge: u16) -> Vec<u8> {
+        let chip = self.chip(gauge);
+        let mut lines = String::from("subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n");
+        for (at, subclass) in chip.subclasses.iter().enumerate() {
+            let bytes =
+                if subclass.kind == Kind::Security { None } else { self.entry(gauge).handle.kept(at) };
+            for parameter in subclass.parameters {
+                let (id, offset) = match subclass.id {
+                    FLAT => ("flash".to_string(), format!("0x{:04x}", parameter.offset)),
+                    id => (id.to_string(), parameter.offset.to_string()),
+                };
+                let [min, max, default] =
+                    bounds(subclass, parameter).map(|bound| bound.unwrap_or("-".into()));
+                let value = bytes.as_ref().map_or("-".into(), |bytes| value_text(subclass, parameter, bytes));
+                let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
+                let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
+                lines += &format!(
+                    "{id}\t{offset}\t{kind}\t{name}\t{unit}\t{min}\t{max}\t{default}\t{flags}\t{value}\n"
+                );
+            }
+        }
+        lines.into_bytes()
+    }
+
+    /// Writes one value to a file. `done` gets the outcome, perhaps at once, perhaps from the owner's
+    /// thread.
+    pub fn write(&self, node: Node, data: &[u8], done: Done<()>) {
+        let Node::Of(gauge, item) = node else { return done(Err(not_writable())) };
+        let handle = &self.entry(gauge).handle;
+        let word = || std::str::from_utf8(data).unwrap_or_default().trim();
+        match item {
+            Item::Parameter(subclass, parameter) => {
+                let (row, field) = self.row(gauge, subclass, parameter);
+                if row.kind == Kind::Security {
+                    let why = "keys cannot be changed like other parameters";
+                    return done(Err(Error::new(field.name, Cause::NotPermitted(why.into()))));
+                }
+                match text::parse(field, data) {
+                    Ok(value) => {
+                        handle.submit(Request::Write(subclass.into(), parameter.into(), value, done))
+                    }
+                    Err(error) => self.refuse(gauge, error, done),
+                }
+            }
+            Item::State(State::Seal) => match [Seal::Sealed, Seal::Unsealed, Seal::FullAccess]
+                .into_iter()
+                .find(|seal| seal.as_str() == word())
+            {
+                Some(seal) => handle.submit(Request::Seal(seal, done)),
+                None => {
+                    let why = "write sealed, unsealed or full-access";
+                    self.refuse(gauge, Error::new("seal", Cause::Invalid(why.into())), done);
+                }
+            },
+            Item::State(State::Control) => match subcommand(handle.chip(), word()) {
+                Ok(code) => handle.submit(Request::Control(code, done)),
+                Err(error) => self.refuse(gauge, error, done),
+            },
+            Item::State(State::PollInterval) => match interval(word()) {
+                Ok(interval) => handle.submit(Request::Interval(interval, done)),
+                Err(error) => self.refuse(gauge, error, done),
+            },
+            Item::State(State::Refresh) => handle.submit(Request::Refresh(done)),
+            Item::Knob(at) => {
+                let knobs = self.entry(gauge).knobs.as_ref();
+                let set = knobs.zip(self.knobs(gauge).get(usize::from(at)).copied());
+                done(set.map_or_else(|| Err(not_there()), |(knobs, (name, _))| knobs.set(name, word())));
+            }
+            _ => done(Err(not_writable())),
+        }
+    }
+
+    /// A refusal that the gauge never heard of shows in `gauge/last_error` all the same.
+    fn refuse(&self, gauge: u16, error: Error, done: Done<()>) {
+        self.entry(gauge).handle.note(&error);
+        done(Err(error));
+    }
+
+    /// Where a symbolic link leads.
+    pub fn target(&self, node: Node) -> Option<String> {
+        let Node::Of(gauge, item) = node else { return None };
+        match item {
+            // Whoever follows it finds the folder that stands for /sys/class/power_supply.
+            Item::Subsystem => Some("/sys/class/power_supply".into()),
+            Item::ByNameLink(subclass, parameter) => {
+                let (subclass, parameter) = self.row(gauge, subclass, parameter);
+                Some(match subclass.id {
+                    FLAT => format!("../../flash/0x{:04x}", parameter.offset),
+                    id => format!("../../{id}/{}", parameter.offset),
+                })
+            }
+            _ => None,
+        }
+    }
+
+    /// The extended attributes of a data-flash file.
+    pub fn xattrs(&self, node: Node) -> Vec<(&'static str, String)> {
+        let Node::Of(gauge, Item::Parameter(subclass, parameter)) = node else { return Vec::new() };
+        let (subclass, parameter) = self.row(gauge, subclass, parameter);
+        let mut list = vec![
+            ("user.gauge.name", parameter.name.to_string()),
+            ("user.gauge.type", parameter.kind.to_string()),
+            ("user.gauge.unit", parameter.unit.to_string()),
+        ];
+        let names = ["user.gauge.min", "user.gauge.max", "user.gauge.default"];
+        let bounds = bounds(subclass, parameter);
+        list.extend(names.into_iter().zip(bounds).filter_map(|(name, bound)| Some((name, bound?))));
+        list
+    }
+}
+
+/// The registers that have a file: all but Control() and the block-access window.
+fn registers(chip: &'static Chip) -> impl Iterator<Item = (u16, &'static Register)> {
+    (0..).zip(chip.registers).filter(|(_, register)| register.tier != Tier::Window)
+}
+
+fn set_bits(bits: &[Bit], word: i64) -> String {
+    let set = bits.iter().filter(|bit| word & i64::from(bit.mask) != 0).map(|bit| bit.name);
+    set.collect::<Vec<_>>().join(" ")
+}
+
+fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
+    let at = usize::from(parameter.offset - subclass.start());
+    let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+    text::render(parameter.kind, &value)
+}
+
+/// Smallest and largest value and default as texts, none of which is shown for keys.
+fn bounds(subclass: &Subclass, parameter: &Parameter) -> [Option<String>; 3] {
+    let show = |value: i64| text::render(parameter.kind, &crate::value::Value::Int(value));
+    match &parameter.range {
+        _ if subclass.kind == Kind::Security => [None, None, None],
+        Range::Int { min, max, default } => [Some(show(*min)), Some(show(*max)), default.map(show)],
+        Range::Float { min, max, default } => {
+            [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
+        }
+        Range::Text { default } => [None, None, default.map(str::to_string)],
+    }
+}
+
+fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
+    let flags = [
+        ("learned", parameter.learned),
+        ("reset", subclass.kind == Kind::Reset),
+        ("safe-limit", parameter.safe.is_some()),
+        ("security", subclass.kind == Kind::Security),
+        ("unproven", parameter.unproven),
+    ];
+    let set: Vec<_> = flags.iter().filter(|(_, set)| *set).map(|(name, _)| *name).collect();
+    if set.is_empty() { "-".into() } else { set.join(",") }
+}
+
+fn subcommand(chip: &Chip, word: &str) -> Result<u16> {
+    let code =
+        word.strip_prefix("0x").and_then(|digits| u16::from_str_radix(digits, 16).ok()).or(word.parse().ok());
+    let known =
+        chip.subcommands.iter().find(|one| Some(one.code) == code || one.name.eq_ignore_ascii_case(word));
+    match known {
+        Some(known) if matches!(known.effect, Effect::Answers | Effect::Safe) => Ok(known.code),
+        known => {
+            let allowed =
+                chip.subcommands.iter().filter(|one| matches!(one.effect, Effect::Answers | Effect::Safe));
+            let allowed: Vec<_> = allowed.map(|one| one.name).collect();
+            // What is no subcommand may be a key: it is not repeated.
+            let what = known
+                .map_or("this is no subcommand".to_string(), |known| format!("{} is not safe", known.name));
+            Err(Error::new("control", Cause::Invalid(format!("{what}; there are {}", allowed.join(" ")))))
+        }
+    }
+}
+
+fn interval(word: &str) -> Result<Duration> {
+    let seconds: f64 = word.parse().map_err(|_| {
+        Error::new("poll_interval", Cause::Invalid(format!("`{word}` is not a number of seconds")))
+    })?;
+    if !(0.5..=3600.0).contains(&seconds) {
+        let why = format!("{seconds} s is outside 0.5 to 3600 s");
+        return Err(Error::new("poll_interval", Cause::OutOfRange(why)));
+    }
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+fn not_there() -> Error {
+    Error::host("", Errno::ENODEV, "the gauge has no such value now")
+}
+
+fn not_writable() -> Error {
+    Error::host("", Errno::EACCES, "this file cannot be written")
+}

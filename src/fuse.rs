@@ -1,0 +1,646 @@
+//! The thin adapter to the crate `fuser`: nodeids, replies, notifications.
+//!
+//! One nodeid is one immutable value. LOOKUP gives a file's present text a nodeid of its own with its exact
+//! size; GETATTR and READ of that nodeid serve those bytes for ever; FORGET drops it. So a reader never
+//! sees the size of one value and the bytes of another, and what has not changed comes from the kernel's
+//! page cache without a message. `open` and `opendir` answer ENOSYS once and are never asked again.
+//!
+//! A new value is a new nodeid: it becomes the current one under the lock, the lock is let go, and then
+//! the kernel is told that the name means something else. No handler blocks, and none notifies: the
+//! kernel holds locks of its own while it waits for an answer. A file that is held open across a change
+//! keeps its nodeid; two seconds later, when no read of the old value can be under way, that nodeid
+//! gets the latest value.
+
+use std::collections::HashMap;
+use std::ffi::OsStr;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant, SystemTime};
+
+use fuser::{
+    AccessFlags, BsdFileFlags, Config, Errno, FileAttr, FileHandle, FileType, Filesystem, Generation,
+    INodeNo, LockOwner, MountOption, Notifier, OpenFlags, ReplyAttr, ReplyData, ReplyDirectory, ReplyEmpty,
+    ReplyEntry, ReplyOpen, ReplyStatfs, ReplyWrite, ReplyXattr, Request, Session, SessionACL, TimeOrNow,
+    WriteFlags,
+};
+
+use crate::error::{Error, Result};
+use crate::fs::{Content, Fs, Node, Shape};
+use crate::poll::Signal;
+
+/// How long the kernel may keep a name and a size without asking. It bounds for how long a lost
+/// notification or a dead daemon goes unnoticed.
+const TTL: Duration = Duration::from_secs(2);
+/// So long after a change a nodeid that is still in use gets the new value. 50 ms were too short: one torn
+/// read in 5 million.
+const SETTLE: Duration = Duration::from_secs(2);
+/// So long the kernel takes at most to forget what nobody holds open.
+const FORGET: Duration = Duration::from_millis(30);
+
+/// How to mount.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// Open to the mount's owner only.
+    pub private: bool,
+    /// Nothing can be written.
+    pub read_only: bool,
+}
+
+/// A mounted tree; dropped, it is unmounted.
+pub struct Mounted {
+    session: fuser::BackgroundSession,
+}
+
+impl Mounted {
+    /// Whether the tree was unmounted from outside.
+    pub fn is_over(&self) -> bool {
+        self.session.guard.is_finished()
+    }
+
+    /// Returns when the tree is unmounted from outside.
+    pub fn wait(self) -> Result<()> {
+        self.session.join().map_err(|error| host("the mount", &error))
+    }
+}
+
+fn host(subject: &str, error: &std::io::Error) -> Error {
+    let errno = nix::errno::Errno::from_raw(error.raw_os_error().unwrap_or_default());
+    Error::host(subject, errno, error.to_string())
+}
+
+/// Mounts the tree, and serves it from threads of its own until it is unmounted. `signal` is raised
+/// whenever something that the tree shows may have changed.
+pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signal>) -> Result<Mounted> {
+    let mut config = Config::default();
+    config.mount_options = vec![
+        MountOption::FSName("gaugefs".into()),
+        MountOption::Subtype("gaugefs".into()),
+        MountOption::DefaultPermissions,
+        MountOption::NoSuid,
+        MountOption::NoDev,
+        MountOption::NoExec,
+    ];
+    if options.read_only {
+        config.mount_options.push(MountOption::RO);
+    }
+    // Without privileges the kernel shuts other users out unless the administrator allows it.
+    if nix::unistd::geteuid().is_root() && !options.private {
+        config.acl = SessionACL::All;
+    }
+    let table = Arc::new(Mutex::new(Table::new()));
+    let answers = Arc::new(Mutex::new(Vec::new()));
+    let (later, raise) = (answers.clone(), signal.clone());
+    let adapter = Adapter { fs: fs.clone(), table: table.clone(), options, answers: later, signal: raise };
+    let session = Session::new(adapter, mountpoint, &config)
+        .map_err(|error| host(&mountpoint.display().to_string(), &error))?;
+    let notifier = session.notifier();
+    let session = session.spawn().map_err(|error| host(&mountpoint.display().to_string(), &error))?;
+    let thread = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
+    thread
+        .spawn(move || Watch { fs, table, notifier, folders: HashMap::new(), answers }.run(&signal))
+        .map_err(|error| host("a thread", &error))?;
+    Ok(Mounted { session })
+}
+
+/// What the kernel knows by number.
+struct Table {
+    next: u64,
+    /// Every nodeid that the kernel has not forgotten.
+    live: HashMap<u64, Live>,
+    /// The nodeid that stands for the present value of a node.
+    current: HashMap<Node, u64>,
+}
+
+struct Live {
+    node: Node,
+    lookups: u64,
+    value: Value,
+    /// When another value took its place, while that is not yet served under this nodeid.
+    superseded: Option<Instant>,
+    /// Writes that have not been answered. The kernel holds the file's page locked for as long.
+    writing: u32,
+}
+
+/// An answer to a write, given when the kernel has heard of everything that the write changed.
+type Answer = Box<dyn FnOnce() + Send>;
+
+/// What a nodeid stands for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Value {
+    /// A folder or a link.
+    Fixed,
+    /// A file's bytes.
+    Bytes(Arc<[u8]>),
+    /// A file that has not been read yet, and its apparent size.
+    Unread(u64),
+    /// A file held open whose value is not there any more.
+    Gone,
+}
+
+impl Value {
+    fn of(content: Content) -> Option<Self> {
+        match content {
+            Content::Bytes(bytes) => Some(Value::Bytes(bytes.into())),
+            Content::Unread(size) => Some(Value::Unread(size)),
+            Content::Absent => None,
+        }
+    }
+
+    fn size(&self) -> u64 {
+        match self {
+            Value::Fixed => 0,
+            // Not 0: at the end of a file the kernel answers a read by itself, and not with ENODEV.
+            Value::Gone => 4096,
+            Value::Bytes(bytes) => bytes.len() as u64,
+            Value::Unread(size) => *size,
+        }
+    }
+}
+
+impl Table {
+    fn new() -> Self {
+        let root = Live { node: Node::Root, lookups: 1, value: Value::Fixed, superseded: None, writing: 0 };
+        let number = u64::from(INodeNo::ROOT);
+        Self {
+            next: number + 1,
+            live: HashMap::from([(number, root)]),
+            current: HashMap::from([(Node::Root, number)]),
+        }
+    }
+
+    fn node(&self, number: INodeNo) -> Option<Node> {
+        self.live.get(&u64::from(number)).map(|live| live.node)
+    }
+
+    /// The nodeid under which a node has that value, one lookup more.
+    fn enter(&mut self, node: Node, value: Value) -> u64 {
+        if let Some(&number) = self.current.get(&node)
+            && let Some(live) = self.live.get_mut(&number)
+        {
+            if live.value == value {
+                live.lookups += 1;
+                return number;
+            }
+            self.retire(number);
+        }
+        let number = self.next;
+        self.next += 1;
+        self.live.insert(number, Live { node, lookups: 1, value, superseded: None, writing: 0 });
+        self.current.insert(node, number);
+        number
+    }
+
+    /// The nodeid no longer stands for the present value.
+    fn retire(&mut self, number: u64) {
+        let Some(live) = self.live.get_mut(&number) else { return };
+        live.superseded.get_or_insert_with(Instant::now);
+        if self.current.get(&live.node) == Some(&number) {
+            self.current.remove(&live.node);
+        }
+    }
+
+    fn forget(&mut self, number: u64, lookups: u64) {
+        let Some(live) = self.live.get_mut(&number) else { return };
+        live.lookups = live.lookups.saturating_sub(lookups);
+        if live.lookups == 0 && live.node != Node::Root {
+            let node = live.node;
+            self.live.remove(&number);
+            if self.current.get(&node) == Some(&number) {
+                self.current.remove(&node);
+            }
+        }
+    }
+}
+
+fn lock(table: &Mutex<Table>) -> MutexGuard<'_, Table> {
+    table.lock().expect("no thread panics while it holds the lock")
+}
+
+struct Adapter {
+    fs: Arc<Fs>,
+    table: Arc<Mutex<Table>>,
+    options: Options,
+    answers: Arc<Mutex<Vec<Answer>>>,
+    signal: Arc<Signal>,
+}
+
+impl Adapter {
+    fn attr(&self, number: u64, node: Node, size: u64) -> FileAttr {
+        let (kind, nlink) = match self.fs.shape(node) {
+            Shape::Folder => (FileType::Directory, 2),
+            Shape::Link => (FileType::Symlink, 1),
+            Shape::File => (FileType::RegularFile, 1),
+        };
+        let size = match kind {
+            FileType::Symlink => self.fs.target(node).map_or(0, |target| target.len() as u64),
+            _ => size,
+        };
+        let (uid, gid) = self.fs.owner();
+        let time = SystemTime::UNIX_EPOCH;
+        FileAttr {
+            ino: INodeNo(number),
+            size,
+            blocks: 0,
+            atime: time,
+            mtime: time,
+            ctime: time,
+            crtime: time,
+            kind,
+            perm: self.fs.mode(node),
+            nlink,
+            uid,
+            gid,
+            rdev: 0,
+            blksize: 4096,
+            flags: 0,
+        }
+    }
+
+    fn ttl(&self, node: Node) -> Duration {
+        if self.fs.may_be_cached(node) { TTL } else { Duration::ZERO }
+    }
+
+    /// The errno of whatever tries to add, remove or rename: there is nothing of the kind here.
+    fn fixed(&self) -> Errno {
+        if self.options.read_only { Errno::EROFS } else { Errno::EPERM }
+    }
+}
+
+fn errno(error: &Error) -> Errno {
+    Errno::from_i32(error.errno() as i32)
+}
+
+fn slice(bytes: &[u8], offset: u64, size: u32) -> &[u8] {
+    let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
+    &bytes[start..bytes.len().min(start.saturating_add(size as usize))]
+}
+
+impl Filesystem for Adapter {
+    fn lookup(&self, _: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
+        let Some(folder) = lock(&self.table).node(parent) else { return reply.error(Errno::ESTALE) };
+        let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
+            return reply.error(Errno::ENOENT);
+        };
+        let value = match self.fs.shape(node) {
+            Shape::File => Value::of(self.fs.content(node)),
+            Shape::Folder | Shape::Link => Some(Value::Fixed),
+        };
+        let Some(value) = value else { return reply.error(Errno::ENOENT) };
+        let size = value.size();
+        let number = lock(&self.table).enter(node, value);
+        let ttl = self.ttl(node);
+        reply.entry(&ttl, &self.attr(number, node, size), Generation(0));
+    }
+
+    fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
+        lock(&self.table).forget(ino.into(), lookups);
+    }
+
+    fn getattr(&self, _: &Request, ino: INodeNo, _: Option<FileHandle>, reply: ReplyAttr) {
+        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.size()));
+        let Some((node, size)) = found else { return reply.error(Errno::ESTALE) };
+        reply.attr(&self.ttl(node), &self.attr(ino.into(), node, size));
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "the trait's signature")]
+    fn setattr(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        mode: Option<u32>,
+        uid: Option<u32>,
+        gid: Option<u32>,
+        size: Option<u64>,
+        _: Option<TimeOrNow>,
+        _: Option<TimeOrNow>,
+        _: Option<SystemTime>,
+        _: Option<FileHandle>,
+        _: Option<SystemTime>,
+        _: Option<SystemTime>,
+        _: Option<SystemTime>,
+        _: Option<BsdFileFlags>,
+        reply: ReplyAttr,
+    ) {
+        if mode.is_some() || uid.is_some() || gid.is_some() {
+            return reply.error(self.fixed());
+        }
+        let mut table = lock(&self.table);
+        let Some(node) = table.node(ino) else { return reply.error(Errno::ESTALE) };
+        // Truncation alone writes nothing. The kernel's copy is not the value any more, so the next
+        // lookup gets a nodeid of its own.
+        if size.is_some() {
+            table.retire(ino.into());
+        }
+        let present = table.live.get(&u64::from(ino)).map_or(0, |live| live.value.size());
+        drop(table);
+        reply.attr(&Duration::ZERO, &self.attr(ino.into(), node, size.unwrap_or(present)));
+    }
+
+    fn readlink(&self, _: &Request, ino: INodeNo, reply: ReplyData) {
+        let node = lock(&self.table).node(ino);
+        match node.and_then(|node| self.fs.target(node)) {
+            Some(target) => reply.data(target.as_bytes()),
+            None => reply.error(Errno::EINVAL),
+        }
+    }
+
+    fn open(&self, _: &Request, _: INodeNo, _: OpenFlags, reply: ReplyOpen) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn opendir(&self, _: &Request, _: INodeNo, _: OpenFlags, reply: ReplyOpen) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn flush(&self, _: &Request, _: INodeNo, _: FileHandle, _: LockOwner, reply: ReplyEmpty) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn fsync(&self, _: &Request, _: INodeNo, _: FileHandle, _: bool, reply: ReplyEmpty) {
+        reply.ok();
+    }
+
+    fn access(&self, _: &Request, _: INodeNo, _: AccessFlags, reply: ReplyEmpty) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn read(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        _: FileHandle,
+        offset: u64,
+        size: u32,
+        _: OpenFlags,
+        _: Option<LockOwner>,
+        reply: ReplyData,
+    ) {
+        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.clone()));
+        let node = match found {
+            None => return reply.error(Errno::ESTALE),
+            Some((_, Value::Bytes(bytes))) => return reply.data(slice(&bytes, offset, size)),
+            Some((_, Value::Gone)) => return reply.error(Errno::ENODEV),
+            Some((_, Value::Fixed)) => return reply.error(Errno::EISDIR),
+            Some((node, Value::Unread(_))) => node,
+        };
+        let table = self.table.clone();
+        self.fs.read(
+            node,
+            Box::new(move |read| {
+                let bytes: Arc<[u8]> = match read {
+                    Ok(bytes) => bytes.into(),
+                    Err(error) => return reply.error(errno(&error)),
+                };
+                // The first answer is the value of this nodeid, for this read and every other.
+                let frozen = match lock(&table).live.get_mut(&u64::from(ino)).map(|live| &mut live.value) {
+                    Some(Value::Bytes(bytes)) => bytes.clone(),
+                    Some(value) => {
+                        *value = Value::Bytes(bytes.clone());
+                        bytes
+                    }
+                    None => bytes,
+                };
+                reply.data(slice(&frozen, offset, size));
+            }),
+        );
+    }
+
+    fn write(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        _: FileHandle,
+        offset: u64,
+        data: &[u8],
+        _: WriteFlags,
+        flags: OpenFlags,
+        _: Option<LockOwner>,
+        reply: ReplyWrite,
+    ) {
+        let number = u64::from(ino);
+        let Some(node) = lock(&self.table).node(ino) else { return reply.error(Errno::ESTALE) };
+        let appends = flags.0 & nix::fcntl::OFlag::O_APPEND.bits() != 0;
+        if offset != 0 && !appends {
+            return reply.error(Errno::EINVAL);
+        }
+        // Whatever comes of it, the kernel's copy now holds what was written.
+        let mut table = lock(&self.table);
+        table.retire(number);
+        if let Some(live) = table.live.get_mut(&number) {
+            live.writing += 1;
+        }
+        drop(table);
+        let written = u32::try_from(data.len()).unwrap_or(u32::MAX);
+        let (table, answers, signal) = (self.table.clone(), self.answers.clone(), self.signal.clone());
+        self.fs.write(
+            node,
+            data,
+            Box::new(move |outcome| {
+                let answer = move || {
+                    match outcome {
+                        Ok(()) => reply.written(written),
+                        Err(error) => reply.error(errno(&error)),
+                    }
+                    if let Some(live) = lock(&table).live.get_mut(&number) {
+                        live.writing -= 1;
+                    }
+                };
+                answers.lock().expect("no thread panics while it holds the lock").push(Box::new(answer));
+                signal.raise();
+            }),
+        );
+    }
+
+    fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {
+        let Some(folder) = lock(&self.table).node(ino) else { return reply.error(Errno::ESTALE) };
+        let dots = [".", ".."].map(|name| (name.to_string(), folder));
+        let list = dots.into_iter().chain(self.fs.list(folder));
+        for (at, (name, node)) in (1u64..).zip(list).skip(offset as usize) {
+            let kind = match self.fs.shape(node) {
+                Shape::Folder => FileType::Directory,
+                Shape::Link => FileType::Symlink,
+                Shape::File => FileType::RegularFile,
+            };
+            // A file's number changes with its value; here any number but 0 will do.
+            if reply.add(INodeNo(at), at, kind, name) {
+                break;
+            }
+        }
+        reply.ok();
+    }
+
+    fn statfs(&self, _: &Request, _: INodeNo, reply: ReplyStatfs) {
+        reply.statfs(0, 0, 0, 0, 0, 4096, 255, 4096);
+    }
+
+    fn getxattr(&self, _: &Request, ino: INodeNo, name: &OsStr, size: u32, reply: ReplyXattr) {
+        let node = lock(&self.table).node(ino);
+        let list = node.map(|node| self.fs.xattrs(node)).unwrap_or_default();
+        // ENOSYS would switch extended attributes off for good.
+        match list.iter().find(|(found, _)| OsStr::new(found) == name) {
+            Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),
+            None => reply.error(Errno::ENODATA),
+        }
+    }
+
+    fn listxattr(&self, _: &Request, ino: INodeNo, size: u32, reply: ReplyXattr) {
+        let node = lock(&self.table).node(ino);
+        let list = node.map(|node| self.fs.xattrs(node)).unwrap_or_default();
+        let names: String = list.iter().flat_map(|(name, _)| [name, "\0"]).collect();
+        answer_xattr(names.as_bytes(), size, reply);
+    }
+
+    fn setxattr(&self, _: &Request, _: INodeNo, _: &OsStr, _: &[u8], _: i32, _: u32, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn removexattr(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn mknod(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, _: u32, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+
+    fn mkdir(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+
+    fn unlink(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn rmdir(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn symlink(&self, _: &Request, _: INodeNo, _: &OsStr, _: &Path, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+}
+
+fn answer_xattr(value: &[u8], size: u32, reply: ReplyXattr) {
+    let length = value.len() as u32;
+    match size {
+        0 => reply.size(length),
+        size if size < length => reply.error(Errno::ERANGE),
+        _ => reply.data(value),
+    }
+}
+
+/// Tells the kernel what has changed. It is the only one who notifies, and it holds no lock when it does.
+struct Watch {
+    fs: Arc<Fs>,
+    table: Arc<Mutex<Table>>,
+    notifier: Notifier,
+    /// The names that each folder held when it was last looked at.
+    folders: HashMap<Node, Vec<String>>,
+    answers: Arc<Mutex<Vec<Answer>>>,
+}
+
+impl Watch {
+    fn run(&mut self, signal: &Signal) {
+        let mut seen = 0;
+        let mut due = None;
+        loop {
+            // Nobody is to be woken while nothing is held open.
+            let limit = due.map(|due: Instant| due.saturating_duration_since(Instant::now()));
+            seen = signal.wait(seen, limit);
+            let answers =
+                std::mem::take(&mut *self.answers.lock().expect("no thread panics while it holds the lock"));
+            if self.announce().is_err() {
+                return;
+            }
+            // Who reads right after a write reads what it led to.
+            answers.into_iter().for_each(|answer| answer());
+            self.settle();
+            if self.superseded().is_some() {
+                signal.wait(seen, Some(FORGET));
+            }
+            due = self.superseded().map(|oldest| oldest + SETTLE);
+        }
+    }
+
+    /// When the oldest of the nodeids that are still in use was superseded. Those that are being written
+    /// wait for their answer, which raises the signal.
+    fn superseded(&self) -> Option<Instant> {
+        let table = lock(&self.table);
+        table.live.values().filter(|live| live.writing == 0).filter_map(|live| live.superseded).min()
+    }
+
+    /// Retires every nodeid whose file holds another text now, then tells the kernel which names those
+    /// were.
+    fn announce(&mut self) -> std::io::Result<()> {
+        let files: Vec<(u64, Node, Value)> = lock(&self.table)
+            .live
+            .iter()
+            .filter(|(_, live)| live.superseded.is_none() && live.value != Value::Fixed)
+            .map(|(&number, live)| (number, live.node, live.value.clone()))
+            .collect();
+        let mut changed = Vec::new();
+        for (number, node, value) in files {
+            if Value::of(self.fs.content(node)).unwrap_or(Value::Gone) == value {
+                continue;
+            }
+            let mut table = lock(&self.table);
+            let folder = table.current.get(&self.fs.parent(node)).copied();
+            let named = table.current.get(&node) == Some(&number);
+            table.retire(number);
+            if let Some(folder) = folder.filter(|_| named) {
+                changed.push((folder, node));
+            }
+        }
+        for (folder, node) in changed {
+            if let Some(name) = self.fs.file_name(node) {
+                gone(self.notifier.inval_entry(INodeNo(folder), OsStr::new(&name)))?;
+            }
+        }
+        self.announce_folders()
+    }
+
+    /// Listings are kept by the kernel as well; those of the gauges' folders change when a value comes
+    /// or goes.
+    fn announce_folders(&mut self) -> std::io::Result<()> {
+        for (_, folder) in self.fs.list(Node::Root) {
+            let names: Vec<String> = self.fs.list(folder).into_iter().map(|(name, _)| name).collect();
+            let before = self.folders.insert(folder, names);
+            if before.is_some_and(|before| Some(&before) != self.folders.get(&folder)) {
+                let number = lock(&self.table).current.get(&folder).copied();
+                if let Some(number) = number {
+                    gone(self.notifier.inval_inode(INodeNo(number), 0, 0))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives nodeids that are still in use so long after a change the latest value.
+    fn settle(&self) {
+        let now = Instant::now();
+        let due: Vec<(u64, Node)> = lock(&self.table)
+            .live
+            .iter()
+            .filter(|(_, live)| {
+                live.writing == 0 && live.superseded.is_some_and(|since| now >= since + SETTLE)
+            })
+            .map(|(&number, live)| (number, live.node))
+            .collect();
+        for (number, node) in due {
+            let value = Value::of(self.fs.content(node)).unwrap_or(Value::Gone);
+            if let Some(live) = lock(&self.table).live.get_mut(&number) {
+                live.superseded = None;
+                live.value = value;
+            }
+            // It may have been forgotten meanwhile; then there is nobody to tell.
+            let _ = self.notifier.inval_inode(INodeNo(number), 0, 0);
+        }
+    }
+}
+
+/// ENOENT says that the kernel does not have the name; anything else, that the mount is over.
+fn gone(notified: std::io::Result<()>) -> std::io::Result<()> {
+    match notified {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        other => other,
+    }
+}

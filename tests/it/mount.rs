@@ -1,0 +1,392 @@
+//! A real FUSE mount, driven by file operations as a shell would do them.
+
+use std::fs::{self, OpenOptions};
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use gaugefs::chip::Chip;
+use gaugefs::clock::RealClock;
+use gaugefs::error::Result;
+use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
+use gaugefs::fuse::{self, Mounted};
+use gaugefs::keys::Keys;
+use gaugefs::poll::{self, Handle, Settings, Signal};
+use gaugefs::sim::{Options, Sim};
+use nix::errno::Errno;
+
+struct SimKnobs(Sim);
+
+impl Knobs for SimKnobs {
+    fn list(&self) -> Vec<(&'static str, bool)> {
+        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+    }
+
+    fn get(&self, name: &str) -> Option<String> {
+        self.0.get(name)
+    }
+
+    fn set(&self, name: &str, text: &str) -> Result<()> {
+        self.0.set(name, text)
+    }
+}
+
+/// One simulated gauge, mounted.
+struct Mount {
+    folder: PathBuf,
+    sim: Sim,
+    handle: Handle,
+    _mounted: Mounted,
+}
+
+impl Drop for Mount {
+    fn drop(&mut self) {
+        // The test may have left files open; a busy mount must not outlive it.
+        let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
+        let _ = fs::remove_dir(&self.folder);
+    }
+}
+
+impl Mount {
+    /// `None` where this machine cannot mount FUSE at all.
+    fn new(chip: &str, interval: Duration, keys: Keys) -> Option<Self> {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
+            eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
+            return None;
+        }
+        let name = format!("gaugefs-test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let folder = std::env::temp_dir().join(name);
+        fs::create_dir(&folder).expect("a temporary folder");
+        let clock = Arc::new(RealClock::new());
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
+        std::thread::sleep(Duration::from_millis(1300));
+        let signal = Arc::new(Signal::default());
+        let table = Chip::by_name(chip).expect("a chip of the tables");
+        let settings = Settings { keys, interval, byte_writes: false };
+        let handle =
+            poll::spawn(table, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
+        let entry = Entry {
+            name: "BAT0".into(),
+            handle: handle.clone(),
+            scales: Scales::default(),
+            knobs: Some(Box::new(SimKnobs(sim.clone()))),
+        };
+        let access = Access {
+            uid: nix::unistd::geteuid().as_raw(),
+            gid: nix::unistd::getegid().as_raw(),
+            group: false,
+        };
+        let tree = Arc::new(Fs::new(vec![entry], access));
+        let mounted = fuse::mount(tree, &folder, fuse::Options::default(), signal).expect("a mount");
+        Some(Self { folder, sim, handle, _mounted: mounted })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join("BAT0").join(name)
+    }
+
+    fn cat(&self, name: &str) -> String {
+        let text = fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        text.trim_end_matches('\n').to_string()
+    }
+
+    /// As `echo text > name`.
+    fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
+        let mut file = OpenOptions::new().write(true).truncate(true).open(self.path(name)).map_err(errno)?;
+        file.write_all(format!("{text}\n").as_bytes()).map_err(errno)
+    }
+
+    fn transfers(&self) -> u64 {
+        self.handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("it is counted").1
+    }
+}
+
+fn errno(error: std::io::Error) -> Errno {
+    Errno::from_raw(error.raw_os_error().unwrap_or_default())
+}
+
+fn quiet(chip: &str) -> Option<Mount> {
+    Mount::new(chip, Duration::from_secs(3600), Keys::default())
+}
+
+/// Waits for what a poll and a notification bring about.
+fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let end = Instant::now() + Duration::from_secs(20);
+    while !holds() {
+        assert!(Instant::now() < end, "{what} does not come");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn walk(folder: &Path, seen: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let kind = entry.file_type().expect("d_type is there");
+        seen.push(entry.path());
+        let status = fs::symlink_metadata(entry.path()).expect("what is listed is there");
+        assert_eq!(status.file_type(), kind, "{}", entry.path().display());
+        if kind.is_dir() {
+            walk(&entry.path(), seen);
+        }
+    }
+}
+
+#[test]
+fn attributes_are_the_kernels() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    assert_eq!(mount.cat("type"), "Battery");
+    assert_eq!(mount.cat("present"), "1");
+    assert_eq!(mount.cat("scope"), "System");
+    assert_eq!(mount.cat("manufacturer"), "Texas Instruments");
+    assert_eq!(mount.cat("model_name"), "bq34z100-G1");
+    assert_eq!(mount.cat("charge_full_design"), "1000000");
+    let voltage: i64 = mount.cat("voltage_now").parse().expect("a number");
+    assert!((2_500_000..4_500_000).contains(&voltage), "{voltage} µV");
+    let temp: i64 = mount.cat("temp").parse().expect("a number");
+    assert!((200..300).contains(&temp), "{temp} tenths of a degree");
+    // At rest there is no time to empty, and nothing that says so.
+    assert!(!mount.path("time_to_empty_now").exists());
+    assert!(!mount.path("energy_now").exists());
+    let uevent = mount.cat("uevent");
+    assert!(uevent.starts_with("POWER_SUPPLY_NAME=BAT0\nPOWER_SUPPLY_TYPE=Battery\n"), "{uevent}");
+    for line in uevent.lines() {
+        let (key, value) = line.split_once('=').expect("a line of uevent");
+        let name = key.strip_prefix("POWER_SUPPLY_").expect("a line of uevent").to_lowercase();
+        if name != "name" {
+            assert_eq!(mount.cat(&name).replace(' ', "_"), value, "{name}");
+        }
+    }
+    let link = fs::read_link(mount.path("subsystem")).expect("a link");
+    assert!(link.ends_with("power_supply"));
+    assert_eq!(fs::metadata(mount.path("capacity")).expect("there").permissions().mode() & 0o777, 0o444);
+    assert_eq!(fs::metadata(mount.path("uevent")).expect("there").size() as usize, uevent.len() + 1);
+}
+
+#[test]
+fn listing_everything_costs_no_transfer() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let before = mount.transfers();
+    let mut seen = Vec::new();
+    walk(&mount.folder, &mut seen);
+    assert!(seen.len() > 500, "{} names", seen.len());
+    for path in seen.iter().filter(|path| !path.starts_with(mount.path("df"))) {
+        let kind = fs::symlink_metadata(path).expect("there").file_type();
+        if kind.is_file() && fs::metadata(path).expect("there").permissions().mode() & 0o400 != 0 {
+            fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        }
+    }
+    assert_eq!(mount.transfers(), before);
+}
+
+#[test]
+fn data_flash_reads_and_writes() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    assert_eq!(fs::metadata(mount.path("df/80/53")).expect("there").size(), 4096);
+    assert_eq!(mount.cat("df/80/53"), "3000");
+    assert_eq!(fs::metadata(mount.path("df/80/53")).expect("there").size(), 5);
+    assert_eq!(mount.cat("df/by-name/it-cfg/cell-terminate-voltage"), "3000");
+    assert_eq!(mount.cat("df/48/43"), "Texas Inst.");
+    assert_eq!(mount.cat("df/64/0"), "0x0161");
+    assert_eq!(mount.cat("df/104/0"), "0.4768");
+    assert_eq!(fs::read(mount.path("df/80/raw")).expect("bytes").len(), 93);
+    assert_eq!(mount.echo("3100", "df/80/53"), Ok(()));
+    assert_eq!(mount.cat("df/80/53"), "3100");
+    assert_eq!(mount.echo("  0xc80 ", "df/80/53"), Ok(()));
+    assert_eq!(mount.cat("df/80/53"), "3200", "the value, not the text that was written");
+    assert_eq!(mount.cat("gauge/seal"), "sealed");
+    assert_eq!(mount.cat("gauge/last_error"), "");
+}
+
+#[test]
+fn refusals_have_their_errno_and_change_nothing() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let before = mount.sim.flash();
+    let transfers = mount.transfers();
+    assert_eq!(mount.echo("abc", "df/80/53"), Err(Errno::EINVAL));
+    assert_eq!(mount.echo("", "df/80/53"), Err(Errno::EINVAL));
+    assert_eq!(mount.echo("3701", "df/80/53"), Err(Errno::ERANGE));
+    assert!(mount.cat("gauge/last_error").contains("3701 is outside 1000 to 3700 mV"));
+    assert_eq!(mount.echo("0x0", "df/112/0"), Err(Errno::EPERM));
+    assert_eq!(fs::read(mount.path("df/112/0")).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(mount.echo("0x0f00", "gauge/control"), Err(Errno::EINVAL));
+    assert_eq!(mount.echo("RESET", "gauge/control"), Err(Errno::EINVAL));
+    assert_eq!(mount.echo("0", "gauge/poll_interval"), Err(Errno::ERANGE));
+    assert_eq!(mount.echo("soon", "gauge/poll_interval"), Err(Errno::EINVAL));
+    assert_eq!(mount.transfers(), transfers, "nothing was sent");
+    // Truncation alone writes nothing, and an offset is no value's start.
+    OpenOptions::new().write(true).truncate(true).open(mount.path("df/80/53")).expect("opens");
+    assert_eq!(mount.cat("df/80/53"), "3000");
+    let mut file = OpenOptions::new().write(true).open(mount.path("df/80/53")).expect("opens");
+    file.seek(SeekFrom::Start(1)).expect("seeks");
+    assert_eq!(file.write(b"3100").map_err(errno), Err(Errno::EINVAL));
+    drop(file);
+    assert!(mount.sim.flash() == before);
+    // `>>` acts as `>`.
+    let mut file = OpenOptions::new().append(true).open(mount.path("df/80/53")).expect("opens");
+    file.write_all(b"3300\n").expect("written");
+    drop(file);
+    assert_eq!(mount.cat("df/80/53"), "3300");
+    assert_eq!(fs::create_dir(mount.path("mine")).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(fs::remove_file(mount.path("capacity")).map_err(errno), Err(Errno::EPERM));
+}
+
+#[test]
+fn below_the_flash_voltage_nothing_is_stored() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    mount.sim.set("voltage_mv", "2700").expect("a knob");
+    let before = mount.sim.flash();
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::EAGAIN));
+    assert!(mount.cat("gauge/last_error").contains("2700 mV"));
+    assert!(mount.sim.flash() == before);
+}
+
+#[test]
+fn without_keys_a_sealed_gauge_shows_all_but_data_flash() {
+    let keys = Keys { no_default: true, ..Keys::default() };
+    let Some(mount) = Mount::new("bq34z100-g1", Duration::from_secs(3600), keys) else { return };
+    let before = mount.sim.flash();
+    assert_eq!(fs::read(mount.path("df/80/53")).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::EPERM));
+    assert_eq!(mount.cat("gauge/seal"), "sealed");
+    assert!(mount.cat("capacity").parse::<u32>().is_ok());
+    let index = mount.cat("df/index");
+    assert!(
+        index
+            .lines()
+            .any(|line| line.starts_with("80\t53\tI2\tCell Terminate Voltage\tmV\t1000\t3700\t3000"))
+    );
+    assert_eq!(index.lines().count(), 212);
+    assert!(mount.sim.flash() == before);
+}
+
+#[test]
+fn the_index_holds_every_value() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let index = mount.cat("df/index");
+    let mut lines = index.lines();
+    assert_eq!(lines.next(), Some("subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue"));
+    for line in lines {
+        let fields: Vec<_> = line.split('\t').collect();
+        assert_eq!(fields.len(), 10, "{line}");
+        let path = format!("df/{}/{}", fields[0], fields[1]);
+        if fields[8].contains("security") {
+            assert_eq!(fields[5..8], ["-"; 3], "{line}");
+            assert_eq!(fields[9], "-", "{line}");
+        } else {
+            assert_eq!(mount.cat(&path), fields[9], "{line}");
+        }
+    }
+}
+
+#[test]
+fn seal_and_control() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    assert_eq!(mount.echo("unsealed", "gauge/seal"), Ok(()));
+    assert_eq!(mount.cat("gauge/seal"), "unsealed");
+    assert_eq!(mount.echo("3100", "df/80/53"), Ok(()));
+    assert_eq!(mount.cat("gauge/seal"), "unsealed", "left as it was found");
+    assert_eq!(mount.echo("full-access", "gauge/seal"), Ok(()));
+    assert_eq!(mount.cat("gauge/seal"), "full-access");
+    assert_eq!(mount.echo("sealed", "gauge/seal"), Ok(()));
+    assert_eq!(mount.cat("gauge/seal"), "sealed");
+    assert_eq!(mount.echo("open", "gauge/seal"), Err(Errno::EINVAL));
+    assert_eq!(mount.echo("CHEM_ID", "gauge/control"), Ok(()));
+    assert_eq!(mount.cat("gauge/device_type"), "0x0100");
+    assert_eq!(mount.cat("gauge/chem_id"), "0x0107");
+}
+
+#[test]
+fn extended_attributes_say_what_a_parameter_is() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let output = std::process::Command::new("getfattr").arg("-d").arg(mount.path("df/80/53")).output();
+    let Ok(output) = output else {
+        eprintln!("SKIPPED: getfattr is missing");
+        return;
+    };
+    let text = String::from_utf8(output.stdout).expect("text");
+    for line in [
+        "user.gauge.name=\"Cell Terminate Voltage\"",
+        "user.gauge.type=\"I2\"",
+        "user.gauge.unit=\"mV\"",
+        "user.gauge.min=\"1000\"",
+        "user.gauge.max=\"3700\"",
+        "user.gauge.default=\"3000\"",
+    ] {
+        assert!(text.contains(line), "{line} in {text}");
+    }
+}
+
+/// A monitor keeps its files open and reads them again at offset 0.
+#[test]
+fn a_file_held_open_follows() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = fs::File::open(mount.path("current_now")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0)?;
+        Ok::<_, std::io::Error>(String::from_utf8_lossy(&buffer[..length]).trim().to_string())
+    };
+    assert_eq!(read().expect("reads"), "0");
+    mount.sim.set("load_ma", "500").expect("a knob");
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+    let fresh = mount.cat("current_now");
+    assert_ne!(fresh, "0");
+    until("the new current", || read().expect("reads") == mount.cat("current_now"));
+}
+
+/// A value that comes and goes is a file that comes and goes, and its line in uevent with it.
+#[test]
+fn values_come_and_go() {
+    let Some(mount) = Mount::new("bq34z100-g1", Duration::from_millis(500), Keys::default()) else { return };
+    let listed = || {
+        fs::read_dir(mount.path(""))
+            .expect("a folder")
+            .any(|entry| entry.expect("an entry").file_name() == "time_to_empty_now")
+    };
+    assert!(!listed());
+    mount.sim.set("speed", "30").expect("a knob");
+    mount.sim.set("load_ma", "500").expect("a knob");
+    until("a time to empty", || mount.path("time_to_empty_now").exists() && listed());
+    assert_eq!(mount.cat("status"), "Discharging");
+    assert!(mount.cat("uevent").contains("POWER_SUPPLY_TIME_TO_EMPTY_NOW="));
+    mount.sim.set("load_ma", "0").expect("a knob");
+    until("no time to empty", || !mount.path("time_to_empty_now").exists() && !listed());
+    // And the whole gauge: gone after three polls that failed, back with the first that does not.
+    let mut held = fs::File::open(mount.path("voltage_now")).expect("opens");
+    mount.sim.set("power", "off").expect("a knob");
+    until("the gauge gone", || mount.cat("present") == "0");
+    assert_eq!(
+        mount.cat("uevent"),
+        "POWER_SUPPLY_NAME=BAT0\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_PRESENT=0"
+    );
+    assert_eq!(fs::read(mount.path("voltage_now")).map_err(|error| error.kind()), Err(ErrorKind::NotFound));
+    until("ENODEV of a file held open", || {
+        held.seek(SeekFrom::Start(0)).expect("seeks");
+        held.read(&mut [0; 16]).map_err(errno) == Err(Errno::ENODEV)
+    });
+    mount.sim.set("power", "on").expect("a knob");
+    until("the gauge back", || mount.cat("present") == "1");
+    until("its voltage", || mount.path("voltage_now").exists());
+}
+
+/// Not everybody may read data flash, and nobody but the owner may write.
+#[test]
+fn modes_keep_others_out() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let mode = |name: &str| fs::metadata(mount.path(name)).expect("there").permissions().mode() & 0o777;
+    assert_eq!(mode("df/80/53"), 0o600);
+    assert_eq!(mode("df/80/raw"), 0o400);
+    assert_eq!(mode("gauge/control"), 0o200);
+    assert_eq!(mode("gauge/seal"), 0o600);
+    assert_eq!(mode("gauge/age_ms"), 0o444);
+    assert_eq!(mode("sim/load_ma"), 0o600);
+    let write = OpenOptions::new().write(true).custom_flags(0).open(mount.path("capacity"));
+    // Root passes every mode; then the write itself is refused.
+    let refused = write.and_then(|mut file| file.write_all(b"50"));
+    assert_eq!(refused.map_err(errno), Err(Errno::EACCES));
+}
