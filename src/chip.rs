@@ -14,6 +14,12 @@ pub mod bq35100;
 /// Every chip that gaugefs knows, in the order of the README.
 pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
 
+/// Known parts that no table covers and that could be taken for one of [`CHIPS`].
+pub static SIBLINGS: &[Sibling] = &[
+    // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
+    Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
+];
+
 /// One fuel gauge: everything that tells it from another.
 #[derive(Debug)]
 pub struct Chip {
@@ -50,6 +56,10 @@ pub struct Chip {
     /// What data flash looks like where offsets moved between firmwares: all of it has to fit before
     /// the first write. Empty where the answers to [`Identity`] are enough.
     pub signature: &'static [Signature],
+    /// The flag that tells that data memory has its defaults again, where it is RAM: `[ITPOR]`.
+    pub volatile: Option<u16>,
+    /// What is wrong with some parts as they leave the factory, and what helps.
+    pub quirks: &'static [Quirk],
 }
 
 /// How far anyone has checked a table or a row.
@@ -72,8 +82,51 @@ pub struct Identity {
     pub firmware: &'static [u16],
     /// Control(HW_VERSION), where it tells colliding device types apart.
     pub hardware: Option<u16>,
+    /// Control(DM_CODE) values, where they tell colliding device types apart; empty for any that no
+    /// other part has.
+    pub dm_codes: &'static [u16],
     /// Where the answers to DEVICE_TYPE and its like are read.
     pub answer: u8,
+}
+
+/// What a part answered when it was asked who it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Answers {
+    /// Control(DEVICE_TYPE).
+    pub device_type: u16,
+    /// Control(FW_VERSION).
+    pub firmware_version: u16,
+    /// Control(HW_VERSION); 0 where the part does not have it.
+    pub hardware_version: u16,
+    /// Control(CHEM_ID), where the part has it.
+    pub chem_id: Option<u16>,
+    /// Control(DM_CODE), where the part has it.
+    pub dm_code: Option<u16>,
+}
+
+/// A part without a table of its own, which answers to some of the same questions as one with.
+#[derive(Debug)]
+pub struct Sibling {
+    /// TI's name.
+    pub name: &'static str,
+    /// What it answers.
+    pub identity: Identity,
+    /// The chip whose standard commands it shares; `None` where the same addresses mean something else,
+    /// so that every number would be wrong.
+    pub like: Option<&'static Chip>,
+}
+
+/// What follows from the answers of a part.
+#[derive(Debug)]
+pub enum Recognised {
+    /// A chip with a table.
+    Chip(&'static Chip),
+    /// A known part without one: its standard commands may be read, its data flash is out of bounds.
+    Sibling(&'static Sibling),
+    /// Several chips answer so; only the user can tell.
+    Ambiguous(Vec<&'static Chip>),
+    /// No part that is known.
+    Unknown,
 }
 
 /// A parameter that has to hold a plausible value before anything is written.
@@ -89,6 +142,23 @@ pub struct Signature {
     pub min: i64,
     /// Largest plausible value.
     pub max: i64,
+}
+
+/// A flaw of some parts that shows in a byte of data flash.
+#[derive(Debug)]
+pub struct Quirk {
+    /// Subclass id.
+    pub subclass: u8,
+    /// Offset of the byte in the subclass.
+    pub offset: u16,
+    /// The bits that tell.
+    pub mask: u8,
+    /// Their value on a part with the flaw.
+    pub wrong: u8,
+    /// What the flaw does.
+    pub effect: &'static str,
+    /// What helps.
+    pub remedy: &'static str,
 }
 
 /// How often a register is read.
@@ -533,6 +603,58 @@ impl Parameter {
     }
 }
 
+impl Signature {
+    /// A row of [`Chip::signature`].
+    pub const fn new(subclass: u8, offset: u16, kind: Type, min: i64, max: i64) -> Self {
+        Self { subclass, offset, kind, min, max }
+    }
+}
+
+impl Sibling {
+    const fn new(
+        name: &'static str,
+        device_type: u16,
+        firmware: &'static [u16],
+        dm_codes: &'static [u16],
+        like: Option<&'static Chip>,
+    ) -> Self {
+        Self { name, identity: Identity { device_type, firmware, hardware: None, dm_codes, answer: 0 }, like }
+    }
+}
+
+impl Identity {
+    fn fits(&self, answers: &Answers) -> bool {
+        let known = |codes: &[u16], code| codes.is_empty() || codes.contains(&code);
+        self.device_type == answers.device_type
+            && known(self.firmware, answers.firmware_version)
+            && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
+            && answers.dm_code.is_none_or(|code| known(self.dm_codes, code))
+    }
+}
+
+/// Tells from its answers which part it is. A part that names a code, hardware or DM_CODE, is meant
+/// rather than one that does without.
+pub fn recognise(answers: &Answers) -> Recognised {
+    let names_hardware = |one: &Identity| one.hardware.is_some();
+    let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
+    let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| chip.identity.fits(answers)).collect();
+    let mut siblings: Vec<_> = SIBLINGS.iter().filter(|sibling| sibling.identity.fits(answers)).collect();
+    let choices: [&dyn Fn(&Identity) -> bool; 2] = [&names_hardware, &names_dm_code];
+    for named in choices {
+        let in_chips = chips.iter().any(|chip| named(&chip.identity));
+        if in_chips || siblings.iter().any(|sibling| named(&sibling.identity)) {
+            chips.retain(|chip| named(&chip.identity));
+            siblings.retain(|sibling| named(&sibling.identity));
+        }
+    }
+    match (chips.as_slice(), siblings.as_slice()) {
+        ([], []) => Recognised::Unknown,
+        ([], [sibling, ..]) => Recognised::Sibling(sibling),
+        ([chip], []) => Recognised::Chip(chip),
+        _ => Recognised::Ambiguous(chips),
+    }
+}
+
 impl Chip {
     /// The chip of that name on the command line.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
@@ -607,6 +729,34 @@ pub fn kebab_case(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What a part of that type and firmware is taken for.
+    fn seen(device_type: u16, firmware_version: u16, hardware_version: u16, dm_code: Option<u16>) -> String {
+        let answers = Answers { device_type, firmware_version, hardware_version, chem_id: None, dm_code };
+        match recognise(&answers) {
+            Recognised::Chip(chip) => chip.name.to_string(),
+            Recognised::Sibling(Sibling { name, like: Some(chip), .. }) => {
+                format!("{name} like {}", chip.name)
+            }
+            Recognised::Sibling(Sibling { name, like: None, .. }) => format!("{name} like none"),
+            Recognised::Ambiguous(chips) => {
+                chips.iter().map(|chip| chip.name).collect::<Vec<_>>().join(" or ")
+            }
+            Recognised::Unknown => "unknown".to_string(),
+        }
+    }
+
+    #[test]
+    fn a_firmware_of_its_own_makes_a_sibling() {
+        assert_eq!(seen(0x0100, 0x0016, 0x0008, None), "bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-R2 like bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
+        assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
+        assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unknown");
+        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unknown");
+        assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
+        assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
+    }
 
     #[test]
     fn file_names_follow_from_the_manuals_names() {

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crate::bus::{Bus, BusError, wire_bytes};
+pub use crate::chip::Answers;
 use crate::chip::{Chip, Register, SealStatus, Tier};
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result, Step};
@@ -21,8 +22,6 @@ const CONTROL_STATUS: u16 = 0x0000;
 const DEVICE_TYPE: u16 = 0x0001;
 /// Control(FW_VERSION).
 const FW_VERSION: u16 = 0x0002;
-/// Control(HW_VERSION).
-const HW_VERSION: u16 = 0x0003;
 /// Control(RESET).
 const RESET: u16 = 0x0041;
 /// What Control() of a part that answers in MACData() reads once after DEVICE_TYPE or FW_VERSION, in place
@@ -54,19 +53,6 @@ impl Seal {
             Seal::FullAccess => "full-access",
         }
     }
-}
-
-/// What the gauge answered when it was asked who it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Answers {
-    /// Control(DEVICE_TYPE).
-    pub device_type: u16,
-    /// Control(FW_VERSION).
-    pub firmware_version: u16,
-    /// Control(HW_VERSION).
-    pub hardware_version: u16,
-    /// Control(CHEM_ID), where the part has it.
-    pub chem_id: Option<u16>,
 }
 
 /// What has passed since the gauge was opened.
@@ -265,10 +251,17 @@ impl Gauge {
         let named = |error: Error| error.at(Step::Identify);
         let device_type = self.ask(DEVICE_TYPE).map_err(named)?;
         let firmware_version = self.ask(FW_VERSION).map_err(named)?;
-        let hardware_version = self.ask(HW_VERSION).map_err(named)?;
-        let chem_id = self.chip.subcommands.iter().find(|subcommand| subcommand.name == "CHEM_ID");
-        let chem_id = chem_id.map(|subcommand| self.ask(subcommand.code)).transpose().map_err(named)?;
-        Ok(Answers { device_type, firmware_version, hardware_version, chem_id })
+        let hardware_version = self.ask_named("HW_VERSION").map_err(named)?.unwrap_or_default();
+        let chem_id = self.ask_named("CHEM_ID").map_err(named)?;
+        // The code is a byte; nothing is said of the other one.
+        let dm_code = self.ask_named("DM_CODE").map_err(named)?.map(|code| code & 0xff);
+        Ok(Answers { device_type, firmware_version, hardware_version, chem_id, dm_code })
+    }
+
+    /// The answer to a subcommand, where the table has one of that name.
+    fn ask_named(&mut self, name: &str) -> Result<Option<u16>> {
+        let known = self.chip.subcommands.iter().find(|subcommand| subcommand.name == name);
+        known.map(|subcommand| self.ask(subcommand.code)).transpose()
     }
 
     /// Makes sure that the part is still one of the table's.

@@ -32,7 +32,7 @@ pub static CHIP: Chip = Chip {
     // Bytes of real parts are known for the identity, the keys and CC Gain; the rest is the drivers'.
     evidence: Evidence::Unproven,
     // All drivers; nobody tells a firmware or hardware version.
-    identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, answer: 0x40 },
+    identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -86,6 +86,8 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x4157, kind: I2, min: 0, max: 5000 },
         Signature { subclass: FLAT, offset: 0x41C5, kind: I2, min: -12324, max: -12324 },
     ],
+    volatile: None,
+    quirks: &[],
 };
 
 /// Standard commands. The poll reads 0x06 to 0x19 and 0x2A to 0x2F whole. One driver has RawExtTemp at

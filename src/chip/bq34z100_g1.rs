@@ -25,7 +25,13 @@ pub static CHIP: Chip = Chip {
     evidence: Evidence::Transcript,
     // DEVICE_TYPE is printed in SLUA790, 2.3; the versions are those that owners read from parts. The
     // bq35100 has the same type and hardware 0x00A8, the bq34z100-R2 firmware 0x0202.
-    identity: Identity { device_type: 0x0100, firmware: &[0x0016], hardware: Some(0x0008), answer: 0x00 },
+    identity: Identity {
+        device_type: 0x0100,
+        firmware: &[0x0016],
+        hardware: Some(0x0008),
+        dm_codes: &[],
+        answer: 0x00,
+    },
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -67,6 +73,8 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     signature: &[],
+    volatile: None,
+    quirks: &[],
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The

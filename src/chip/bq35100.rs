@@ -32,7 +32,13 @@ pub static CHIP: Chip = Chip {
     evidence: Evidence::Transcript,
     // Table 11-2; SLUSCM6E prints 0x40 for the type. pilotak/BQ35100 knows a part by the hardware version,
     // and only that tells it from a bq34z100-G1. Nobody tells a firmware version.
-    identity: Identity { device_type: 0x0100, firmware: &[], hardware: Some(0x00A8), answer: 0x40 },
+    identity: Identity {
+        device_type: 0x0100,
+        firmware: &[],
+        hardware: Some(0x00A8),
+        dm_codes: &[],
+        answer: 0x40,
+    },
     // Li-MnO2 and Li-SOCl2 are primary cells, for which the kernel has no name.
     technology: "Unknown",
     registers: REGISTERS,
@@ -83,6 +89,8 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x41E0, kind: I2, min: -400, max: 850 },
         Signature { subclass: FLAT, offset: 0x425E, kind: U2, min: 1, max: 20000 },
     ],
+    volatile: None,
+    quirks: &[],
 };
 
 /// Table 11-1. The poll reads 0x02 to 0x0D whole, and 0x2E. Reading BatteryAlert() takes the ALERT signal

@@ -6,8 +6,8 @@ use std::hash::Hash;
 
 use gaugefs::bus::wire_bytes;
 use gaugefs::chip::{
-    Bit, CHIPS, Chip, Effect, FLAT, Kind, Parameter, Range, Role, Safe, Scheme, SealStatus, Signature,
-    Subclass, Tier, kebab_case, snake_case,
+    Answers, Bit, CHIPS, Chip, Effect, FLAT, Identity, Kind, Parameter, Range, Recognised, Role, SIBLINGS,
+    Safe, Scheme, SealStatus, Signature, Subclass, Tier, kebab_case, recognise, snake_case,
 };
 use gaugefs::codec::{self, WINDOW};
 use gaugefs::gauge::bursts;
@@ -423,6 +423,61 @@ fn the_flash_gate_refers_to_parameters_that_are_there() {
             let divider = chip.parameter(id, offset).expect(chip.name);
             assert!(matches!(divider.safe, Some(Safe::AtLeast(1, _))), "{} {}", chip.name, divider.name);
             assert!(scale > 0);
+        }
+    }
+}
+
+#[test]
+fn a_quirk_is_about_a_byte_of_a_parameter() {
+    for chip in CHIPS {
+        for quirk in chip.quirks {
+            let at = format!("{} {}/{}", chip.name, quirk.subclass, quirk.offset);
+            let class = chip.subclass(quirk.subclass).expect(&at);
+            let inside = |one: &Parameter| {
+                let start = usize::from(one.offset);
+                (start..start + one.kind.size()).contains(&quirk.offset.into())
+            };
+            assert!(class.parameters.iter().any(inside), "{at}");
+            assert!(quirk.mask != 0 && quirk.wrong & !quirk.mask == 0, "{at}");
+            assert!(!quirk.effect.is_empty() && !quirk.remedy.is_empty(), "{at}");
+        }
+    }
+}
+
+#[test]
+fn data_memory_that_is_ram_says_when_it_is_lost() {
+    for chip in CHIPS {
+        let Some(lost) = chip.volatile else {
+            assert_ne!(chip.access.scheme, Scheme::CfgUpdate, "{}", chip.name);
+            continue;
+        };
+        let flags = chip.register(Role::Flags).unwrap();
+        let name = flags.bits.iter().find(|bit| bit.mask == lost).map(|bit| bit.name);
+        assert_eq!(name, Some("ITPOR"), "{}", chip.name);
+        assert!(chip.gate.is_none(), "{}: RAM needs no flash voltage", chip.name);
+    }
+}
+
+#[test]
+fn no_sibling_answers_like_a_chip() {
+    assert_unique("sibling", SIBLINGS.iter().map(|sibling| sibling.name));
+    for chip in CHIPS {
+        let Identity { device_type, hardware, dm_codes, .. } = chip.identity;
+        // A table without firmware versions takes any.
+        let firmware = chip.identity.firmware;
+        for &firmware_version in if firmware.is_empty() { &[0xeeee] } else { firmware } {
+            // A code that no part claims stands for a part that names none.
+            for dm_code in if dm_codes.is_empty() { &[0xee] } else { dm_codes } {
+                let answers = Answers {
+                    device_type,
+                    firmware_version,
+                    hardware_version: hardware.unwrap_or_default(),
+                    chem_id: None,
+                    dm_code: Some(*dm_code),
+                };
+                let found = recognise(&answers);
+                assert!(matches!(found, Recognised::Chip(one) if one.name == chip.name), "{answers:x?}");
+            }
         }
     }
 }
