@@ -7,17 +7,21 @@ use std::time::Duration;
 
 use crate::value::Type;
 
+pub mod bq27441_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
 
 /// Every chip that gaugefs knows, in the order of the README.
-pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
+pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq27441_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
 
 /// Known parts that no table covers and that could be taken for one of [`CHIPS`].
 pub static SIBLINGS: &[Sibling] = &[
     // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
     Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
+    // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
+    // memory.
+    Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
 ];
 
 /// One fuel gauge: everything that tells it from another.
@@ -756,6 +760,16 @@ mod tests {
         assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unknown");
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
         assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
+    }
+
+    #[test]
+    fn dm_code_tells_parts_of_one_type_apart() {
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x48)), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x58)), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x80)), "bq27411-G1 like bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "unknown");
+        assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unknown");
     }
 
     #[test]

@@ -514,6 +514,7 @@ fn each_chip_has_as_many_rows_as_its_manual() {
     // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
     let expected = BTreeMap::from([
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
+        ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
     ]);
@@ -540,6 +541,25 @@ fn assert_lists(chip: &'static Chip, golden: &str) {
 fn listed(bits: &[Bit]) -> String {
     let names = bits.iter().map(|bit| format!("{}:{}", bit.mask.trailing_zeros(), bit.name));
     names.collect::<Vec<_>>().join(" ")
+}
+
+/// Bits of a register.
+fn flags(chip: &'static Chip, name: &str) -> String {
+    listed(chip.registers.iter().find(|register| register.name == name).unwrap().bits)
+}
+
+/// Safe limits, each with its place.
+fn limits(chip: &'static Chip) -> Vec<String> {
+    parameters(chip)
+        .filter_map(|(class, parameter, _)| {
+            let limit = match parameter.safe.as_ref()? {
+                Safe::AtLeast(least, _) => format!("at least {least}"),
+                Safe::BelowPresentVoltage(_) => "below the voltage".to_string(),
+                Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
+            };
+            Some(format!("{}/{} {limit}", class.id, parameter.offset))
+        })
+        .collect()
 }
 
 fn unproven(chip: &'static Chip) -> usize {
@@ -584,19 +604,9 @@ Security | Codes | 112 20 H4 | Authen Key0 | 0 4294967295 ? | hex
 #[test]
 fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
-    let safe: Vec<String> = parameters(chip)
-        .filter_map(|(class, parameter, _)| {
-            let limit = match parameter.safe.as_ref()? {
-                Safe::AtLeast(least, _) => format!("at least {least}"),
-                Safe::BelowPresentVoltage(_) => "below the voltage".to_string(),
-                Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
-            };
-            Some(format!("{}/{} {limit}", class.id, parameter.offset))
-        })
-        .collect();
     // The reserved bits of Tables 7-17, 7-18 and 7-22 among them; Table 7-19 has none.
     assert_eq!(
-        safe,
+        limits(chip),
         [
             "48/11 at least 1",
             "64/0 keep 0x1000",
@@ -627,6 +637,54 @@ fn bq34z100_g1_flags_read_like_their_tables() {
     assert_eq!(listed(register("LearnedStatus").bits), "3:Qmax 2:ITEN 1:CF1 0:CF0");
     let roles = chip.registers.iter().filter(|register| register.role.is_some()).count();
     assert_eq!(roles, 16, "this part feeds every property there is");
+}
+
+#[test]
+fn bq27441_g1_reads_like_tables_4_3_to_6_9() {
+    let chip = Chip::by_name("bq27441-g1").unwrap();
+    let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
+    assert_eq!(ids, [2, 36, 48, 49, 64, 68, 80, 81, 82, 89, 104, 105, 107, 112]);
+    let golden = "\
+Configuration | Safety | 2 0 I2 | Over Temp | -1200 1200 550 | 0.1°C
+Configuration | Charge Termination | 36 5 I1 | FC Set % | -1 100 -1 | %
+Configuration | Data | 48 3 I2 | Initial MaxLoad | -32768 0 -200 | mA
+Configuration | Discharge | 49 3 U1 | SOCF Clear Threshold | 0 100 5 | %
+Configuration | Registers | 64 0 H2 | OpConfig | 0 65535 9720 | flags
+Configuration | Power | 68 9 I2 | Hibernate V | 0 5000 2200 | mV
+Gas Gauging | IT Cfg | 80 22 U2 | Ra Filter | 0 1000 800 | Num
+Gas Gauging | IT Cfg | 80 78 U1 | TermV Valid t | 0 255 2 | s
+Gas Gauging | Current Thresholds | 81 4 I2 | Quit Current | 0 2000 250 | 0.1 Hr rate
+Gas Gauging | State | 82 0 I2 | Qmax Cell 0 | 0 32767 16384 | Num
+Gas Gauging | State | 82 10 I2 | Design Capacity | 0 8000 1340 | mAh
+Gas Gauging | State | 82 16 I2 | Terminate Voltage | 2500 3700 3200 | mV
+Gas Gauging | State | 82 27 I2 | Taper Rate | 0 2000 100 | 0.1 Hr rate
+Gas Gauging | State | 82 35 I2 | Avg I Last Run | -32768 -1 -50 | 0.1 Hr rate
+Ra Tables | R_a RAM | 89 28 I2 | R_a0 14 | 0 32767 588 | Num
+Calibration | CC Cal | 105 4 F4 | CC Gain | 0.1 40 0.672785 | Num
+Calibration | CC Cal | 105 8 F4 | CC Delta | 30000 3000000 799341.14 | Num
+Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
+";
+    assert_lists(chip, golden);
+    assert_eq!(
+        limits(chip),
+        [
+            "64/0 keep 0xc7ca",
+            "64/2 keep 0xfb",
+            "82/0 at least 1",
+            "82/2 keep 0xfc",
+            "82/5 keep 0x78",
+            "82/10 at least 1",
+        ]
+    );
+    assert_eq!(
+        listed(chip.control_status),
+        "15:SHUTDOWNEN 14:WDRESET 13:SS 12:CALMODE 11:CCA 10:BCA 9:QMAX_UP 8:RES_UP 7:INITCOMP 6:HIBERNATE \
+         4:SLEEP 3:LDMD 2:RUP_DIS 1:VOK"
+    );
+    assert_eq!(
+        flags(chip, "Flags"),
+        "15:OT 14:UT 9:FC 8:CHG 7:OCVTAKEN 5:ITPOR 4:CFGUPMODE 3:BAT_DET 2:SOC1 1:SOCF 0:DSG"
+    );
 }
 
 #[test]
