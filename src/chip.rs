@@ -7,13 +7,15 @@ use std::time::Duration;
 
 use crate::value::Type;
 
+pub mod bq27421_g1;
 pub mod bq27441_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
 
 /// Every chip that gaugefs knows, in the order of the README.
-pub static CHIPS: &[&Chip] = &[&bq34z100_g1::CHIP, &bq27441_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
+pub static CHIPS: &[&Chip] =
+    &[&bq34z100_g1::CHIP, &bq27441_g1::CHIP, &bq27421_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
 
 /// Known parts that no table covers and that could be taken for one of [`CHIPS`].
 pub static SIBLINGS: &[Sibling] = &[
@@ -767,8 +769,8 @@ mod tests {
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x48)), "bq27441-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x58)), "bq27441-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x80)), "bq27411-G1 like bq27441-g1");
-        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "unknown");
-        assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "bq27421-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1 or bq27421-g1");
         assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unknown");
     }
 

@@ -73,7 +73,7 @@ pub(super) const SECURITY: Security = Security {
     key_silence: Duration::from_secs(4),
 };
 
-const ACCESS: Access = Access {
+pub(super) const ACCESS: Access = Access {
     scheme: Scheme::CfgUpdate,
     // No document gives it. The kernel's driver waits 1 ms, Zephyr's bq274xx 5 ms; owners who read at
     // once saw a wrong first byte.

@@ -152,7 +152,7 @@ fn a_poll_takes_the_bursts_that_it_should() {
         let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
-            "bq27441-g1" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            "bq27441-g1" | "bq27421-g1" => (&[(0x02, 0x10), (0x18, 10)], 32),
             // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
             // cost more than the three of a transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
@@ -515,6 +515,7 @@ fn each_chip_has_as_many_rows_as_its_manual() {
     let expected = BTreeMap::from([
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
+        ("bq27421-g1", [14, 89, 24, 6, 28, 19]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
     ]);
@@ -685,6 +686,22 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
         flags(chip, "Flags"),
         "15:OT 14:UT 9:FC 8:CHG 7:OCVTAKEN 5:ITPOR 4:CFGUPMODE 3:BAT_DET 2:SOC1 1:SOCF 0:DSG"
     );
+}
+
+#[test]
+fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
+    let rows = |name| {
+        let chip = Chip::by_name(name).unwrap();
+        let key =
+            |(class, one, _): (&Subclass, &Parameter, String)| (class.id, one.offset, one.kind, one.name);
+        parameters(chip).map(key).collect::<Vec<_>>()
+    };
+    assert_eq!(rows("bq27421-g1"), rows("bq27441-g1"));
+    let chip = Chip::by_name("bq27421-g1").unwrap();
+    let proven = parameters(chip).filter(|(class, one, _)| !one.unproven && class.kind != Kind::Security);
+    let places: Vec<_> = proven.map(|(class, one, _)| (class.id, one.offset)).collect();
+    let expected = [0, 10, 12, 16, 27].map(|offset| (82, offset)).into_iter();
+    assert_eq!(places, expected.chain((0..15).map(|cell| (89, 2 * cell))).collect::<Vec<_>>());
 }
 
 #[test]
