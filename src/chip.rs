@@ -8,19 +8,30 @@ use std::time::Duration;
 use crate::value::Type;
 
 pub mod bq27421_g1;
+pub mod bq27427;
 pub mod bq27441_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
 
 /// Every chip that gaugefs knows, in the order of the README.
-pub static CHIPS: &[&Chip] =
-    &[&bq34z100_g1::CHIP, &bq27441_g1::CHIP, &bq27421_g1::CHIP, &bq34110::CHIP, &bq35100::CHIP];
+pub static CHIPS: &[&Chip] = &[
+    &bq34z100_g1::CHIP,
+    &bq27441_g1::CHIP,
+    &bq27421_g1::CHIP,
+    &bq27427::CHIP,
+    &bq34110::CHIP,
+    &bq35100::CHIP,
+];
 
 /// Known parts that no table covers and that could be taken for one of [`CHIPS`].
 pub static SIBLINGS: &[Sibling] = &[
     // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
     Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
+    // Same State block in the kernel's driver, the rest of its data memory unknown.
+    Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
+    // A shipped driver (Chromium's) knows the type; its State block is another.
+    Sibling::new("bq27621-G1", 0x0621, &[], &[], None),
     // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
     // memory.
     Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
@@ -772,6 +783,15 @@ mod tests {
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "bq27421-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1 or bq27421-g1");
         assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unknown");
+    }
+
+    #[test]
+    fn a_type_of_its_own_is_enough_where_it_is_alone() {
+        assert_eq!(seen(0x0427, 0x0202, 0, Some(0x9f)), "bq27427");
+        assert_eq!(seen(0x0427, 0x0202, 0, None), "bq27427");
+        assert_eq!(seen(0x0427, 0x0109, 0, None), "unknown");
+        assert_eq!(seen(0x0426, 0x0202, 0, Some(0x9f)), "bq27426 like bq27427");
+        assert_eq!(seen(0x0621, 0x0110, 0, None), "bq27621-G1 like none");
     }
 
     #[test]

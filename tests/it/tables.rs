@@ -152,7 +152,7 @@ fn a_poll_takes_the_bursts_that_it_should() {
         let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
-            "bq27441-g1" | "bq27421-g1" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            "bq27441-g1" | "bq27421-g1" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
             // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
             // cost more than the three of a transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
@@ -516,6 +516,7 @@ fn each_chip_has_as_many_rows_as_its_manual() {
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27421-g1", [14, 89, 24, 6, 28, 19]),
+        ("bq27427", [14, 88, 24, 6, 26, 19]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
     ]);
@@ -702,6 +703,53 @@ fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
     let places: Vec<_> = proven.map(|(class, one, _)| (class.id, one.offset)).collect();
     let expected = [0, 10, 12, 16, 27].map(|offset| (82, offset)).into_iter();
     assert_eq!(places, expected.chain((0..15).map(|cell| (89, 2 * cell))).collect::<Vec<_>>());
+}
+
+#[test]
+fn bq27427_has_the_state_block_of_the_trace() {
+    let chip = Chip::by_name("bq27427").unwrap();
+    let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
+    assert_eq!(ids, [2, 36, 49, 64, 68, 80, 81, 82, 89, 109, 104, 105, 107, 112]);
+    let golden = "\
+Configuration | Safety | 2 2 I2 | Under Temp | -1200 1200 0 | 0.1°C
+Configuration | Charge Termination | 36 7 I2 | DODatEOC Delta T | 0 1000 50 | 0.1°C | unproven
+Configuration | Registers | 64 0 H2 | OpConfig | 0 65535 25720 | flags
+Configuration | Registers | 64 4 H1 | OpConfigD | 0 255 35 | flags
+Gas Gauging | IT Cfg | 80 59 U2 | Ra Max Delta | 0 32767 8 | 4 mΩ | unproven
+Gas Gauging | Current Thresholds | 81 0 I2 | Dsg Current Threshold | 0 2000 ? | 0.1 Hr rate | unproven
+Gas Gauging | State | 82 6 I2 | Design Capacity | 0 8000 1340 | mAh
+Gas Gauging | State | 82 8 I2 | Design Energy | 0 32767 4960 | mWh
+Gas Gauging | State | 82 10 I2 | Terminate Voltage | 2500 3700 3200 | mV
+Gas Gauging | State | 82 21 I2 | Taper Rate | 0 2000 100 | 0.1 Hr rate
+Gas Gauging | State | 82 29 I2 | Delta Voltage | 0 1000 1 | mV
+Ra Tables | Ra0 RAM | 89 2 I2 | Ra 1 | 0 32767 35 | Num
+Gas Gauging | Chem Data | 109 8 I2 | Taper Voltage | 0 5000 4250 | mV | unproven
+Calibration | CC Cal | 105 4 F4 | CC Gain | 0.1 40 ? | Num
+Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
+";
+    assert_lists(chip, golden);
+    assert_eq!(
+        limits(chip),
+        [
+            "64/0 keep 0xd780",
+            "64/2 keep 0xfb",
+            "82/0 at least 1",
+            "82/2 keep 0xfc",
+            "82/5 keep 0x78",
+            "82/6 at least 1",
+        ]
+    );
+    // As a part had it in ROM, complete, with the checksum it gave: the defaults of the table and two
+    // words without a name make the same sum.
+    let state = chip.subclass(82).unwrap();
+    let mut block = [0_u8; 32];
+    block[12..16].copy_from_slice(&[0x00, 0xC8, 0x00, 0x32]);
+    for parameter in state.parameters {
+        let Range::Int { default: Some(default), .. } = parameter.range else { panic!("{}", parameter.name) };
+        let (at, size) = (usize::from(parameter.offset), parameter.kind.size());
+        block[at..at + size].copy_from_slice(&default.to_be_bytes()[8 - size..]);
+    }
+    assert_eq!(codec::checksum(&block), 0xFB);
 }
 
 #[test]
