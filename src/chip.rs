@@ -10,6 +10,7 @@ use crate::value::Type;
 pub mod bq27421_g1;
 pub mod bq27427;
 pub mod bq27441_g1;
+pub mod bq27520_g3;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
@@ -17,6 +18,7 @@ pub mod bq35100;
 /// Every chip that gaugefs knows, in the order of the README.
 pub static CHIPS: &[&Chip] = &[
     &bq34z100_g1::CHIP,
+    &bq27520_g3::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27427::CHIP,
@@ -28,6 +30,11 @@ pub static CHIPS: &[&Chip] = &[
 pub static SIBLINGS: &[Sibling] = &[
     // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
     Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
+    // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
+    // the kernel's driver, the last another map of commands; 6.04 is a product's build of it.
+    Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], None),
+    Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
+    Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], None),
     // Same State block in the kernel's driver, the rest of its data memory unknown.
     Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
     // A shipped driver (Chromium's) knows the type; its State block is another.
@@ -769,6 +776,10 @@ mod tests {
         assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-R2 like bq34z100-g1");
         assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
         assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
+        assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
+        assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
+        assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like none");
+        assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unknown");
         assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unknown");
         assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unknown");
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");

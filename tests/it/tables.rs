@@ -517,6 +517,7 @@ fn each_chip_has_as_many_rows_as_its_manual() {
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27421-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27427", [14, 88, 24, 6, 26, 19]),
+        ("bq27520-g3", [20, 216, 78, 5, 36, 27]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
     ]);
@@ -750,6 +751,58 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
         block[at..at + size].copy_from_slice(&default.to_be_bytes()[8 - size..]);
     }
     assert_eq!(codec::checksum(&block), 0xFB);
+}
+
+#[test]
+fn bq27520_g3_has_what_drivers_agree_on_and_marks_the_rest() {
+    let chip = Chip::by_name("bq27520-g3").unwrap();
+    let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
+    assert_eq!(ids, [2, 32, 34, 36, 48, 49, 57, 64, 68, 80, 81, 87, 88, 91, 92, 93, 94, 104, 107, 112]);
+    let golden = "\
+Configuration | Safety | 2 3 I2 | OT Chg Recovery | 0 1200 500 | 0.1°C | unproven
+Configuration | Charge | 34 2 I2 | Charging Voltage | 0 20000 4200 | mV | unproven
+Configuration | Charge Termination | 36 9 I1 | FC Set % | -1 100 100 | % | unproven
+Configuration | Data | 48 10 I2 | Design Capacity | 0 32767 1000 | mAh
+Configuration | Discharge | 49 0 U1 | SOC1 Set Threshold | 0 255 150 | mAh
+Configuration | Discharge | 49 5 I2 | SysDown Set Volt Threshold | -32768 32767 ? | mV | unproven
+System Data | Manufacturer Info | 57 31 H1 | Block A 31 | 0 255 0 | hex
+Configuration | Registers | 64 0 H2 | Operation Configuration | 0 65535 ? | flags
+Configuration | Power | 68 0 I2 | Flash Update OK Voltage | 0 4200 2800 | mV | unproven
+Fuel Gauging | IT Cfg | 80 45 I2 | Terminate Voltage | -32768 32767 3000 | mV
+Fuel Gauging | Current Thresholds | 81 12 U2 | Max IR Correct | 0 1000 400 | mV | unproven
+Ra Tables | Pack1 Rax | 94 18 H1 | Byte 18 | 0 255 ? | hex | unproven
+Calibration | Data | 104 0 F4 | CC Gain | 0.1014 47.68 0.4768 | Num | unproven
+Calibration | Current | 107 1 U1 | Deadband | 0 255 5 | mA | unproven
+Security | Codes | 112 6 H2 | Full-Access Key 1 | 0 65535 ? | hex
+";
+    assert_lists(chip, golden);
+    let proven: Vec<String> = parameters(chip)
+        .filter(|(class, one, _)| !one.unproven && ![57, 112].contains(&class.id))
+        .map(|(class, one, _)| format!("{}/{}", class.id, one.offset))
+        .collect();
+    assert_eq!(
+        proven,
+        ["48/10", "48/24", "49/0", "64/0", "64/8", "64/9", "64/11", "64/12", "64/13", "80/45"]
+    );
+    assert_eq!(
+        limits(chip),
+        [
+            "48/10 at least 1",
+            "64/12 keep 0x8",
+            "64/13 keep 0x1",
+            "68/0 below the voltage",
+            "80/45 at least 1000"
+        ]
+    );
+    assert_eq!(
+        flags(chip, "Flags"),
+        "15:OTC 14:OTD 11:CHG_INH 10:XCHG 9:FC 8:CHG 5:OCV_GD 4:WAIT_ID 3:BAT_DET 2:SOC1 1:SYSDOWN 0:DSG"
+    );
+    assert_eq!(
+        listed(chip.control_status),
+        "15:DLOGEN 14:FAS 13:SS 12:CSV 11:CCA 10:BCA 9:OCVCMDCOMP 8:OCVFAIL 7:INITCOMP 6:HIBERNATE 5:SNOOZE \
+         4:SLEEP 3:LDMD 2:RUP_DIS 1:VOK 0:QEN"
+    );
 }
 
 #[test]
