@@ -105,12 +105,14 @@ fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
 pub struct DataFlash {
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
     gate: Option<(u16, u16)>,
+    /// The rows that tell whether the table's addresses are this firmware's have been compared.
+    signed: bool,
 }
 
 impl DataFlash {
     /// Nothing known: after a gauge's return, or when somebody asks for everything anew.
     pub fn forget(&mut self) {
-        self.gate = None;
+        (self.gate, self.signed) = (None, false);
     }
 
     /// Reads whole subclasses in one go, and leaves the gauge sealed as it was. `waited` is how long ago
@@ -173,6 +175,7 @@ impl DataFlash {
         voltage_mv: u16,
         visit: &mut Visit,
     ) -> Result<Outcome> {
+        self.check_signature(gauge)?;
         self.check_gate(gauge, voltage_mv)?;
         let mut dirty = gather(gauge, changes)?;
         // The window holds the block that was read last; where there was only one, it is still there.
@@ -220,6 +223,31 @@ impl DataFlash {
                 Err(Error::new("", Cause::Unknown(why)))
             }
         }
+    }
+
+    /// Before the first write: rows of which it is known what they must hold tell whether this firmware
+    /// keeps its data flash where the table says.
+    fn check_signature(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if self.signed {
+            return Ok(());
+        }
+        for row in gauge.chip.signature {
+            let size = row.kind.size();
+            let (start, offset) = (if row.subclass == FLAT { row.offset } else { 0 }, row.offset);
+            let (place, at) = locate(row.subclass, start, offset);
+            let window = sequence(gauge).load(gauge, place)?;
+            let Value::Int(found) = codec::decode(row.kind, &window[at..at + size]) else { continue };
+            if !(row.min..=row.max).contains(&found) {
+                let why = format!(
+                    "{} holds {found}, which cannot be: this firmware keeps its data flash elsewhere, and nothing \
+                     is written to it",
+                    place.name(at)
+                );
+                return Err(Error::new("", Cause::Gone(why)).at(Step::Check));
+            }
+        }
+        self.signed = true;
+        Ok(())
     }
 
     /// Reads what decides whether the gauge stores a block, unless it is known. UNSEALED only.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use nix::errno::Errno;
 
 use crate::chip::{
-    Bit, Chip, Effect, FLAT, Kind, Parameter, Range, Register, Subclass, Tier, kebab_case, snake_case,
+    Bit, Chip, Effect, FLAT, Kind, Parameter, Range, Register, Role, Subclass, Tier, kebab_case, snake_case,
 };
 use crate::codec;
 use crate::error::{Cause, Error, Result};
@@ -155,6 +155,8 @@ pub enum State {
     HardwareVersion,
     /// Control(CHEM_ID).
     ChemId,
+    /// 1 when a gauge whose data memory is RAM has lost it with its power.
+    Itpor,
     /// The seal state, to read and to go to.
     Seal,
     /// A subcommand to send.
@@ -175,6 +177,7 @@ const STATES: &[State] = &[
     State::FirmwareVersion,
     State::HardwareVersion,
     State::ChemId,
+    State::Itpor,
     State::Seal,
     State::Control,
     State::PollInterval,
@@ -191,6 +194,7 @@ impl State {
             State::FirmwareVersion => "firmware_version",
             State::HardwareVersion => "hardware_version",
             State::ChemId => "chem_id",
+            State::Itpor => "itpor",
             State::Seal => "seal",
             State::Control => "control",
             State::PollInterval => "poll_interval",
@@ -314,7 +318,7 @@ impl Fs {
         match item {
             Item::Parameter(subclass, parameter) => {
                 let unproven = self.row(gauge, subclass, parameter).1.unproven;
-                kept(if unproven { 4 } else { 6 })
+                kept(if unproven && !self.entry(gauge).handle.allows_unproven() { 4 } else { 6 })
             }
             Item::Raw(_) | Item::Index => kept(4),
             Item::State(State::Seal | State::PollInterval) => kept(6),
@@ -369,7 +373,9 @@ impl Fs {
                     attributes.map(|attribute| of(attribute.name(), Item::Attribute(*attribute))).collect();
                 list.push(of("uevent", Item::Uevent));
                 list.push(of("subsystem", Item::Subsystem));
-                list.push(of("df", Item::Df));
+                if self.published(gauge).sibling.is_none() {
+                    list.push(of("df", Item::Df));
+                }
                 list.push(of("gauge", Item::Gauge));
                 if self.entry(gauge).knobs.is_some() {
                     list.push(of("sim", Item::Sim));
@@ -458,7 +464,9 @@ impl Fs {
     }
 
     fn source<'a>(&'a self, gauge: u16, snapshot: Option<&'a Snapshot>) -> Source<'a> {
-        Source { chip: self.chip(gauge), snapshot, scales: &self.entry(gauge).scales }
+        let chip = self.chip(gauge);
+        let model = self.published(gauge).sibling.map_or(chip.model, |sibling| sibling.name);
+        Source { chip, model, snapshot, scales: &self.entry(gauge).scales }
     }
 
     /// What a file holds now.
@@ -528,6 +536,12 @@ impl Fs {
             State::FirmwareVersion => word(published.answers.firmware_version),
             State::HardwareVersion => word(published.answers.hardware_version),
             State::ChemId => published.answers.chem_id.and_then(word),
+            State::Itpor => {
+                let lost = i64::from(self.chip(gauge).volatile.unwrap_or_default());
+                let flags = self.chip(gauge).register(Role::Flags);
+                let word = self.fresh(gauge).zip(flags).and_then(|(snapshot, flags)| snapshot.value(flags));
+                word.map(|word| u8::from(word & lost != 0).to_string())
+            }
             State::Seal => Some(published.seal.as_str().to_string()),
             State::PollInterval => Some(published.interval.as_secs_f64().to_string()),
             State::AgeMs => self.entry(gauge).handle.age().map(|age| age.as_millis().to_string()),
@@ -619,6 +633,10 @@ impl Fs {
                 if row.kind == Kind::Security {
                     let why = "keys cannot be changed like other parameters";
                     return done(Err(Error::new(field.name, Cause::NotPermitted(why.into()))));
+                }
+                if field.unproven && !handle.allows_unproven() {
+                    let why = "its address or range is not sure; mount with --allow-unproven to write it";
+                    return self.refuse(gauge, Error::host(field.name, Errno::EACCES, why), done);
                 }
                 match text::parse(field, data) {
                     Ok(value) => {

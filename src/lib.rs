@@ -11,6 +11,7 @@ pub mod fuse;
 pub mod gauge;
 pub mod keys;
 pub mod poll;
+pub mod saved;
 pub mod sim;
 pub mod text;
 pub mod value;

@@ -9,7 +9,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
 use crate::bus::Bus;
-use crate::chip::{Chip, Kind, Register, Subclass, Tier};
+use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
 use crate::codec;
 use crate::dataflash::{Change, DataFlash, Outcome};
@@ -66,6 +66,9 @@ pub struct Published {
     pub snapshot: Option<Arc<Snapshot>>,
     /// Who it is.
     pub answers: Answers,
+    /// Set where it is not the table's part but a relative of it: its standard commands mean the same,
+    /// its data flash is out of bounds.
+    pub sibling: Option<&'static Sibling>,
     /// Its seal state, as of the last time it was looked at.
     pub seal: Seal,
     /// Time between polls.
@@ -107,6 +110,7 @@ pub struct Handle {
 /// What the owner lets others see.
 struct Shared {
     chip: &'static Chip,
+    allow_unproven: bool,
     clock: Arc<dyn Clock>,
     statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
@@ -163,6 +167,11 @@ impl Handle {
         self.shared.chip
     }
 
+    /// Whether parameters may be written whose address or range is not sure.
+    pub fn allows_unproven(&self) -> bool {
+        self.shared.allow_unproven
+    }
+
     /// What is known now.
     pub fn published(&self) -> Arc<Published> {
         self.shared.published()
@@ -207,6 +216,10 @@ pub struct Settings {
     pub interval: Duration,
     /// Write one byte a transfer.
     pub byte_writes: bool,
+    /// Write parameters too whose address or range is not sure.
+    pub allow_unproven: bool,
+    /// What a gauge whose data memory is RAM is given again when it has lost its power.
+    pub restore: Vec<Change>,
 }
 
 /// Opens a gauge: identifies it, polls it once, and starts the thread that owns it from then on.
@@ -238,6 +251,10 @@ struct Owner {
     polls: u64,
     failures: u32,
     last_poll: Duration,
+    /// See [`Settings::restore`].
+    restore: Vec<Change>,
+    /// It has been tried for the power loss that the gauge tells of now.
+    restored: bool,
 }
 
 /// What the registers held, and which of them are known.
@@ -272,12 +289,14 @@ impl Owner {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
+            sibling: None,
             seal: Seal::Sealed,
             interval: settings.interval,
             last_error: "".into(),
         };
         let shared = Arc::new(Shared {
             chip,
+            allow_unproven: settings.allow_unproven,
             clock,
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
@@ -293,38 +312,107 @@ impl Owner {
             polls: 0,
             failures: 0,
             last_poll: Duration::ZERO,
+            restore: settings.restore,
+            restored: false,
         };
         owner.arrive()?;
         owner.poll()?;
+        owner.look_after();
+        // A quirk can be seen without a key only where the gauge is found unsealed.
+        let seen = owner.shared.published();
+        if seen.seal != Seal::Sealed && seen.sibling.is_none() {
+            let at = |id| chip.subclasses.iter().position(|subclass| subclass.id == id);
+            let places: Vec<_> = chip.quirks.iter().filter_map(|quirk| at(quirk.subclass)).collect();
+            let _ = owner.read(&places, Duration::ZERO);
+        }
         Ok((owner, shared))
     }
 
     /// A gauge has come, or come back: who is it, and what does it hold that does not change by itself?
     fn arrive(&mut self) -> Result<()> {
         let answers = self.gauge.identify()?;
-        let identity = &self.gauge.chip.identity;
-        let model = self.gauge.chip.model;
-        let refuse = |what: &str, found: u16, expected: String| {
-            let why = format!("{what} is 0x{found:04x}, a {model} has {expected}: this is another part");
-            Err(Error::new(model, Cause::Gone(why)).at(Step::Identify))
+        let chip = self.gauge.chip;
+        let sibling = match recognise(&answers) {
+            Recognised::Chip(found) if std::ptr::eq(found, chip) => None,
+            // Several parts answer so, and the user has said which one it is.
+            Recognised::Ambiguous(found) if found.iter().any(|&found| std::ptr::eq(found, chip)) => None,
+            Recognised::Sibling(sibling) if sibling.like.is_some_and(|like| std::ptr::eq(like, chip)) => {
+                log::warn!("this is a {}, not a {}: standard commands only", sibling.name, chip.model);
+                Some(sibling)
+            }
+            other => {
+                let found = match other {
+                    Recognised::Chip(found) => format!("answers as a {}", found.model),
+                    Recognised::Sibling(sibling) => format!("answers as a {}", sibling.name),
+                    Recognised::Ambiguous(_) | Recognised::Unknown => {
+                        "is none of the parts known".to_string()
+                    }
+                };
+                let Answers { device_type, firmware_version, hardware_version, .. } = answers;
+                let why = format!(
+                    "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
+                     0x{hardware_version:04x} {found}; it is not mounted as this one"
+                );
+                return Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify));
+            }
         };
-        if answers.device_type != identity.device_type {
-            return refuse("device type", answers.device_type, format!("0x{:04x}", identity.device_type));
-        }
-        if let Some(hardware) = identity.hardware.filter(|&hardware| hardware != answers.hardware_version) {
-            return refuse("hardware version", answers.hardware_version, format!("0x{hardware:04x}"));
-        }
-        if !identity.firmware.is_empty() && !identity.firmware.contains(&answers.firmware_version) {
-            let known =
-                identity.firmware.iter().map(|version| format!("0x{version:04x}")).collect::<Vec<_>>();
-            return refuse("firmware version", answers.firmware_version, known.join(" or "));
-        }
         self.gauge.forget_refusal();
         self.dataflash.forget();
         self.drop_kept();
         self.other = Registers::NONE;
-        self.shared.publish(|published| published.answers = answers);
+        self.restored = false;
+        self.shared.publish(|published| (published.answers, published.sibling) = (answers, sibling));
         Ok(())
+    }
+
+    /// After each poll: a RAM gauge that has lost its power gets its configuration back, once.
+    fn look_after(&mut self) {
+        let (Some(lost), Some(flags)) = (self.gauge.chip.volatile, self.gauge.chip.register(Role::Flags))
+        else {
+            return;
+        };
+        let published = self.shared.published();
+        let word = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(flags));
+        if word.is_none_or(|word| word & i64::from(lost) == 0) {
+            self.restored = false;
+            return;
+        }
+        if self.restored || published.sibling.is_some() {
+            return;
+        }
+        self.restored = true;
+        if self.restore.is_empty() {
+            log::warn!(
+                "{}: lost its configuration with its power; --restore gives it back",
+                self.gauge.chip.name
+            );
+            return;
+        }
+        let changes = std::mem::take(&mut self.restore);
+        let outcome = self.dataflash.write(&mut self.gauge, &changes, Duration::ZERO);
+        self.restore = changes;
+        self.drop_kept();
+        self.other = Registers::NONE;
+        match self.told(outcome.map_err(|error| error.within("--restore"))) {
+            Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.gauge.chip.name),
+            Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.gauge.chip.name),
+            // Said already; a look at the bus may help before it is tried again.
+            Err(_) => {}
+        }
+    }
+
+    /// Looks for the flaws that the table knows of, as far as the bytes are there to see.
+    fn look_for_quirks(&self) {
+        for quirk in self.gauge.chip.quirks {
+            let index = self.gauge.chip.subclasses.iter().position(|subclass| subclass.id == quirk.subclass);
+            let bytes = index.and_then(|index| self.shared.kept(index));
+            let byte = bytes.and_then(|bytes| bytes.get(usize::from(quirk.offset)).copied());
+            if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
+                let place = format!("df/{}/{}", quirk.subclass, quirk.offset);
+                let why = format!("{}; {}", quirk.effect, quirk.remedy);
+                self.say(&Error::new(place, Cause::Protocol(why)));
+            }
+        }
     }
 
     fn drop_kept(&self) {
@@ -353,8 +441,12 @@ impl Owner {
         let back = self.failures >= FAILURES;
         let outcome = if back { self.arrive().and_then(|()| self.poll()) } else { self.poll() };
         match outcome {
-            Ok(()) if back => log::info!("{}: the gauge is back", self.gauge.chip.name),
-            Ok(()) => {}
+            Ok(()) => {
+                if back {
+                    log::info!("{}: the gauge is back", self.gauge.chip.name);
+                }
+                self.look_after();
+            }
             Err(error) => self.poll_failed(&error),
         }
     }
@@ -424,6 +516,16 @@ impl Owner {
     fn serve(&mut self, asked: Duration, request: Request) {
         let waited = self.gauge.clock.now().saturating_sub(asked);
         let late = waited > PATIENCE;
+        let request = match (self.shared.published().sibling, request) {
+            (Some(sibling), Request::ReadSubclass(_, done)) => return done(Err(out_of_bounds(sibling))),
+            (Some(sibling), Request::ReadAll(done) | Request::Write(.., done)) => {
+                return done(Err(out_of_bounds(sibling)));
+            }
+            (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
+                return done(Err(out_of_bounds(sibling)));
+            }
+            (_, request) => request,
+        };
         match request {
             Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
             Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
@@ -484,11 +586,13 @@ impl Owner {
         if !missing.is_empty() {
             let rows: Vec<&'static Subclass> = missing.iter().map(|&index| &subclasses[index]).collect();
             let read = self.dataflash.read(&mut self.gauge, &rows, waited);
-            let read = self.told(read.map_err(|error| error.within(&format!("df/{}", rows[0].id))))?;
+            let read = self.told(read.map_err(|error| error.within(&format!("df of {}", rows[0].name))))?;
             let mut kept = lock(&self.shared.kept);
             for (index, bytes) in missing.into_iter().zip(read) {
                 kept[index] = Some(Kept { bytes: bytes.into(), poll: self.polls });
             }
+            drop(kept);
+            self.look_for_quirks();
         }
         let kept = lock(&self.shared.kept);
         let gone = || Error::new(self.gauge.chip.name, Cause::Slow("not read".into()));
@@ -530,6 +634,12 @@ impl Owner {
             });
         }
     }
+}
+
+/// What nobody may ask of a part whose data flash no table describes.
+fn out_of_bounds(sibling: &Sibling) -> Error {
+    let why = "no table describes its data flash and subcommands; only standard commands are read";
+    Error::new(sibling.name, Cause::NotPermitted(why.into()))
 }
 
 /// Raised by owners whenever something published has changed; the FUSE side waits on it.

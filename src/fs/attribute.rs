@@ -62,6 +62,7 @@ pub(super) const ALL: &[Attribute] = &[
 /// What an attribute is rendered from.
 pub(super) struct Source<'a> {
     pub(super) chip: &'static Chip,
+    pub(super) model: &'static str,
     /// `None` while the gauge is gone.
     pub(super) snapshot: Option<&'a Snapshot>,
     pub(super) scales: &'a Scales,
@@ -116,7 +117,7 @@ impl Attribute {
             Attribute::Technology => chip.technology,
             Attribute::Scope => "System",
             Attribute::Manufacturer => "Texas Instruments",
-            Attribute::ModelName => chip.model,
+            Attribute::ModelName => source.model,
             Attribute::Status => status(chip, (*snapshot)?)?,
             Attribute::Health => health(chip, (*snapshot)?)?,
             Attribute::CapacityLevel => capacity_level(chip, (*snapshot)?)?,
@@ -183,7 +184,7 @@ fn capacity_level(chip: &Chip, snapshot: &Snapshot) -> Option<&'static str> {
 }
 
 fn measured(role: Role, source: &Source<'_>) -> Option<i64> {
-    let Source { chip, snapshot, scales } = source;
+    let Source { chip, snapshot, scales, .. } = source;
     if matches!(role, Role::EnergyNow | Role::PowerAvg) && !scales.energy_shown {
         return None;
     }

@@ -66,7 +66,8 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings = Settings { keys, interval, byte_writes: false };
+        let settings =
+            Settings { keys, interval, byte_writes: false, allow_unproven: false, restore: Vec::new() };
         let handle =
             poll::spawn(table, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
         let entry = Entry {
