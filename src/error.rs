@@ -3,7 +3,7 @@
 //! Every failure of gaugefs ends as one [`Error`]: one line that a technician can act on, and the
 //! errno that the file operation answers with. The errno is chosen in one place, [`Error::errno`].
 
-use std::fmt;
+use std::{fmt, io};
 
 use nix::errno::Errno;
 
@@ -109,6 +109,13 @@ impl Error {
     /// An error of the host's, with the remedy that fits.
     pub fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
         Self::new(subject, Cause::Host(errno, text.into()))
+    }
+
+    /// What the host said when it was asked to do `what`.
+    pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
+        let errno = error.raw_os_error().map(Errno::from_raw);
+        let why = errno.map_or_else(|| error.to_string(), |errno| errno.desc().to_string());
+        Self::host(subject, errno.unwrap_or(Errno::EIO), format!("{what}: {why}"))
     }
 
     /// The same error with the step it happened in, unless one is known already.
