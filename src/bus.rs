@@ -7,6 +7,9 @@ use std::fmt;
 
 use nix::errno::Errno;
 
+pub mod linux;
+pub mod trace;
+
 /// The address of every gauge in the tables; the parts allow no other.
 pub const GAUGE_ADDRESS: u8 = 0x55;
 

@@ -1,0 +1,352 @@
+//! A target behind `/dev/i2c-N`.
+//!
+//! Transfers go through I2C_RDWR, so that a pointer write and the read after it are one transfer with a
+//! repeated START. The address is claimed with I2C_SLAVE first, since I2C_RDWR would not tell that a
+//! kernel driver is bound to it. When the adapter goes, so does the file: the kernel keeps an unplugged
+//! adapter until its last user has closed it. When it comes back, the next transfer opens it anew.
+//!
+//! All `unsafe` of gaugefs is here: what the crate `i2cdev` has no function for.
+
+use std::fmt;
+use std::fs;
+use std::os::fd::{AsRawFd, BorrowedFd};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use i2cdev::core::{I2CMessage, I2CTransfer};
+use i2cdev::linux::{LinuxI2CDevice, LinuxI2CError, LinuxI2CMessage};
+use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, fcntl};
+use nix::libc;
+use nix::sys::stat::{major, minor};
+
+use super::{Bus, BusError};
+use crate::clock::Clock;
+use crate::error::{Cause, Error, Result, Step};
+
+/// Major number of the i2c-dev character devices; the minor number is the adapter's.
+const I2C_MAJOR: u64 = 89;
+/// The adapter takes whole I2C messages, and not just the SMBus commands.
+const I2C_FUNC_I2C: libc::c_ulong = 1;
+/// Bus-free time that the gauges want between transfers at 400 kHz; it costs little at 100 kHz.
+const BUS_FREE: Duration = Duration::from_micros(66);
+
+#[allow(unsafe_code, missing_docs)]
+mod ioctl {
+    nix::ioctl_read_bad!(i2c_funcs, 0x0705, nix::libc::c_ulong);
+}
+
+/// An adapter: its node, and what the kernel calls it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Adapter {
+    path: PathBuf,
+    device: u64,
+}
+
+impl Adapter {
+    /// The adapter behind a node such as `/dev/i2c-1`, or a link to one.
+    pub fn find(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let status = match fs::metadata(path) {
+            Ok(status) => status,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(Error::host(name, Errno::ENOENT, missing(&adapters())));
+            }
+            Err(error) => return Err(Error::io(name, "cannot look at it", &error)),
+        };
+        if !status.file_type().is_char_device() || major(status.rdev()) != I2C_MAJOR {
+            return Err(Error::host(name, Errno::ENOTTY, format!("not an I2C bus; {}", list(&adapters()))));
+        }
+        Ok(Self { path: path.to_path_buf(), device: status.rdev() })
+    }
+
+    /// The adapter's number: N of `i2c-N`, whatever the node is called.
+    pub fn number(&self) -> u64 {
+        minor(self.device)
+    }
+
+    /// The node it was found by.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The kernel's name of the hardware.
+    pub fn name(&self) -> Option<String> {
+        let name = fs::read_to_string(format!("/sys/class/i2c-dev/i2c-{}/name", self.number())).ok()?;
+        Some(name.trim().to_string())
+    }
+
+    /// The kernel driver that is bound to an address, and the device it was made for.
+    pub fn driver(&self, address: u8) -> Option<Driver> {
+        let device = format!("/sys/bus/i2c/devices/{}-{address:04x}", self.number());
+        let driver = fs::read_link(format!("{device}/driver")).ok()?;
+        let device = fs::read_to_string(format!("{device}/name")).unwrap_or_default();
+        let name = driver.file_name()?.to_string_lossy().into_owned();
+        Some(Driver { name, device: device.trim().to_string() })
+    }
+
+    /// Whether the node still stands for the same adapter.
+    fn is_there(&self) -> bool {
+        fs::metadata(&self.path).is_ok_and(|status| status.rdev() == self.device)
+    }
+}
+
+impl fmt::Display for Adapter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.path.display().fmt(f)
+    }
+}
+
+/// A kernel driver that has an address to itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Driver {
+    /// The driver, such as `bq27xxx-battery`.
+    pub name: String,
+    /// The device it drives, such as `bq34z100`.
+    pub device: String,
+}
+
+/// A target address of an adapter.
+pub struct LinuxBus {
+    adapter: Adapter,
+    address: u8,
+    clock: Arc<dyn Clock>,
+    /// `None` from the moment the adapter has gone until it is back.
+    device: Option<LinuxI2CDevice>,
+    last: Duration,
+}
+
+impl fmt::Debug for LinuxBus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} 0x{:02x}", self.adapter, self.address)
+    }
+}
+
+impl LinuxBus {
+    /// Opens an adapter and claims an address on it. Nothing is sent.
+    pub fn open(adapter: Adapter, address: u8, clock: Arc<dyn Clock>) -> Result<Self> {
+        let device = LinuxI2CDevice::new(&adapter.path, address.into());
+        let device = device.map_err(|error| refusal(&adapter, address, errno(&error)).at(Step::Open))?;
+        if hold(&device, address).is_err() {
+            let why = "another gaugefs is using the gauge; `gaugefs umount` its mount point first".into();
+            return Err(Error::new(subject(&adapter, address), Cause::Busy(why)).at(Step::Open));
+        }
+        if functions(&device).unwrap_or(0) & I2C_FUNC_I2C == 0 {
+            let why = "the adapter speaks only SMBus, not plain I2C; connect the gauge to another one";
+            return Err(Error::host(adapter.to_string(), Errno::EOPNOTSUPP, why).at(Step::Open));
+        }
+        let last = clock.now().saturating_sub(BUS_FREE);
+        Ok(Self { adapter, address, clock, device: Some(device), last })
+    }
+
+    /// The open device, opened anew where the adapter had gone and is back.
+    fn device(&mut self) -> Result<&mut LinuxI2CDevice, BusError> {
+        if !self.adapter.is_there() {
+            self.device = None;
+        }
+        match &mut self.device {
+            Some(device) => Ok(device),
+            gone => {
+                self.adapter = Adapter::find(&self.adapter.path).map_err(|_| BusError::Gone)?;
+                let device = LinuxI2CDevice::new(&self.adapter.path, self.address.into());
+                let device = device.map_err(|error| bus_error(errno(&error)))?;
+                hold(&device, self.address).map_err(|_| BusError::Busy)?;
+                Ok(gone.insert(device))
+            }
+        }
+    }
+}
+
+impl Bus for LinuxBus {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let since = self.clock.now().saturating_sub(self.last);
+        if since < BUS_FREE {
+            self.clock.sleep(BUS_FREE - since);
+        }
+        let device = self.device()?;
+        let (wanted, moved) = if read.is_empty() {
+            (1, device.transfer(&mut [LinuxI2CMessage::write(write)]))
+        } else if write.is_empty() {
+            (1, device.transfer(&mut [LinuxI2CMessage::read(read)]))
+        } else {
+            (2, device.transfer(&mut [LinuxI2CMessage::write(write), LinuxI2CMessage::read(read)]))
+        };
+        self.last = self.clock.now();
+        match moved {
+            Ok(moved) if moved == wanted => Ok(()),
+            // Some adapters, virtio's among them, say so when a message is refused.
+            Ok(0) => Err(BusError::NoAck),
+            Ok(_) => Err(BusError::Short),
+            Err(_) if !self.adapter.is_there() => {
+                self.device = None;
+                Err(BusError::Gone)
+            }
+            Err(error) => Err(bus_error(errno(&error))),
+        }
+    }
+
+    fn claim(&mut self) -> Result<(), BusError> {
+        let address = self.address.into();
+        self.device()?.set_slave_address(address).map_err(|error| bus_error(errno(&error)))
+    }
+}
+
+fn functions(device: &LinuxI2CDevice) -> nix::Result<libc::c_ulong> {
+    let mut functions = 0;
+    // SAFETY: I2C_FUNCS writes one unsigned long to the address it is given, which lives until the call
+    // is over; the descriptor is open as long as `device` is.
+    #[allow(unsafe_code)]
+    unsafe { ioctl::i2c_funcs(device.as_raw_fd(), &raw mut functions) }?;
+    Ok(functions)
+}
+
+/// Locks one byte of the node, the one of the address's number, for as long as it is open. This reaches
+/// across accounts, where lock files do not, and keeps no file of its own open.
+fn hold(device: &LinuxI2CDevice, address: u8) -> nix::Result<()> {
+    let lock = libc::flock {
+        l_type: libc::F_WRLCK as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: address.into(),
+        l_len: 1,
+        l_pid: 0,
+    };
+    // SAFETY: the descriptor stays open for as long as `device` is borrowed.
+    #[allow(unsafe_code)]
+    let device = unsafe { BorrowedFd::borrow_raw(device.as_raw_fd()) };
+    fcntl(device, FcntlArg::F_OFD_SETLK(&lock)).map(drop)
+}
+
+fn subject(adapter: &Adapter, address: u8) -> String {
+    format!("{adapter} address 0x{address:02x}")
+}
+
+fn errno(error: &LinuxI2CError) -> Errno {
+    match error {
+        LinuxI2CError::Errno(errno) => Errno::from_raw(*errno),
+        LinuxI2CError::Io(error) => Errno::from_raw(error.raw_os_error().unwrap_or(libc::EIO)),
+    }
+}
+
+/// The kernel's I2C fault codes (`Documentation/i2c/fault-codes.rst`).
+fn bus_error(errno: Errno) -> BusError {
+    match errno {
+        Errno::ENXIO | Errno::EREMOTEIO => BusError::NoAck,
+        Errno::EAGAIN => BusError::ArbitrationLost,
+        Errno::ETIMEDOUT => BusError::Timeout,
+        Errno::ENODEV | Errno::ENOENT => BusError::Gone,
+        Errno::EBUSY => BusError::Busy,
+        other => BusError::Other(other),
+    }
+}
+
+/// Why an adapter could not be opened or its address not be claimed, with the remedy.
+fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
+    match errno {
+        Errno::EBUSY => busy(adapter, address, adapter.driver(address).as_ref()),
+        Errno::EACCES | Errno::EPERM => {
+            let gid = fs::metadata(&adapter.path).map_or(0, |status| status.gid());
+            Error::host(adapter.to_string(), errno, forbidden(gid))
+        }
+        _ => Error::host(adapter.to_string(), errno, format!("cannot open it: {}", errno.desc())),
+    }
+}
+
+/// A kernel driver has the address: who, and how to take it away.
+fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
+    let number = adapter.number();
+    let why = match driver {
+        Some(Driver { name, device }) => format!(
+            "the kernel's driver {name} ({device}) has the gauge; take it away as root with \
+             `echo 0x{address:02x} > /sys/bus/i2c/devices/i2c-{number}/delete_device`, or with \
+             `echo {number}-{address:04x} > /sys/bus/i2c/drivers/{name}/unbind`"
+        ),
+        None => "a kernel driver has that address".into(),
+    };
+    Error::new(subject(adapter, address), Cause::Busy(why))
+}
+
+fn forbidden(gid: u32) -> String {
+    let group = nix::unistd::Group::from_gid(gid.into()).ok().flatten();
+    match group.filter(|_| gid != 0) {
+        Some(group) => format!(
+            "no permission; run gaugefs as root, or join the group {0} and log in again: \
+             sudo usermod -aG {0} $USER",
+            group.name
+        ),
+        None => "no permission; run gaugefs as root".into(),
+    }
+}
+
+/// The adapters of this machine that have a node, by number, with the kernel's names for them.
+fn adapters() -> Vec<(u64, String)> {
+    let nodes = fs::read_dir("/sys/class/i2c-dev").into_iter().flatten().flatten();
+    let mut adapters: Vec<(u64, String)> = nodes
+        .filter_map(|node| {
+            let number = node.file_name().to_str()?.strip_prefix("i2c-")?.parse().ok()?;
+            let name = fs::read_to_string(node.path().join("name")).unwrap_or_default();
+            Some((number, name.trim().to_string()))
+        })
+        .collect();
+    adapters.sort_unstable();
+    adapters
+}
+
+fn list(adapters: &[(u64, String)]) -> String {
+    if adapters.is_empty() {
+        return "this machine has none now".into();
+    }
+    let each = adapters.iter().map(|(number, name)| format!("/dev/i2c-{number} ({name})"));
+    format!("there are: {}", each.collect::<Vec<_>>().join(", "))
+}
+
+fn missing(adapters: &[(u64, String)]) -> String {
+    if adapters.is_empty() {
+        "no such bus, nor any other: the kernel module i2c-dev makes them; as root: modprobe i2c-dev".into()
+    } else {
+        format!("no such bus; {}", list(adapters))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bus_that_is_not_there_is_told_with_those_that_are() {
+        assert!(missing(&[]).ends_with("modprobe i2c-dev"));
+        let two = [(0, "SMBus I801".to_string()), (7, "bcm2835".to_string())];
+        assert_eq!(missing(&two), "no such bus; there are: /dev/i2c-0 (SMBus I801), /dev/i2c-7 (bcm2835)");
+    }
+
+    #[test]
+    fn what_is_no_bus_is_refused() {
+        let error = Adapter::find(Path::new("/dev/null")).expect_err("not a bus").to_string();
+        assert!(error.starts_with("/dev/null: not an I2C bus; "), "{error}");
+        let error = Adapter::find(Path::new("/dev/i2c-none")).expect_err("no node");
+        assert_eq!(error.errno(), Errno::ENOENT);
+    }
+
+    #[test]
+    fn a_bound_driver_is_named_with_both_remedies() {
+        let adapter = Adapter { path: "/dev/i2c-1".into(), device: nix::sys::stat::makedev(I2C_MAJOR, 1) };
+        let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into() };
+        let error = busy(&adapter, 0x55, Some(&driver));
+        assert_eq!(error.errno(), Errno::EBUSY);
+        let text = error.to_string();
+        assert!(text.contains("bq27xxx-battery (bq34z100)"), "{text}");
+        assert!(text.contains("echo 0x55 > /sys/bus/i2c/devices/i2c-1/delete_device"), "{text}");
+        assert!(text.contains("echo 1-0055 > /sys/bus/i2c/drivers/bq27xxx-battery/unbind"), "{text}");
+    }
+
+    #[test]
+    fn the_kernels_fault_codes_are_ours() {
+        assert_eq!(bus_error(Errno::ENXIO), BusError::NoAck);
+        assert_eq!(bus_error(Errno::EREMOTEIO), BusError::NoAck);
+        assert_eq!(bus_error(Errno::EAGAIN), BusError::ArbitrationLost);
+        assert_eq!(bus_error(Errno::ETIMEDOUT), BusError::Timeout);
+        assert_eq!(bus_error(Errno::ENODEV), BusError::Gone);
+        assert_eq!(bus_error(Errno::EIO), BusError::Other(Errno::EIO));
+    }
+}
