@@ -1,0 +1,187 @@
+//! One gauge, one owner: a lock that a second gaugefs runs into, with the name of the first.
+//!
+//! The lock is a file of `/run/gaugefs`, or of the user's own runtime folder, called after the
+//! adapter's number and the address, so that two names of one adapter are the same gauge. The kernel
+//! lets go of it when its holder ends, however that happens; the file stays and means nothing then.
+//! That users of different accounts meet is up to the lock on the bus itself, in `bus::linux`.
+
+use std::ffi::OsStr;
+use std::fs::{self, DirBuilder, File};
+use std::io::{Read, Seek, Write};
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use nix::libc;
+use nix::unistd::geteuid;
+
+use crate::bus::linux::Adapter;
+use crate::clock::Clock;
+use crate::error::{Cause, Error, Result};
+
+/// Where root's daemons keep their locks.
+const SHARED: &str = "/run/gaugefs";
+/// How long to wait for a holder that is about to end.
+const PATIENCE: Duration = Duration::from_secs(3);
+const STEP: Duration = Duration::from_millis(50);
+
+/// Held as long as the gauge is in use.
+#[derive(Debug)]
+pub struct Lock(#[expect(dead_code, reason = "the lock goes with it")] Flock<File>);
+
+/// Who has a gauge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Holder {
+    /// Its process.
+    pub pid: i32,
+    /// Where it has mounted the gauge, or is about to.
+    pub mountpoint: PathBuf,
+}
+
+impl Lock {
+    /// Takes the gauge at an address of an adapter, to be mounted at `mountpoint`.
+    ///
+    /// Where somebody else has it, `ending` tells whether that somebody is about to let go.
+    pub fn gauge(
+        adapter: &Adapter,
+        address: u8,
+        mountpoint: &Path,
+        clock: &dyn Clock,
+        ending: impl Fn(&Holder) -> bool,
+    ) -> Result<Self> {
+        let key = format!("i2c-{}-{address:02x}", adapter.number());
+        Self::take(&key, &format!("{adapter} address 0x{address:02x}"), mountpoint, clock, ending)
+    }
+
+    /// Takes the state file of a simulated gauge.
+    pub fn state(
+        state: &Path,
+        mountpoint: &Path,
+        clock: &dyn Clock,
+        ending: impl Fn(&Holder) -> bool,
+    ) -> Result<Self> {
+        // A file name cannot hold a slash, nor be as long as a path.
+        let hash = state.as_os_str().as_bytes().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        Self::take(&format!("sim-{hash:016x}"), &state.display().to_string(), mountpoint, clock, ending)
+    }
+
+    fn take(
+        key: &str,
+        subject: &str,
+        mountpoint: &Path,
+        clock: &dyn Clock,
+        ending: impl Fn(&Holder) -> bool,
+    ) -> Result<Self> {
+        let start = clock.now();
+        loop {
+            let holder = match Self::attempt(key, mountpoint)? {
+                Ok(lock) => return Ok(lock),
+                Err(holder) => holder,
+            };
+            let wait = holder.as_ref().is_none_or(&ending);
+            if !wait || clock.now().saturating_sub(start) > PATIENCE {
+                let why = match holder {
+                    Some(Holder { pid, mountpoint }) => format!(
+                        "another gaugefs has it, process {pid}, for {0}; end it with: gaugefs umount {0}",
+                        mountpoint.display()
+                    ),
+                    None => "another gaugefs has it".into(),
+                };
+                return Err(Error::new(subject, Cause::Busy(why)));
+            }
+            clock.sleep(STEP);
+        }
+    }
+
+    /// The lock, or else who has it, where that is known.
+    fn attempt(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
+        let name = format!("{key}.lock");
+        let folder = folder()?;
+        if folder != Path::new(SHARED) {
+            // Root's daemons have locks of their own; they are only looked at.
+            if let Ok(file) = File::open(Path::new(SHARED).join(&name))
+                && let Err((mut file, Errno::EWOULDBLOCK)) = Flock::lock(file, FlockArg::LockSharedNonblock)
+            {
+                return Ok(Err(holder(&mut file)));
+            }
+        }
+        let path = folder.join(name);
+        let failed = |error| Error::io(path.display().to_string(), "cannot lock the gauge", &error);
+        let mut options = File::options();
+        options
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o644)
+            .custom_flags(libc::O_NOFOLLOW);
+        let file = options.open(&path).map_err(failed)?;
+        match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
+            Ok(mut file) => {
+                file.set_len(0).map_err(failed)?;
+                let mut line = format!("{} ", std::process::id()).into_bytes();
+                line.extend_from_slice(mountpoint.as_os_str().as_bytes());
+                file.write_all(&line).map_err(failed)?;
+                Ok(Ok(Self(file)))
+            }
+            Err((mut file, Errno::EWOULDBLOCK)) => Ok(Err(holder(&mut file))),
+            Err((_, errno)) => Err(failed(errno.into())),
+        }
+    }
+}
+
+fn holder(file: &mut File) -> Option<Holder> {
+    let mut line = Vec::new();
+    file.rewind().ok()?;
+    file.take(8192).read_to_end(&mut line).ok()?;
+    let space = line.iter().position(|&byte| byte == b' ')?;
+    let pid = std::str::from_utf8(&line[..space]).ok()?.parse().ok()?;
+    Some(Holder { pid, mountpoint: PathBuf::from(OsStr::from_bytes(&line[space + 1..])) })
+}
+
+/// The folder for locks: nobody else can put anything into it.
+fn folder() -> Result<PathBuf> {
+    let me = geteuid();
+    let (folder, mode) = match std::env::var_os("XDG_RUNTIME_DIR") {
+        _ if me.is_root() => (PathBuf::from(SHARED), 0o755),
+        Some(runtime) if Path::new(&runtime).is_absolute() => (Path::new(&runtime).join("gaugefs"), 0o700),
+        _ => (PathBuf::from(format!("/tmp/gaugefs-{me}")), 0o700),
+    };
+    let failed = |error| Error::io(folder.display().to_string(), "cannot make the folder for locks", &error);
+    DirBuilder::new().recursive(true).mode(mode).create(&folder).map_err(failed)?;
+    let status = fs::symlink_metadata(&folder).map_err(failed)?;
+    if !status.is_dir() || status.uid() != me.as_raw() || status.mode() & 0o022 != 0 {
+        let why = "somebody else could write there; remove it".into();
+        return Err(Error::new(folder.display().to_string(), Cause::NotPermitted(why)));
+    }
+    Ok(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::SimClock;
+
+    #[test]
+    fn the_second_is_told_who_the_first_is() {
+        let state = std::env::temp_dir().join(format!("gaugefs-lock-{}", std::process::id()));
+        let clock = SimClock::new();
+        let lock = |ending: bool| Lock::state(&state, Path::new("/mnt/with space"), &clock, |_| ending);
+        let first = lock(false).expect("nobody else has it");
+        let refused = lock(false).expect_err("the first has it");
+        assert_eq!(refused.errno(), Errno::EBUSY);
+        let pid = std::process::id();
+        let text = refused.to_string();
+        assert!(text.contains(&format!("process {pid}, for /mnt/with space;")), "{text}");
+        assert_eq!(clock.now(), Duration::ZERO);
+        lock(true).expect_err("one that says it ends and does not");
+        assert!(clock.now() > PATIENCE);
+        drop(first);
+        lock(false).expect("free again");
+    }
+}

@@ -1,0 +1,200 @@
+//! Finding out what answers at an address, without harm to what is not a gauge.
+//!
+//! An EEPROM may sit at a gauge's address, and for it "Control(DEVICE_TYPE)" is a write. So the registers
+//! are read first, which takes no more than a register pointer, and judged: Control() goes only to what
+//! reads like a gauge, and only where the user has named the address.
+
+use std::sync::Arc;
+
+use crate::bus::{Bus, BusError};
+use crate::chip::{CHIPS, Chip, Role, Tier};
+use crate::clock::Clock;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Answers, Gauge, bursts};
+use crate::keys::Keys;
+
+/// The address at which a gauge in ROM mode answers.
+pub const ROM_ADDRESS: u8 = 0x0b;
+
+/// What the registers of a chip's table read at an address.
+#[derive(Clone, Debug)]
+pub struct Reading {
+    /// Whose table it was.
+    pub chip: &'static Chip,
+    values: Vec<(Role, i64)>,
+}
+
+impl Reading {
+    /// What the register that feeds a property reads.
+    pub fn value(&self, role: Role) -> Option<i64> {
+        self.values.iter().find(|(found, _)| *found == role).map(|&(_, value)| value)
+    }
+
+    /// Whether a gauge could say that: a temperature between -50 and 125 degrees Celsius, and percentages
+    /// of at most 100.
+    pub fn is_plausible(&self) -> bool {
+        let within = |role, min, max| self.value(role).is_none_or(|value| min <= value && value <= max);
+        let known = self.value(Role::Temp).is_some();
+        known
+            && within(Role::Temp, 2231, 3981)
+            && within(Role::Capacity, 0, 100)
+            && within(Role::CapacityErrorMargin, 0, 100)
+            && within(Role::StateOfHealth, 0, 100)
+    }
+}
+
+/// A way to the address, opened anew each time it is called.
+pub type Open<'a> = dyn Fn() -> Result<Box<dyn Bus>> + 'a;
+
+fn gauge(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Gauge> {
+    Ok(Gauge::new(chip, open()?, clock.clone(), Keys::default(), false))
+}
+
+/// Reads the registers of a chip's table, and nothing else.
+pub fn read(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Reading> {
+    let mut gauge = gauge(chip, open, clock)?;
+    let mut bytes = [0; 256];
+    for (start, length) in bursts(chip.registers, |tier| tier == Tier::Poll) {
+        let start = usize::from(start);
+        gauge.read(start as u8, &mut bytes[start..start + usize::from(length)])?;
+    }
+    let polled = chip.registers.iter().filter(|register| register.tier == Tier::Poll);
+    let values = polled.filter_map(|register| {
+        let at = usize::from(register.code);
+        let bytes = &bytes[at..at + usize::from(register.size)];
+        let raw = bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte));
+        let span = 1 << (8 * register.size);
+        Some((register.role?, if register.signed && raw >= span / 2 { raw - span } else { raw }))
+    });
+    Ok(Reading { chip, values: values.collect() })
+}
+
+/// The chips whose registers read plausibly there. An error means that nothing could be read at all.
+pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading>> {
+    let (mut plausible, mut answered, mut failure) = (Vec::new(), false, None);
+    for chip in CHIPS {
+        match read(chip, open, clock) {
+            Ok(reading) => {
+                answered = true;
+                plausible.extend(reading.is_plausible().then_some(reading));
+            }
+            // A part may well refuse the registers of another.
+            Err(error) if *error.cause() == Cause::Bus(BusError::NoAck) => failure = Some(error),
+            Err(error) => return Err(error),
+        }
+    }
+    failure.filter(|_| !answered).map_or(Ok(plausible), Err)
+}
+
+/// Who is there, as far as Control() tells.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    /// What the registers read.
+    pub reading: Reading,
+    /// What it answered.
+    pub answers: Answers,
+    /// Whether those are the answers of the chip in `reading`.
+    pub matches: bool,
+}
+
+/// Asks what reads like a gauge who it is, as each of the plausible chips would be asked.
+pub fn identify(plausible: Vec<Reading>, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Identified>> {
+    let mut identified = Vec::new();
+    for reading in plausible {
+        let answers = gauge(reading.chip, open, clock)?.identify()?;
+        let identity = &reading.chip.identity;
+        let matches = identity.device_type == answers.device_type
+            && identity.firmware.contains(&answers.firmware_version)
+            && identity.hardware.is_none_or(|hardware| hardware == answers.hardware_version);
+        identified.push(Identified { reading, answers, matches });
+    }
+    Ok(identified)
+}
+
+/// The one chip that is at an address the user has named.
+///
+/// With `chip` given, makes sure only that it reads like one before anything asks it who it is.
+pub fn find(
+    subject: &str,
+    chip: Option<&'static Chip>,
+    open: &Open<'_>,
+    clock: &Arc<dyn Clock>,
+) -> Result<&'static Chip> {
+    let failed = |cause| Err(Error::new(subject, cause).at(Step::Identify));
+    let strange = "what answers there does not read like a gauge, so nothing was written to it";
+    if let Some(chip) = chip {
+        let reading = read(chip, open, clock).map_err(|error| error.within(subject))?;
+        return if reading.is_plausible() { Ok(chip) } else { failed(Cause::Gone(strange.into())) };
+    }
+    let plausible = candidates(open, clock).map_err(|error| error.within(subject))?;
+    if plausible.is_empty() {
+        return failed(Cause::Gone(strange.into()));
+    }
+    let identified = identify(plausible, open, clock).map_err(|error| error.within(subject))?;
+    let matches: Vec<&Identified> = identified.iter().filter(|found| found.matches).collect();
+    match matches[..] {
+        [one] => Ok(one.reading.chip),
+        [] => {
+            let Answers { device_type, firmware_version, hardware_version, .. } = identified[0].answers;
+            failed(Cause::Gone(format!(
+                "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
+                 0x{hardware_version:04x} is no part that gaugefs knows; see: gaugefs chips"
+            )))
+        }
+        _ => {
+            let names: Vec<_> = matches.iter().map(|found| found.reading.chip.name).collect();
+            failed(Cause::Invalid(format!("it may be any of {}; say which with --chip", names.join(", "))))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::SimClock;
+    use crate::sim::{Options, Sim};
+
+    /// An EEPROM: a pointer, bytes, and no patience for writes.
+    struct Eeprom(u8);
+
+    impl Bus for Eeprom {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            assert!(write.len() <= 1, "the EEPROM was written to");
+            read.fill(self.0);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_eeprom_is_read_and_left_alone() {
+        let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+        for byte in [0x00, 0x41, 0xff] {
+            let open = || Ok(Box::new(Eeprom(byte)) as Box<dyn Bus>);
+            assert!(candidates(&open, &clock).expect("it answers").is_empty());
+            find("here", None, &open, &clock).expect_err("not a gauge");
+            find("here", Some(CHIPS[0]), &open, &clock).expect_err("not a gauge");
+        }
+    }
+
+    #[test]
+    fn each_simulated_gauge_is_found_by_asking_it() {
+        for chip in CHIPS {
+            let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+            let Ok(sim) = Sim::new(chip.name, &Options::default(), clock.clone()) else { continue };
+            clock.sleep(std::time::Duration::from_secs(1));
+            let open = || Ok(Box::new(sim.bus()) as Box<dyn Bus>);
+            assert_eq!(find("here", None, &open, &clock).expect("a gauge").name, chip.name);
+            let plausible = candidates(&open, &clock).expect("it answers");
+            assert!(plausible.iter().any(|reading| reading.chip.name == chip.name));
+        }
+    }
+
+    #[test]
+    fn an_empty_address_is_told_as_such() {
+        let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+        let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
+        let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);
+        let error = candidates(&open, &clock).expect_err("nobody is there");
+        assert_eq!(error.errno(), nix::errno::Errno::ENXIO);
+    }
+}
