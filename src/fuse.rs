@@ -65,7 +65,8 @@ impl Mounted {
 
 fn host(subject: &str, error: &std::io::Error) -> Error {
     let errno = nix::errno::Errno::from_raw(error.raw_os_error().unwrap_or_default());
-    Error::host(subject, errno, error.to_string())
+    // What fusermount3 says ends with a newline.
+    Error::host(subject, errno, error.to_string().trim_end())
 }
 
 /// Mounts the tree, and serves it from threads of its own until it is unmounted. `signal` is raised

@@ -2,13 +2,16 @@
 
 pub mod bus;
 pub mod chip;
+pub mod cli;
 pub mod clock;
 pub mod codec;
+pub mod daemon;
 pub mod dataflash;
 pub mod error;
 pub mod fs;
 pub mod fuse;
 pub mod gauge;
+pub mod json;
 pub mod keys;
 pub mod lock;
 pub mod poll;

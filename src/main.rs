@@ -1,3 +1,7 @@
 //! The `gaugefs` command.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    gaugefs::cli::run(std::env::args_os())
+}

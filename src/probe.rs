@@ -4,10 +4,11 @@
 //! are read first, which takes no more than a register pointer, and judged: Control() goes only to what
 //! reads like a gauge, and only where the user has named the address.
 
+use std::ptr;
 use std::sync::Arc;
 
 use crate::bus::{Bus, BusError};
-use crate::chip::{CHIPS, Chip, Role, Tier};
+use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, recognise};
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Answers, Gauge, bursts};
@@ -15,6 +16,9 @@ use crate::keys::Keys;
 
 /// The address at which a gauge in ROM mode answers.
 pub const ROM_ADDRESS: u8 = 0x0b;
+
+/// Control(DEVICE_TYPE).
+const DEVICE_TYPE: u16 = 0x0001;
 
 /// What the registers of a chip's table read at an address.
 #[derive(Clone, Debug)]
@@ -87,28 +91,48 @@ pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading
 }
 
 /// Who is there, as far as Control() tells.
-#[derive(Clone, Debug)]
-pub struct Identified {
-    /// What the registers read.
-    pub reading: Reading,
-    /// What it answered.
+#[derive(Clone, Debug, Default)]
+pub struct Who {
+    /// What it answered when it was asked as the first of `chips` is asked.
     pub answers: Answers,
-    /// Whether those are the answers of the chip in `reading`.
-    pub matches: bool,
+    /// The chips that answer so: one, none, or several that only the user can tell apart.
+    pub chips: Vec<&'static Chip>,
+    /// A part that is known to answer so and has no table.
+    pub sibling: Option<&'static Sibling>,
 }
 
 /// Asks what reads like a gauge who it is, as each of the plausible chips would be asked.
-pub fn identify(plausible: Vec<Reading>, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Identified>> {
-    let mut identified = Vec::new();
-    for reading in plausible {
-        let answers = gauge(reading.chip, open, clock)?.identify()?;
-        let identity = &reading.chip.identity;
-        let matches = identity.device_type == answers.device_type
-            && identity.firmware.contains(&answers.firmware_version)
-            && identity.hardware.is_none_or(|hardware| hardware == answers.hardware_version);
-        identified.push(Identified { reading, answers, matches });
+///
+/// All chips have DEVICE_TYPE at the same code; what comes after it is asked only where the type fits.
+pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Who> {
+    let mut who = Who::default();
+    for Reading { chip, .. } in plausible {
+        let mut gauge = gauge(chip, open, clock)?;
+        let device_type = gauge.ask(DEVICE_TYPE)?;
+        let alike = |sibling: &&Sibling| {
+            sibling.identity.device_type == device_type
+                && sibling.like.is_none_or(|like| ptr::eq(like, *chip))
+        };
+        if device_type != chip.identity.device_type && !SIBLINGS.iter().any(|sibling| alike(&sibling)) {
+            if who.answers == Answers::default() {
+                who.answers.device_type = device_type;
+            }
+            continue;
+        }
+        let answers = gauge.identify()?;
+        if who.chips.is_empty() {
+            who.answers = answers;
+        }
+        match recognise(&answers) {
+            Recognised::Chip(one) if ptr::eq(one, *chip) => who.chips.push(one),
+            Recognised::Ambiguous(several) if several.iter().any(|one| ptr::eq(*one, *chip)) => {
+                who.chips.push(chip);
+            }
+            Recognised::Sibling(sibling) => who.sibling = Some(sibling),
+            Recognised::Chip(_) | Recognised::Ambiguous(_) | Recognised::Unknown => {}
+        }
     }
-    Ok(identified)
+    Ok(who)
 }
 
 /// The one chip that is at an address the user has named.
@@ -130,19 +154,22 @@ pub fn find(
     if plausible.is_empty() {
         return failed(Cause::Gone(strange.into()));
     }
-    let identified = identify(plausible, open, clock).map_err(|error| error.within(subject))?;
-    let matches: Vec<&Identified> = identified.iter().filter(|found| found.matches).collect();
-    match matches[..] {
-        [one] => Ok(one.reading.chip),
-        [] => {
-            let Answers { device_type, firmware_version, hardware_version, .. } = identified[0].answers;
+    let who = identify(&plausible, open, clock).map_err(|error| error.within(subject))?;
+    match (&who.chips[..], who.sibling) {
+        ([one], _) => Ok(one),
+        ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
+        ([], Some(sibling)) => {
+            failed(Cause::Gone(format!("it is a {}, which gaugefs does not support", sibling.name)))
+        }
+        ([], None) => {
+            let Answers { device_type, firmware_version, hardware_version, .. } = who.answers;
             failed(Cause::Gone(format!(
                 "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
                  0x{hardware_version:04x} is no part that gaugefs knows; see: gaugefs chips"
             )))
         }
-        _ => {
-            let names: Vec<_> = matches.iter().map(|found| found.reading.chip.name).collect();
+        (several, _) => {
+            let names: Vec<_> = several.iter().map(|chip| chip.name).collect();
             failed(Cause::Invalid(format!("it may be any of {}; say which with --chip", names.join(", "))))
         }
     }

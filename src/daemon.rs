@@ -1,0 +1,321 @@
+//! The life of a mount: open the gauge, poll it once, mount, say so, wait for the end, unmount.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use nix::errno::Errno;
+use nix::sys::signal::{SigSet, Signal as Unix};
+use nix::unistd::{getegid, geteuid};
+
+use crate::bus::linux::{Adapter, LinuxBus};
+use crate::bus::trace::Trace;
+use crate::bus::{Bus, GAUGE_ADDRESS};
+use crate::chip::Chip;
+use crate::clock::{Clock, RealClock};
+use crate::dataflash::Change;
+use crate::error::{Error, Result};
+use crate::fs::{Access, Entry, Fs, Knobs, Scales};
+use crate::fuse;
+use crate::keys::Keys;
+use crate::lock::{Holder, Lock};
+use crate::poll::{self, Handle, Request, Settings, Signal};
+use crate::probe;
+use crate::saved;
+use crate::sim::{self, Sim};
+
+pub mod background;
+pub mod log;
+pub mod mountpoint;
+
+/// How long a simulated gauge may take from power-up to its first answer.
+const POWER_UP: Duration = Duration::from_secs(2);
+
+/// Where the gauge is.
+#[derive(Debug)]
+pub enum Source {
+    /// In this process.
+    Sim {
+        /// What it is.
+        chip: &'static Chip,
+        /// File that keeps its flash.
+        state: Option<PathBuf>,
+        /// Its unseal key, where it is new.
+        key: Option<[u16; 2]>,
+    },
+    /// On a bus.
+    Bus {
+        /// The adapter's node.
+        bus: PathBuf,
+        /// Its 7-bit address.
+        address: u8,
+        /// What it is; `None` to ask it.
+        chip: Option<&'static Chip>,
+    },
+}
+
+/// Where the keys come from.
+#[derive(Debug)]
+pub struct Keyring {
+    /// File that holds them; without one, systemd's credential where there is one.
+    pub file: Option<PathBuf>,
+    /// Never try the manual's default key.
+    pub no_default: bool,
+}
+
+/// Everything that `gaugefs mount` can be told.
+#[derive(Debug)]
+pub struct Options {
+    /// Folder to mount at.
+    pub mountpoint: PathBuf,
+    /// The gauge.
+    pub source: Source,
+    /// Write one byte a transfer.
+    pub byte_writes: bool,
+    /// Name of the gauge's folder.
+    pub name: Option<String>,
+    /// Time between polls.
+    pub interval: Duration,
+    /// How figures are shown.
+    pub scales: Scales,
+    /// Refuse every write.
+    pub read_only: bool,
+    /// Write parameters too whose address or range is not sure.
+    pub allow_unproven: bool,
+    /// A copy of `df/index`, for gauges that lose their configuration with their power.
+    pub restore: Option<PathBuf>,
+    /// Shut other users out.
+    pub private: bool,
+    /// Group that may read and write data flash.
+    pub group: Option<u32>,
+    /// Where the keys come from.
+    pub keyring: Keyring,
+    /// Stay in the foreground.
+    pub foreground: bool,
+    /// File to log to.
+    pub log: Option<PathBuf>,
+    /// File to write transfers to.
+    pub trace: Option<PathBuf>,
+}
+
+/// A gauge that is reached and locked, and nothing more.
+struct Opened {
+    chip: &'static Chip,
+    bus: Box<dyn Bus>,
+    address: u8,
+    /// What to call it in messages.
+    subject: String,
+    sim: Option<Sim>,
+    lock: Option<Lock>,
+}
+
+/// Mounts a gauge and serves it until it is unmounted.
+pub fn run(options: Options) -> Result<()> {
+    let inherited = background::inherited();
+    // Before any thread is there, so that all inherit it: signals wait for the thread that takes them.
+    let signals = [Unix::SIGTERM, Unix::SIGINT].into_iter().collect::<SigSet>();
+    signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
+    self::log::start(match &options.log {
+        Some(path) => self::log::Destination::File(path),
+        None if options.foreground => self::log::Destination::Stderr,
+        None => self::log::Destination::Syslog,
+    })?;
+    let end = Arc::new(End::default());
+    end.clone().watch(signals)?;
+
+    let mountpoint = mountpoint::prepare(&options.mountpoint)?;
+    let keys = options.keyring.open()?;
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let Opened { chip, mut bus, address, subject, sim, lock } = options.source.open(&mountpoint, &clock)?;
+    if let Some(path) = &options.trace {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+        let head = format!("{} on {subject}, {}", chip.name, self::log::utc(now));
+        bus = Box::new(Trace::new(bus, address, path, clock.clone(), &head)?);
+    }
+    let settings = Settings {
+        keys,
+        interval: options.interval,
+        byte_writes: options.byte_writes,
+        allow_unproven: options.allow_unproven,
+        restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
+    };
+    let signal = Arc::new(Signal::default());
+    let handle =
+        poll::spawn(chip, bus, clock, settings, signal.clone()).map_err(|error| error.within(&subject))?;
+
+    let entry = Entry {
+        name: options.name.unwrap_or_else(|| "BAT0".into()),
+        handle: handle.clone(),
+        scales: options.scales,
+        knobs: sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
+    };
+    let place = format!("{}/{}", mountpoint.display(), entry.name);
+    let access = Access {
+        uid: geteuid().as_raw(),
+        gid: options.group.unwrap_or_else(|| getegid().as_raw()),
+        group: options.group.is_some(),
+    };
+    mountpoint::make(&mountpoint)?;
+    let how = fuse::Options { private: options.private, read_only: options.read_only };
+    let mounted = fuse::mount(Arc::new(Fs::new(vec![entry], access)), &mountpoint, how, signal)?;
+    end.mounted(&mountpoint, &handle);
+    ::log::info!("{} ({subject}) mounted at {place}", chip.model);
+    if options.foreground {
+        background::notify();
+    } else {
+        background::ready(&inherited)?;
+    }
+    mounted.wait()?;
+    finish(&handle);
+    ::log::info!("{place} unmounted");
+    drop(lock);
+    Ok(())
+}
+
+fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    saved::parse(chip, &text).map_err(|error| error.within(&name))
+}
+
+/// The files of `sim/`.
+struct SimKnobs(Sim);
+
+impl Knobs for SimKnobs {
+    fn list(&self) -> Vec<(&'static str, bool)> {
+        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+    }
+
+    fn get(&self, name: &str) -> Option<String> {
+        self.0.get(name)
+    }
+
+    fn set(&self, name: &str, text: &str) -> Result<()> {
+        self.0.set(name, text)
+    }
+}
+
+impl Source {
+    fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<Opened> {
+        // A daemon whose mount is gone is about to end; one that is mounted is not.
+        let ending = |holder: &Holder| !mountpoint::is_ours(&holder.mountpoint);
+        match self {
+            Self::Sim { chip, state, key } => {
+                let lock = match state {
+                    None => None,
+                    Some(path) => {
+                        let path = std::path::absolute(path)
+                            .map_err(|error| Error::io(path.display().to_string(), "no such path", &error))?;
+                        Some(Lock::state(&path, mountpoint, &**clock, ending)?)
+                    }
+                };
+                let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
+                let options = sim::Options { state: state.clone(), unseal_key: *key, seed };
+                let sim = Sim::new(chip.name, &options, clock.clone())?;
+                let mut bus = sim.bus();
+                let start = clock.now();
+                while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
+                    clock.sleep(Duration::from_millis(20));
+                }
+                let subject = "simulated gauge".to_string();
+                let bus = Box::new(bus);
+                Ok(Opened { chip, bus, address: GAUGE_ADDRESS, subject, sim: Some(sim), lock })
+            }
+            Self::Bus { bus, address, chip } => {
+                let adapter = Adapter::find(bus)?;
+                let lock = Lock::gauge(&adapter, *address, mountpoint, &**clock, ending)?;
+                let subject = format!("{adapter} address 0x{address:02x}");
+                let open = || {
+                    let bus = LinuxBus::open(adapter.clone(), *address, clock.clone())?;
+                    Ok(Box::new(bus) as Box<dyn Bus>)
+                };
+                let chip = probe::find(&subject, *chip, &open, clock)?;
+                Ok(Opened { chip, bus: open()?, address: *address, subject, sim: None, lock: Some(lock) })
+            }
+        }
+    }
+}
+
+impl Keyring {
+    fn open(&self) -> Result<Keys> {
+        let mut keys = match &self.file {
+            Some(path) => Keys::from_file(path)?,
+            None => Keys::from_credential()?.unwrap_or_default(),
+        };
+        keys.no_default = self.no_default;
+        Ok(keys)
+    }
+}
+
+/// How far a mount has come, for the thread that takes signals.
+#[derive(Default)]
+enum Phase {
+    /// Nothing but reads has passed.
+    #[default]
+    Starting,
+    /// There is something to unmount.
+    Mounted(PathBuf, Handle),
+    /// It has been unmounted, and `run` is about to return.
+    Ending,
+}
+
+/// How a mount ends from outside.
+#[derive(Default)]
+struct End(Mutex<Phase>);
+
+impl End {
+    fn mounted(&self, path: &Path, handle: &Handle) {
+        let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        *phase = Phase::Mounted(path.to_path_buf(), handle.clone());
+    }
+
+    /// Waits for signals on a thread of its own.
+    fn watch(self: Arc<Self>, signals: SigSet) -> Result<()> {
+        let thread = std::thread::Builder::new().name("signals".into()).stack_size(128 * 1024);
+        let watch = move || {
+            while let Ok(signal) = signals.wait() {
+                self.reached(signal);
+            }
+        };
+        thread.spawn(watch).map(drop).map_err(|error| Error::io("signals", "cannot start a thread", &error))
+    }
+
+    fn reached(&self, signal: Unix) {
+        let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (path, handle) = match &*phase {
+            Phase::Starting => {
+                eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
+                std::process::exit(1);
+            }
+            Phase::Mounted(path, handle) => (path, handle),
+            Phase::Ending => return,
+        };
+        ::log::info!("{signal}: unmounting {}", path.display());
+        match mountpoint::detach(path, false) {
+            // The session ends, and `run` with it.
+            Ok(()) => *phase = Phase::Ending,
+            Err(error) if error.errno() == Errno::EBUSY => {
+                ::log::warn!("{}: in use, so it is detached", path.display());
+                let detached = mountpoint::detach(path, true);
+                finish(handle);
+                std::process::exit(i32::from(detached.is_err()));
+            }
+            Err(error) => ::log::error!("{error}"),
+        }
+    }
+}
+
+/// Waits until the gauge's owner has finished what was asked of it: a transaction is not cut short.
+fn finish(handle: &Handle) {
+    let (done, is_done) = mpsc::channel();
+    // Requests are served in their order, and this one changes nothing.
+    let same = handle.published().interval;
+    handle.submit(Request::Interval(
+        same,
+        Box::new(move |_| {
+            let _ = done.send(());
+        }),
+    ));
+    // An owner that has ended drops the request, and with it the sender.
+    let _ = is_done.recv();
+}

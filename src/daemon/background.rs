@@ -1,0 +1,105 @@
+//! Into the background, and the word back that all is well.
+//!
+//! The parent starts gaugefs once more, as a process that has no threads to lose yet, and waits until it
+//! says that the gauge is mounted. Until then the child reports errors where the user sees them and can
+//! be interrupted with its parent; after that it has no terminal, no folder and no open ends.
+
+use std::env;
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::os::fd::RawFd;
+use std::os::unix::net::UnixDatagram;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Command, ExitCode, Stdio};
+
+use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, setsid};
+
+use crate::error::{Error, Result};
+
+/// Set in the environment of the process that is to stay.
+const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
+const READY: &[u8] = b"ready\n";
+
+/// Whether this is the process that the parent started and waits for.
+pub fn is_child() -> bool {
+    env::var_os(CHILD).is_some()
+}
+
+/// In the parent: starts the same command line once more and waits for its word.
+pub fn start() -> Result<ExitCode> {
+    let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
+    // The path keeps the process's name; where the program has been replaced, the kernel's link is left.
+    let program = env::current_exe().ok().filter(|path| path.exists());
+    let program = program.unwrap_or_else(|| "/proc/self/exe".into());
+    let mut arguments = env::args_os();
+    let mut command = Command::new(program);
+    if let Some(name) = arguments.next() {
+        command.arg0(name);
+    }
+    command.args(arguments).env(CHILD, "1").stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut child = command.spawn().map_err(failed)?;
+    let mut word = Vec::new();
+    if let Some(out) = &mut child.stdout {
+        out.take(READY.len() as u64).read_to_end(&mut word).map_err(failed)?;
+    }
+    if word == READY {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let status = child.wait().map_err(failed)?;
+    if let Some(signal) = status.signal() {
+        let why = format!("it was killed by signal {signal} before the gauge was mounted");
+        return Err(Error::host("gaugefs", nix::errno::Errno::EINTR, why));
+    }
+    // The child has said on standard error what is wrong.
+    Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
+}
+
+/// What this process was handed besides the three standard ones: somebody's pipes that must not be kept
+/// open. To be called before anything is opened.
+pub fn inherited() -> Vec<RawFd> {
+    let open = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
+    let numbers = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    // Listing them took one, which is closed again by now.
+    let mut numbers: Vec<RawFd> = numbers.filter(|&number| number > 2).collect();
+    numbers.retain(|number| fs::symlink_metadata(format!("/proc/self/fd/{number}")).is_ok());
+    numbers
+}
+
+/// In the child: lets go of the terminal and of what was inherited, and lets the parent go.
+pub fn ready(inherited: &[RawFd]) -> Result<()> {
+    let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
+    let to = |errno: nix::errno::Errno| failed(errno.into());
+    setsid().map_err(to)?;
+    chdir(Path::new("/")).map_err(to)?;
+    let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
+    dup2_stdin(&nowhere).map_err(to)?;
+    // A parent that is gone already was interrupted: then nobody wants the mount.
+    let mut out = std::io::stdout();
+    out.write_all(READY).and_then(|()| out.flush()).map_err(failed)?;
+    dup2_stdout(&nowhere).map_err(to)?;
+    dup2_stderr(&nowhere).map_err(to)?;
+    for &number in inherited {
+        // Nobody in this process knows of it.
+        let _ = close(number);
+    }
+    Ok(())
+}
+
+/// Tells systemd, where it started this process, that the gauge is mounted.
+pub fn notify() {
+    let Some(socket) = env::var_os("NOTIFY_SOCKET") else { return };
+    let told = UnixDatagram::unbound().and_then(|sender| {
+        use std::os::linux::net::SocketAddrExt;
+        use std::os::unix::ffi::OsStrExt;
+        use std::os::unix::net::SocketAddr;
+        let address = match socket.as_bytes() {
+            [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
+            _ => SocketAddr::from_pathname(&socket)?,
+        };
+        sender.send_to_addr(b"READY=1", &address)
+    });
+    if let Err(error) = told {
+        log::warn!("cannot tell systemd that the gauge is mounted: {error}");
+    }
+}
