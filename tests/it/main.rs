@@ -1,5 +1,6 @@
 //! One test binary for everything that needs more than one module.
 
+mod cli;
 mod faults;
 mod gauge;
 mod mount;

@@ -1,0 +1,357 @@
+//! The command line as its users meet it: what it prints, its exit codes, and the life of a mount.
+//!
+//! What is printed is compared with the files in `golden/`. After a change that is meant, run the tests
+//! once with GAUGEFS_GOLDEN=write and look at the difference before it is committed.
+
+use std::fmt::Write as _;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+const CHIP: &str = "bq34z100-g1";
+
+/// A run that has ended.
+struct Ran {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+    command.args(arguments).env("COLUMNS", "100").env_remove("RUST_LOG").stdin(Stdio::null());
+    command
+}
+
+fn gaugefs(arguments: &[&str]) -> Ran {
+    let output = command(arguments).output().expect("gaugefs runs");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
+    Ran { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+impl Ran {
+    #[track_caller]
+    fn done(self) -> String {
+        assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
+        assert_eq!(self.err, "");
+        self.out
+    }
+
+    /// Failed with exit code 1 and one line that begins with `gaugefs: ` and says all of `words`.
+    #[track_caller]
+    fn failed(self, words: &[&str]) {
+        assert_eq!(self.code, Some(1), "{}{}", self.out, self.err);
+        assert_eq!(self.out, "");
+        assert_eq!(self.err.lines().count(), 1, "{}", self.err);
+        assert!(self.err.starts_with("gaugefs: "), "{}", self.err);
+        for word in words {
+            assert!(self.err.contains(word), "`{word}` is not in: {}", self.err);
+        }
+    }
+}
+
+/// Compares what the command lines print, and their exit codes, with a file of `golden/`.
+#[track_caller]
+fn golden(name: &str, lines: &[&str]) {
+    let mut now = String::new();
+    for line in lines {
+        let Ran { code, out, err } = gaugefs(&line.split_ascii_whitespace().collect::<Vec<_>>());
+        writeln!(now, "$ gaugefs {line}\n{out}{err}=> {}\n", code.expect("it exits")).expect("a string");
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/golden").join(name);
+    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+        fs::write(&path, &now).expect("the golden file");
+    }
+    let then = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        now == then,
+        "{}: other output; where it is meant, GAUGEFS_GOLDEN=write cargo test\n{now}",
+        path.display()
+    );
+}
+
+#[test]
+fn help_is_for_people() {
+    golden("help", &["--help", "mount --help", "umount --help", "probe --help", "chips --help"]);
+}
+
+#[test]
+fn chips_are_listed() {
+    golden("chips", &["chips", "chips --json"]);
+}
+
+#[test]
+fn misuse_is_told_apart() {
+    golden(
+        "misuse",
+        &[
+            "frob",
+            "mount /tmp/x",
+            "mount --sim",
+            "mount --sim bq34z100-g1",
+            "mount --sim bq99 /tmp/x",
+            "mount --sim bq34z100-g1 --bus /dev/i2c-1 /tmp/x",
+            "mount --sim bq34z100-g1 --poll 0.1 /tmp/x",
+            "mount --sim bq34z100-g1 --name a/b /tmp/x",
+            "mount --sim bq34z100-g1 --sim-key 0414 /tmp/x",
+            "mount --sim bq34z100-g1 --energy-scale 0 /tmp/x",
+            "mount --sim bq34z100-g1 --group no-such-group /tmp/x",
+            "mount --bus /dev/i2c-1 --address 0xaa /tmp/x",
+            "mount --bus /dev/i2c-1 --sim-state /tmp/y /tmp/x",
+            "umount",
+            "probe",
+        ],
+    );
+}
+
+#[test]
+fn what_cannot_be_done_is_said_with_its_remedy() {
+    gaugefs(&["probe", "--bus", "/dev/i2c-999"]).failed(&["/dev/i2c-999: no such bus"]);
+    gaugefs(&["probe", "--bus", "/dev/null"]).failed(&["/dev/null: not an I2C bus"]);
+    gaugefs(&["mount", "--bus", "/dev/i2c-999", "/tmp/x"]).failed(&["no such bus"]);
+    gaugefs(&["umount", "/proc"]).failed(&["/proc: proc", "not gaugefs"]);
+    gaugefs(&["umount", "/etc"]).failed(&["/etc: no gaugefs is mounted there"]);
+    let mount = |at| gaugefs(&["mount", "--sim", CHIP, at]);
+    mount("/proc").failed(&["/proc: proc", "is mounted there"]);
+    mount("/etc/passwd").failed(&["/etc/passwd: not a folder"]);
+}
+
+#[test]
+fn a_key_file_that_others_may_read_is_refused() {
+    let folder = Folder::new();
+    let file = folder.file("keys");
+    fs::write(&file, "unseal = 1234 zzzz\n").expect("a key file");
+    let mount = || gaugefs(&["mount", "--sim", CHIP, "--key-file", &file, &folder.file("m")]);
+    fs::set_permissions(&file, Permissions::from_mode(0o640)).expect("its mode");
+    mount().failed(&["others may read", "mode 640", "chmod 600"]);
+    fs::set_permissions(&file, Permissions::from_mode(0o600)).expect("its mode");
+    let bad = mount();
+    assert!(!bad.err.contains("zzzz") && !bad.err.contains("1234"), "{}", bad.err);
+    bad.failed(&["line 1", "two words"]);
+    gaugefs(&["mount", "--sim", CHIP, "--key-file", &folder.file("none"), &folder.file("m")])
+        .failed(&["cannot read the key file", "No such file"]);
+    assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
+}
+
+/// A temporary folder; mounts in it end with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("gaugefs cli {} {count}", std::process::id()));
+        fs::create_dir(&path).expect("a temporary folder");
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().expect("a path in UTF-8").to_string()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        for name in ["m", "n"] {
+            while gaugefs(&["umount", &self.file(name)]).code == Some(0) {}
+        }
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Whether this machine can mount FUSE.
+fn can_mount() -> bool {
+    let can = fs::File::options().read(true).write(true).open("/dev/fuse").is_ok();
+    if !can {
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount command ran");
+    }
+    can
+}
+
+#[track_caller]
+fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A mount in the foreground, killed when the test ends.
+struct Foreground(Child);
+
+impl Foreground {
+    fn new(mountpoint: &str, more: &[&str]) -> Self {
+        let arguments = [&["mount", "-f", "--sim", CHIP, mountpoint], more].concat();
+        let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        let present = Path::new(mountpoint).join("BAT0/present");
+        within(Duration::from_secs(10), "mounted", || present.exists());
+        Self(child)
+    }
+
+    fn send(&self, signal: Signal) {
+        kill(Pid::from_raw(self.0.id() as i32), signal).expect("it runs");
+    }
+
+    #[track_caller]
+    fn ends(&mut self) -> Option<i32> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().expect("a child") {
+                return status.code();
+            }
+            assert!(start.elapsed() < Duration::from_secs(10), "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Foreground {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn read(mountpoint: &str, name: &str) -> String {
+    let path = Path::new(mountpoint).join(name);
+    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())).trim().to_string()
+}
+
+#[test]
+fn mount_makes_the_folder_and_returns_when_the_gauge_can_be_read() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--name", "PACK-1", &at]).done();
+    assert_eq!(read(&at, "PACK-1/model_name"), "bq34z100-G1");
+    assert!(read(&at, "PACK-1/uevent").starts_with("POWER_SUPPLY_NAME=PACK-1\n"));
+    gaugefs(&["mount", "--sim", CHIP, &at]).failed(&[&at, "a gaugefs is mounted there", "gaugefs umount"]);
+    gaugefs(&["umount", &at]).done();
+    gaugefs(&["umount", &at]).failed(&["no gaugefs is mounted there"]);
+    assert_eq!(fs::read_dir(&at).expect("the folder stays").count(), 0);
+}
+
+#[test]
+fn nothing_of_the_caller_is_kept_in_the_background() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    // `output` in `gaugefs` returns only when nobody holds the pipes any more; so does `cat` here, with
+    // a pipe that the daemon was never told of.
+    let script = format!("{} mount --sim {CHIP} '{at}' 7>&1 | cat", env!("CARGO_BIN_EXE_gaugefs"));
+    let status = Command::new("timeout").args(["10", "sh", "-c", &script]).status().expect("a shell");
+    assert!(status.success());
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn signals_and_an_unmount_from_outside_end_the_daemon() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    for signal in [Signal::SIGTERM, Signal::SIGINT] {
+        let mut daemon = Foreground::new(&at, &[]);
+        daemon.send(signal);
+        assert_eq!(daemon.ends(), Some(0));
+        assert!(!Path::new(&at).join("BAT0").exists());
+    }
+    let mut daemon = Foreground::new(&at, &[]);
+    gaugefs(&["umount", &at]).done();
+    assert_eq!(daemon.ends(), Some(0));
+}
+
+#[test]
+fn a_mount_in_use_is_not_torn_away_but_a_signal_ends_it() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mut daemon = Foreground::new(&at, &[]);
+    let held = fs::File::open(Path::new(&at).join("BAT0/capacity")).expect("a file");
+    let me = format!("process {}", std::process::id());
+    gaugefs(&["umount", &at]).failed(&["in use by", &me]);
+    daemon.send(Signal::SIGTERM);
+    assert_eq!(daemon.ends(), Some(0));
+    assert!(!Path::new(&at).join("BAT0").exists());
+    drop(held);
+}
+
+#[test]
+fn what_a_killed_daemon_leaves_behind_is_cleared_away() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mut daemon = Foreground::new(&at, &[]);
+    assert_eq!(read(&at, "BAT0/present"), "1");
+    daemon.send(Signal::SIGKILL);
+    daemon.ends();
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    assert_eq!(read(&at, "BAT0/present"), "1");
+    gaugefs(&["umount", &at]).done();
+
+    let mut daemon = Foreground::new(&at, &[]);
+    daemon.send(Signal::SIGKILL);
+    daemon.ends();
+    gaugefs(&["umount", &at]).done();
+    gaugefs(&["umount", &at]).failed(&["no gaugefs is mounted there"]);
+}
+
+#[test]
+fn one_state_file_has_one_daemon_and_outlives_it() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, other, state) = (folder.file("m"), folder.file("n"), folder.file("state"));
+    let daemon = Foreground::new(&at, &["--sim-state", &state]);
+    fs::write(Path::new(&at).join("BAT0/df/48/11"), "3400\n").expect("a write");
+    let who = format!("process {}", daemon.0.id());
+    gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).failed(&[
+        "another gaugefs has it",
+        &who,
+        &at,
+    ]);
+    gaugefs(&["umount", &at]).done();
+    // The first is perhaps still about to end; that is waited for.
+    gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).done();
+    assert_eq!(read(&other, "BAT0/df/48/11"), "3400");
+}
+
+#[test]
+fn log_and_trace_hold_what_they_should() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, log, trace) = (folder.file("m"), folder.file("log"), folder.file("trace"));
+    gaugefs(&["mount", "--sim", CHIP, "--log", &log, "--trace", &trace, &at]).done();
+    read(&at, "BAT0/df/48/11");
+    gaugefs(&["umount", &at]).done();
+    let text = || fs::read_to_string(&log).expect("the log");
+    within(Duration::from_secs(5), "the end is logged", || text().contains("unmounted"));
+    assert!(
+        text().contains(&format!("Z bq34z100-G1 (simulated gauge) mounted at {at}/BAT0\n")),
+        "{}",
+        text()
+    );
+    let trace = fs::read_to_string(&trace).expect("the trace");
+    assert!(trace.contains("\nW: AA 00 01 00\n"), "{trace}");
+    assert_eq!(trace.matches("\n; hidden\n").count() + trace.matches("; hidden\n; hidden\n").count(), 2);
+    assert!(!trace.contains("W: AA 00 14 04"), "a key word is in the trace");
+}
