@@ -337,7 +337,7 @@ impl Probe {
             Some(address) => vec![look(&adapter, address, true)?],
             None => vec![look(&adapter, GAUGE_ADDRESS, false)?, look_for_rom(&adapter)?],
         };
-        let is_gauge = |found: &Found| matches!(found.state, "gauge" | "maybe" | "rom" | "driver");
+        let is_gauge = |found: &Found| matches!(found.state, "gauge" | "maybe" | "rom" | "driver" | "busy");
         let any = found.iter().any(is_gauge);
         print(&if self.json { Self::json(&adapter, &found) } else { self.table(&adapter, &found) });
         Ok(if any { ExitCode::SUCCESS } else { ExitCode::FAILURE })
