@@ -102,6 +102,8 @@ pub struct Options {
 struct Opened {
     chip: &'static Chip,
     bus: Box<dyn Bus>,
+    /// Its clock, where that is known.
+    clock_hz: Option<u32>,
     address: u8,
     /// What to call it in messages.
     subject: String,
@@ -126,7 +128,8 @@ pub fn run(options: Options) -> Result<()> {
     let mountpoint = mountpoint::prepare(&options.mountpoint)?;
     let keys = options.keyring.open()?;
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-    let Opened { chip, mut bus, address, subject, sim, lock } = options.source.open(&mountpoint, &clock)?;
+    let Opened { chip, mut bus, clock_hz, address, subject, sim, lock } =
+        options.source.open(&mountpoint, &clock)?;
     if let Some(path) = &options.trace {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
         let head = format!("{} on {subject}, {}", chip.name, self::log::utc(now));
@@ -135,7 +138,7 @@ pub fn run(options: Options) -> Result<()> {
     let settings = Settings {
         keys,
         interval: options.interval,
-        byte_writes: options.byte_writes,
+        byte_writes: options.byte_writes || too_fast(chip, clock_hz),
         allow_unproven: options.allow_unproven,
         restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
     };
@@ -176,6 +179,11 @@ fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
     saved::parse(chip, &text).map_err(|error| error.within(&name))
+}
+
+/// Whether the part takes only one byte a write at that clock.
+fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
+    chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
 }
 
 /// The files of `sim/`.
@@ -219,7 +227,15 @@ impl Source {
                 }
                 let subject = "simulated gauge".to_string();
                 let bus = Box::new(bus);
-                Ok(Opened { chip, bus, address: GAUGE_ADDRESS, subject, sim: Some(sim), lock })
+                Ok(Opened {
+                    chip,
+                    bus,
+                    clock_hz: None,
+                    address: GAUGE_ADDRESS,
+                    subject,
+                    sim: Some(sim),
+                    lock,
+                })
             }
             Self::Bus { bus, address, chip } => {
                 let adapter = Adapter::find(bus)?;
@@ -230,7 +246,16 @@ impl Source {
                     Ok(Box::new(bus) as Box<dyn Bus>)
                 };
                 let chip = probe::find(&subject, *chip, &open, clock)?;
-                Ok(Opened { chip, bus: open()?, address: *address, subject, sim: None, lock: Some(lock) })
+                let clock_hz = adapter.clock_hz();
+                Ok(Opened {
+                    chip,
+                    bus: open()?,
+                    clock_hz,
+                    address: *address,
+                    subject,
+                    sim: None,
+                    lock: Some(lock),
+                })
             }
         }
     }

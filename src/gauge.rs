@@ -187,8 +187,9 @@ impl Gauge {
 
     /// Writes bytes whose effect must not happen twice.
     pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
-        // Control() words stay whole: split, a poll in between would break a key (SLUSBZ5D 7.3.3.4).
-        if self.byte_writes && code != CONTROL {
+        // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
+        // is only ever written as a word.
+        if self.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
             for (at, &byte) in (code..).zip(data) {
                 self.transfer(&[at, byte], &mut [])?;
             }

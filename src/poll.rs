@@ -19,7 +19,8 @@ use crate::gauge::{Gauge, Statistics, bursts};
 use crate::keys::Keys;
 use crate::value::Value;
 
-/// Every so many polls the slow tier is read as well.
+/// Every so many polls the slow tier is read as well; first with the second poll, which follows soon, so
+/// that a mount waits only for what its attributes need.
 const SLOW_EVERY: u64 = 10;
 /// So many polls that fail in a row make a gauge gone.
 const FAILURES: u32 = 3;
@@ -247,6 +248,8 @@ struct Owner {
     shared: Arc<Shared>,
     /// Registers of the tiers that are not read with every poll.
     other: Registers,
+    /// Whether those that are copies of data flash are up to date.
+    statics: bool,
     control_status: u16,
     polls: u64,
     failures: u32,
@@ -308,6 +311,7 @@ impl Owner {
             dataflash: DataFlash::default(),
             shared: shared.clone(),
             other: Registers::NONE,
+            statics: false,
             control_status: 0,
             polls: 0,
             failures: 0,
@@ -360,6 +364,7 @@ impl Owner {
         self.dataflash.forget();
         self.drop_kept();
         self.other = Registers::NONE;
+        self.polls = self.polls.next_multiple_of(SLOW_EVERY);
         self.restored = false;
         self.shared.publish(|published| (published.answers, published.sibling) = (answers, sibling));
         Ok(())
@@ -392,7 +397,6 @@ impl Owner {
         let outcome = self.dataflash.write(&mut self.gauge, &changes, Duration::ZERO);
         self.restore = changes;
         self.drop_kept();
-        self.other = Registers::NONE;
         match self.told(outcome.map_err(|error| error.within("--restore"))) {
             Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.gauge.chip.name),
             Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.gauge.chip.name),
@@ -415,7 +419,9 @@ impl Owner {
         }
     }
 
-    fn drop_kept(&self) {
+    /// Data flash may hold something else now, and so may its copies.
+    fn drop_kept(&mut self) {
+        self.statics = false;
         lock(&self.shared.kept).iter_mut().for_each(|kept| *kept = None);
     }
 
@@ -434,7 +440,11 @@ impl Owner {
 
     fn pause(&self) -> Duration {
         let interval = self.shared.published().interval;
-        if self.failures == 1 { interval.min(RETRY) } else { interval }
+        match (self.failures, self.polls) {
+            (1, _) => interval.min(RETRY),
+            (0, 1) => SHORTEST,
+            _ => interval,
+        }
     }
 
     fn poll_or_say(&mut self) {
@@ -468,11 +478,14 @@ impl Owner {
     /// Reads what is due and publishes it as a new Snapshot.
     fn poll(&mut self) -> Result<()> {
         let taken = self.gauge.clock.now();
-        let slow = self.polls.is_multiple_of(SLOW_EVERY);
-        let statics = self.other.known == 0;
-        // Statics and slow registers stand between the others: one pass reads them all.
+        let slow = self.polls % SLOW_EVERY == 1;
+        let statics = !self.statics;
         if statics || slow {
-            self.other.read(&mut self.gauge, |tier| tier == Tier::Slow || statics && tier == Tier::Static)?;
+            // In one pass: they stand between each other.
+            self.other.read(&mut self.gauge, |tier| {
+                tier == Tier::Slow && slow || tier == Tier::Static && statics
+            })?;
+            self.statics = true;
             let (seal, status) = self.gauge.control_status()?;
             self.control_status = status;
             self.shared.publish(|published| published.seal = seal);
@@ -562,8 +575,7 @@ impl Owner {
                 self.gauge.wait(early);
                 self.drop_kept();
                 self.dataflash.forget();
-                self.polls = self.polls.next_multiple_of(SLOW_EVERY);
-                self.other = Registers::NONE;
+                self.polls = self.polls.next_multiple_of(SLOW_EVERY) + 1;
                 let outcome = if self.failures >= FAILURES { self.arrive() } else { Ok(()) };
                 let outcome = outcome.and_then(|()| self.poll());
                 if let Err(error) = &outcome {
@@ -617,7 +629,6 @@ impl Owner {
             lock(&self.shared.kept)[subclass] = None;
         } else if outcome != Ok(Outcome::Unchanged) {
             self.drop_kept();
-            self.other = Registers::NONE;
         }
         outcome.map(|_| ())
     }

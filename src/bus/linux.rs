@@ -78,6 +78,15 @@ impl Adapter {
         Some(name.trim().to_string())
     }
 
+    /// The bus clock, where the device tree tells it: x86 and USB adapters keep it to themselves.
+    pub fn clock_hz(&self) -> Option<u32> {
+        let device = format!("/sys/bus/i2c/devices/i2c-{}", self.number());
+        // The adapter's own node, or its controller's, in which its property stands.
+        let nodes = ["of_node", "device/of_node", "../of_node"];
+        let read = |node: &&str| fs::read(format!("{device}/{node}/clock-frequency")).ok();
+        Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
+    }
+
     /// The kernel driver that is bound to an address, and the device it was made for.
     pub fn driver(&self, address: u8) -> Option<Driver> {
         let device = format!("/sys/bus/i2c/devices/{}-{address:04x}", self.number());

@@ -3,6 +3,7 @@
 mod cli;
 mod faults;
 mod gauge;
+mod input;
 mod mount;
 mod rig;
 mod sim;

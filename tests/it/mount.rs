@@ -83,6 +83,8 @@ impl Mount {
         };
         let tree = Arc::new(Fs::new(vec![entry], access));
         let mounted = fuse::mount(tree, &folder, fuse::Options::default(), signal).expect("a mount");
+        // The second poll, half a second later, reads the registers that no attribute needs.
+        until("the second poll", || statistic(&handle, "polls") >= 2);
         Some(Self { folder, sim, handle, _mounted: mounted })
     }
 
@@ -102,8 +104,12 @@ impl Mount {
     }
 
     fn transfers(&self) -> u64 {
-        self.handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("it is counted").1
+        statistic(&self.handle, "transfers")
     }
+}
+
+fn statistic(handle: &Handle, wanted: &str) -> u64 {
+    handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
 }
 
 fn errno(error: std::io::Error) -> Errno {
