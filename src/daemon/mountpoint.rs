@@ -9,16 +9,22 @@ use std::io::ErrorKind;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 
+use crate::clock::{Clock, RealClock};
 use crate::error::{Cause, Error, Result};
 
 /// The source of every mount of gaugefs, as mountinfo shows it.
 pub const SOURCE: &str = "gaugefs";
+
+/// How long an unmount waits for those who use the mount, and how often it looks.
+const PATIENCE: Duration = Duration::from_millis(500);
+const STEP: Duration = Duration::from_millis(20);
 
 /// What is mounted at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -83,7 +89,7 @@ pub fn unmount(path: &Path) -> Result<()> {
     let path = resolve(path)?;
     let subject = path.display().to_string();
     match mounted(&path)? {
-        Mounted::Alive => detach(&path, false).map_err(|error| {
+        Mounted::Alive => patiently(|| detach(&path, false)).map_err(|error| {
             if error.errno() != Errno::EBUSY {
                 return error;
             }
@@ -104,6 +110,17 @@ pub fn unmount(path: &Path) -> Result<()> {
         }
         Mounted::Other(what) => {
             Err(Error::host(subject, Errno::EINVAL, format!("{what} is mounted there, not gaugefs")))
+        }
+    }
+}
+
+/// Tries for a moment: a monitor has its files open only while it reads them.
+fn patiently(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
+    let clock = RealClock::new();
+    loop {
+        match attempt() {
+            Err(error) if error.errno() == Errno::EBUSY && clock.now() < PATIENCE => clock.sleep(STEP),
+            outcome => return outcome,
         }
     }
 }
