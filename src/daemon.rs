@@ -168,7 +168,8 @@ pub fn run(options: Options) -> Result<()> {
     } else {
         background::ready(&inherited)?;
     }
-    mounted.wait()?;
+    mounted.wait();
+    end.over();
     finish(&handle);
     ::log::info!("{place} unmounted");
     drop(lock);
@@ -292,6 +293,10 @@ impl End {
     fn mounted(&self, path: &Path, handle: &Handle) {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         *phase = Phase::Mounted(path.to_path_buf(), handle.clone());
+    }
+
+    fn over(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Phase::Ending;
     }
 
     /// Waits for signals on a thread of its own.

@@ -14,6 +14,7 @@
 use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::path::Path;
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -49,6 +50,8 @@ pub struct Options {
 /// A mounted tree; dropped, it is unmounted.
 pub struct Mounted {
     session: fuser::BackgroundSession,
+    /// Disconnected when the session has ended, and what it served is dropped.
+    over: Receiver<()>,
 }
 
 impl Mounted {
@@ -58,8 +61,12 @@ impl Mounted {
     }
 
     /// Returns when the tree is unmounted from outside.
-    pub fn wait(self) -> Result<()> {
-        self.session.join().map_err(|error| host("the mount", &error))
+    pub fn wait(self) {
+        // Nobody sends: the other end is dropped with the session.
+        let _ = self.over.recv();
+        // Dropped, fuser would unmount the same path again, and with it what somebody has mounted there
+        // since: it takes the end of the connection for a mount (POLLERR in its `is_mounted`).
+        std::mem::forget(self.session);
     }
 }
 
@@ -91,7 +98,15 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     let table = Arc::new(Mutex::new(Table::new()));
     let answers = Arc::new(Mutex::new(Vec::new()));
     let (later, raise) = (answers.clone(), signal.clone());
-    let adapter = Adapter { fs: fs.clone(), table: table.clone(), options, answers: later, signal: raise };
+    let (alive, over) = mpsc::channel();
+    let adapter = Adapter {
+        fs: fs.clone(),
+        table: table.clone(),
+        options,
+        answers: later,
+        signal: raise,
+        _alive: alive,
+    };
     let session = Session::new(adapter, mountpoint, &config)
         .map_err(|error| host(&mountpoint.display().to_string(), &error))?;
     let notifier = session.notifier();
@@ -100,7 +115,7 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     thread
         .spawn(move || Watch { fs, table, notifier, folders: HashMap::new(), answers }.run(&signal))
         .map_err(|error| host("a thread", &error))?;
-    Ok(Mounted { session })
+    Ok(Mounted { session, over })
 }
 
 /// What the kernel knows by number.
@@ -223,6 +238,8 @@ struct Adapter {
     options: Options,
     answers: Arc<Mutex<Vec<Answer>>>,
     signal: Arc<Signal>,
+    /// Tells by its end that the session has ended.
+    _alive: Sender<()>,
 }
 
 impl Adapter {

@@ -15,9 +15,8 @@ use log::{Level, Record};
 
 use crate::error::{Error, Result};
 
-/// RUST_LOG's default: gaugefs in brief, and its FUSE library only where something is wrong; that a mount
-/// taken away from outside cannot be unmounted once more is not.
-const FILTER: &str = "info,fuser=warn,fuser::mnt=error";
+/// RUST_LOG's default: gaugefs in brief, and its FUSE library only where something is wrong.
+const FILTER: &str = "info,fuser=warn";
 /// syslog's number for daemons, times eight.
 const DAEMON: u8 = 3 << 3;
 

@@ -312,6 +312,26 @@ fn what_a_killed_daemon_leaves_behind_is_cleared_away() {
     gaugefs(&["umount", &at]).failed(&["no gaugefs is mounted there"]);
 }
 
+/// The daemon of a mount that was taken away used to unmount the path once more on its way out.
+#[test]
+fn regression_an_ending_daemon_leaves_the_next_mount_alone() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mut first = Foreground::new(&at, &[]);
+    first.send(Signal::SIGSTOP);
+    // Not by gaugefs, which asks the daemon whether it is alive.
+    let unmounted = Command::new("fusermount3").args(["-u", &at]).status().expect("fusermount3 runs");
+    assert!(unmounted.success());
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    first.send(Signal::SIGCONT);
+    assert_eq!(first.ends(), Some(0));
+    assert_eq!(read(&at, "BAT0/present"), "1");
+    gaugefs(&["umount", &at]).done();
+}
+
 #[test]
 fn one_state_file_has_one_daemon_and_outlives_it() {
     if !can_mount() {
