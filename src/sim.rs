@@ -15,12 +15,16 @@ use crate::error::{Cause, Error, Result};
 
 mod battery;
 mod block;
+mod bq27427;
+mod bq27441_g1;
+mod bq27520_g3;
 mod bq34z100_g1;
 pub mod fault;
 mod flash;
 mod gauging;
 mod knob;
 mod seal;
+mod update;
 mod window;
 
 use fault::{ADAPTER_WAITS, Fault, Inside, Plan, Wire};
@@ -32,7 +36,8 @@ const BIT: Duration = Duration::from_micros(10);
 /// Transfers that the log keeps.
 const LOG: usize = 4096;
 
-static PARTS: &[&block::Part] = &[&bq34z100_g1::PART];
+static PARTS: &[&block::Part] =
+    &[&bq34z100_g1::PART, &bq27520_g3::PART, &bq27441_g1::PART, &bq27441_g1::BQ27421, &bq27427::PART];
 
 /// How a simulated gauge is made.
 #[derive(Clone, Default)]

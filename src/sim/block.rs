@@ -1,8 +1,10 @@
-//! Block access: a flash gauge whose data flash is reached unsealed through class, block, window and
-//! checksum (SLUSBZ5D 7.3.3). Everything a host can do to the bq34z100-G1 over the bus is here.
+//! Block access: a gauge whose data flash is reached unsealed through class, block, window and checksum
+//! (SLUSBZ5D 7.3.3). Everything a host can do over the bus to the parts with flash is here, and to those
+//! with RAM (SLUUAC9A), which differ in when the checksum counts. What differs from part to part is in
+//! its description, [`Part`].
 //!
-//! Where the documents leave a choice, the gauge does what is worst for a driver: it is sealed after
-//! every reset, it does not answer meanwhile, and what it refuses it refuses silently.
+//! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
+//! after every reset, it does not answer meanwhile, and what it refuses it refuses silently.
 
 use std::time::Duration;
 
@@ -10,12 +12,13 @@ use sha1::{Digest, Sha1};
 
 use super::fault::{Inside, Plan};
 use super::flash::{BLOCK, Flash, Image, Store};
-use super::gauging::{Gauging, REGISTERS};
+use super::gauging::{Gauging, Map, REGISTERS};
 use super::seal::{self, Level, Seal};
+use super::update::{Exit, Mode, Ram};
 use super::window::{Source, Window, checksum};
 use super::{Chip, Options, knob};
 use crate::bus::GAUGE_ADDRESS;
-use crate::error::Result;
+use crate::error::{Cause, Error, Result};
 
 /// Where a gauge in ROM mode answers.
 const ROM_ADDRESS: u8 = 0x0B;
@@ -31,32 +34,164 @@ const WAKING: Duration = Duration::from_millis(8);
 /// Measuring an offset.
 const CALIBRATING: Duration = Duration::from_secs(4);
 
-// CONTROL_STATUS, table 7-3.
-const FAS: u16 = 0x4000;
-const SS: u16 = 0x2000;
-const CALEN: u16 = 0x1000;
-const CCA: u16 = 0x0800;
-const BCA: u16 = 0x0400;
-const CSV: u16 = 0x0200;
-const SLEEP: u16 = 0x0010;
-const LDMD: u16 = 0x0008;
-const VOK: u16 = 0x0002;
-const QEN: u16 = 0x0001;
+/// A gauge that sealed itself refuses keys for so long, and again from any subcommand on that is above the
+/// second number (SLUUAC9A 6.4.5.1.1).
+const LOCKED: Duration = Duration::from_secs(4);
+const LOCKING: u16 = 0x001A;
+/// From power, or from knowing of a battery, to the first prediction: up to 10 s (SLUUAC9A 2.4.6).
+const INITIALIZING: Duration = Duration::from_secs(2);
+/// Update Status: the gauge seals itself.
+const SEAL: u8 = 0x80;
+/// Flags() of the parts with RAM: data memory is ROM's, and CONFIG UPDATE.
+const ITPOR: u16 = 0x0020;
+const CFGUPMODE: u16 = 0x0010;
+/// Flags() `[BAT_DET]`.
+const BAT_DET: u16 = 0x0008;
 
 /// What makes one such part.
+#[derive(Debug)]
 pub(super) struct Part {
     pub(super) name: &'static str,
-    pub(super) identity: Identity,
     pub(super) image: Image,
+    /// DM_CODE, which is all that tells some parts apart.
+    pub(super) code: u16,
+    pub(super) map: Map,
+    /// Control(): code, who may send it, what it does. What is not here does nothing.
+    pub(super) subcommands: &'static [(u16, Who, Action)],
+    /// Bits of CONTROL_STATUS.
+    pub(super) status: &'static [(Status, u16)],
+    /// Subcommands from here on are not what PREV_MACWRITE shows.
+    pub(super) remembered: u16,
+    /// Registers above it are not acknowledged.
+    pub(super) last_register: u8,
+    pub(super) flags_register: u8,
+    pub(super) voltage_register: u8,
+    /// Registers whose word the host may write.
+    pub(super) host_registers: &'static [(u8, Host)],
+    /// Where in class 112 the keys stand: to UNSEALED and, where there is such a level, to FULL ACCESS.
+    pub(super) keys: &'static [usize],
+    /// Data memory is RAM.
+    pub(super) ram: Option<Ram>,
+    pub(super) gate: Option<Gate>,
+    pub(super) authentication: Option<Authentication>,
+    /// Blocks that a sealed gauge shows, and the class of each.
+    pub(super) sealed_blocks: &'static [(u8, u16)],
+    /// The class among them that can be written.
+    pub(super) sealed_writes: Option<u16>,
+    /// The bit that makes a pin tell of the battery, and not BAT_INSERT: class, offset, bit of that byte.
+    pub(super) battery_insert: Option<(u16, usize, u8)>,
+    pub(super) own: Own,
 }
 
-/// Its answers to Control().
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Identity {
-    pub(super) device_type: u16,
-    pub(super) firmware: u16,
-    pub(super) hardware: u16,
-    pub(super) chemistry: u16,
+/// Data flash that the gauge itself reads or keeps, besides what gauging does: class and offset.
+#[derive(Debug)]
+pub(super) struct Own {
+    pub(super) cycles: Option<(u16, usize)>,
+    /// Classes of the lifetime data and of the count of samples.
+    pub(super) lifetime: Option<(u16, u16)>,
+    pub(super) update_status: Option<(u16, usize)>,
+    pub(super) cc_offset: Option<(u16, usize)>,
+    pub(super) board_offset: Option<(u16, usize)>,
+    /// The byte that is not 0 for the model of constant power.
+    pub(super) load_mode: Option<(u16, usize)>,
+    /// The word and bit that lift the gate.
+    pub(super) calibration: Option<(u16, usize, u16)>,
+    /// The word and bit that allow SLEEP, and where its current stands.
+    pub(super) sleep: Option<((u16, usize, u16), (u16, usize))>,
+    /// Seconds of silence before FULL SLEEP.
+    pub(super) settle: Option<(u16, usize)>,
+    /// The class that the chemistry's checksum is about.
+    pub(super) chemistry: Option<u16>,
+}
+
+/// Below what voltage nothing is programmed: where the limit stands, and the divider of a stack's voltage.
+#[derive(Debug)]
+pub(super) struct Gate {
+    pub(super) limit: (u16, usize),
+    pub(super) divider: Option<(u16, usize)>,
+}
+
+/// SHA-1 authentication.
+#[derive(Debug)]
+pub(super) struct Authentication {
+    pub(super) key: (u16, usize),
+}
+
+/// Who may send a subcommand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Who {
+    Anyone,
+    Unsealed,
+    FullAccess,
+}
+
+/// A word that the host writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Host {
+    AtRate,
+    Temperature,
+}
+
+/// What a subcommand does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Action {
+    ControlStatus,
+    Answer(u16),
+    AnswerCode,
+    /// Answers with a word of data flash.
+    AnswerFrom(u16, usize),
+    /// Answers with the chemistry that was chosen, or else with this one.
+    AnswerChemistry(u16),
+    AnswerOffset,
+    ResetData,
+    Previous,
+    BoardOffset,
+    CcOffset,
+    WriteCcOffset,
+    /// Answers with the sum of all data flash.
+    FlashChecksum,
+    ChemistryChecksum,
+    FullSleep,
+    Set(Status),
+    Clear(Status),
+    BatteryInsert(bool),
+    Seal,
+    ItEnable,
+    ItDisable,
+    CalEnable,
+    EnterCalibration,
+    ExitCalibration,
+    Reset,
+    ConfigUpdate,
+    Leave(Exit),
+    /// Chooses a chemistry, in CONFIG UPDATE only.
+    Chemistry(u16),
+    /// Off until power is switched off and on, if it was armed.
+    Shutdown,
+    Rom,
+    Hdq,
+}
+
+/// What a bit of CONTROL_STATUS tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Status {
+    NotFullAccess,
+    Sealed,
+    Calibrating,
+    CcOffset,
+    BoardOffset,
+    ChecksumValid,
+    Initialized,
+    Sleep,
+    LoadMode,
+    Enabled,
+    ChemistryChanged,
+    // Those that a subcommand sets or clears, and nothing else.
+    DataLog,
+    Hibernate,
+    OcvDone,
+    ShutdownArmed,
+    Snooze,
 }
 
 /// A block that is being programmed: what a loss of power would tear.
@@ -87,7 +222,7 @@ struct Manner {
 
 /// The gauge.
 pub(super) struct Gauge {
-    identity: Identity,
+    part: &'static Part,
     flash: Flash,
     store: Store,
     manner: Manner,
@@ -126,6 +261,17 @@ pub(super) struct Gauge {
     pending: Option<Pending>,
     dropped: u64,
     registers: Option<[u8; REGISTERS]>,
+    /// Bits of CONTROL_STATUS that subcommands have set.
+    marks: Vec<Status>,
+    update: Mode,
+    update_enter: Duration,
+    update_leave: Duration,
+    /// No key is taken before.
+    locked_until: Duration,
+    /// BAT_INSERT was the last that was heard of the battery.
+    inserted: bool,
+    initialized_from: Duration,
+    chemistry: Option<u16>,
 }
 
 impl Gauge {
@@ -134,14 +280,20 @@ impl Gauge {
         let mut store = Store::new(options.state.clone(), part.name);
         if !store.load(&mut flash)? {
             if let Some(words) = options.unseal_key {
-                flash.preset(112, 0, &seal::stored(words));
+                flash.preset(112, part.keys[0], &seal::stored(words));
+            }
+            if let Some((id, offset)) = part.ram.as_ref().map(|ram| ram.update_status) {
+                // Somebody has sealed it, as they do; that is remembered here.
+                flash.preset(id, offset, &[flash.u8(id, offset) | SEAL]);
             }
             store.save(&flash)?;
         }
-        let gauging = Gauging::new(&flash, 60.0);
-        let calibration = flash.u16(64, 0) & 0x4000 != 0;
+        let gauging = Gauging::new(&part.map, &flash, 60.0);
+        let calibration = is_set(&flash, part.own.calibration);
+        let level = level(part, &flash);
+        let ram = part.ram.as_ref();
         Ok(Self {
-            identity: part.identity,
+            part,
             store,
             manner: Manner {
                 speed: 1.0,
@@ -150,7 +302,7 @@ impl Gauge {
                 load: Duration::ZERO,
                 sealed_load: Duration::from_millis(20),
                 authentication: Duration::from_millis(20),
-                word: WORD,
+                word: if part.ram.is_some() { Duration::ZERO } else { WORD },
                 key_quiet: Duration::ZERO,
                 as_sent: false,
             },
@@ -163,8 +315,8 @@ impl Gauge {
             rom_bytes: [0xFF; 3],
             gauging,
             modelled: now,
-            seal: Seal::new(),
-            window: Window::new(),
+            seal: Seal::new(level),
+            window: Window::new(part.authentication.is_some()),
             control: 0,
             class: 0,
             block: 0,
@@ -186,6 +338,14 @@ impl Gauge {
             pending: None,
             dropped: 0,
             registers: None,
+            marks: Vec::new(),
+            update: Mode::Off,
+            update_enter: ram.map_or(Duration::ZERO, |ram| ram.enter),
+            update_leave: ram.map_or(Duration::ZERO, |ram| ram.leave),
+            locked_until: now,
+            inserted: false,
+            initialized_from: now,
+            chemistry: None,
             flash,
         })
     }
@@ -212,27 +372,61 @@ impl Gauge {
             let learned = self.gauging.advance(seconds);
             if on && learned.cycles {
                 let cycles = self.gauging.cycles.to_be_bytes();
-                self.store_own(48, 6, &cycles, now);
+                self.store_own(self.part.own.cycles, &cycles, now);
             }
-            if on && learned.lifetime {
+            if on
+                && learned.lifetime
+                && let Some((data, samples)) = self.part.own.lifetime
+            {
                 let mut bytes = [0; 12];
                 for (pair, value) in bytes.chunks_mut(2).zip(self.gauging.lifetime) {
                     pair.copy_from_slice(&(value.round() as i32 as u16).to_be_bytes());
                 }
-                self.store_own(59, 0, &bytes, now);
-                let count = self.flash.u16(60, 0).saturating_add(1);
-                self.store_own(60, 0, &count.to_be_bytes(), now);
+                self.store_own(Some((data, 0)), &bytes, now);
+                let count = self.flash.u16(samples, 0).saturating_add(1);
+                self.store_own(Some((samples, 0)), &count.to_be_bytes(), now);
             }
         }
         if self.board_until.is_some_and(|until| now >= until) {
             self.board_until = None;
             let offset = self.board_offset as u8;
-            self.store_own(104, 10, &[offset], now);
+            self.store_own(self.part.own.board_offset, &[offset], now);
         }
         if self.offset_until.is_some_and(|until| now >= until) {
             self.offset_until = None;
         }
+        if on && let Some((exit, at)) = self.update.run(now) {
+            self.end_update(exit, at);
+        }
+        // In CONFIG UPDATE the gauge does not gauge.
+        if !self.update.shows() {
+            self.registers = None;
+        }
+    }
+
+    /// CONFIG UPDATE is over.
+    fn end_update(&mut self, exit: Exit, at: Duration) {
+        match exit {
+            Exit::Anew => self.gauging.load(&self.flash),
+            Exit::Plain | Exit::Forgotten => self.gauging.apply(&self.flash),
+        }
+        if exit != Exit::Forgotten {
+            self.flash.itpor = false;
+        }
         self.registers = None;
+        if level(self.part, &self.flash) == Level::Sealed {
+            self.close();
+            self.locked_until = at + LOCKED;
+        }
+        // A file that cannot be written is reported by the `state` knob.
+        let _ = self.store.save(&self.flash);
+    }
+
+    /// To SEALED, with nothing left open.
+    fn close(&mut self) {
+        self.seal = Seal::new(Level::Sealed);
+        self.window = Window::new(self.part.authentication.is_some());
+        (self.control, self.class, self.block) = (0, 0, 0);
     }
 
     fn power_down(&mut self, now: Duration, back: Option<Duration>) {
@@ -261,22 +455,61 @@ impl Gauge {
         self.gauging.measured = false;
         self.measured_from = now + FIRST_VOLTAGE;
         self.silent_until = now + POWER_UP;
-        self.restart();
+        self.restart(now + POWER_UP);
         self.resets = 0;
         self.busy_until = now;
         self.reset_until = now;
     }
 
-    /// RAM is built anew.
-    fn restart(&mut self) {
+    /// RAM is built anew, and answers from `then` on.
+    fn restart(&mut self, then: Duration) {
+        if self.part.ram.is_some() {
+            self.flash.reload(self.part.image, 112);
+            self.invert(self.flash.inverted);
+            self.flash.itpor = true;
+            // A file that cannot be written is reported by the `state` knob.
+            let _ = self.store.save(&self.flash);
+        }
         self.gauging.reset(&self.flash);
-        self.seal = Seal::new();
-        self.window = Window::new();
+        self.seal = Seal::new(level(self.part, &self.flash));
+        self.window = Window::new(self.part.authentication.is_some());
         (self.control, self.class, self.block, self.answer, self.previous) = (0, 0, 0, 0, 0);
         (self.full_sleep, self.checksum_valid, self.calibrating) = (false, false, false);
         (self.board_until, self.offset_until) = (None, None);
-        self.calibration = self.flash.u16(64, 0) & 0x4000 != 0;
+        self.calibration = is_set(&self.flash, self.part.own.calibration);
+        self.marks.clear();
+        (self.update, self.inserted, self.chemistry) = (Mode::Off, false, None);
+        (self.locked_until, self.initialized_from) = (then, then + INITIALIZING);
         self.registers = None;
+    }
+
+    fn has_gain_sign(&self) -> bool {
+        self.part.ram.as_ref().is_some_and(|ram| ram.gain_sign.is_some())
+    }
+
+    /// Makes the sign of CC Gain what this specimen's ROM has.
+    fn invert(&mut self, inverted: bool) {
+        if let Some((id, offset)) = self.part.ram.as_ref().and_then(|ram| ram.gain_sign) {
+            let byte = self.flash.u8(id, offset) & 0x7F | u8::from(inverted) << 7;
+            self.flash.preset(id, offset, &[byte]);
+        }
+    }
+
+    /// The bits of Flags() that are not about gauging.
+    fn own_flags(&self) -> u16 {
+        let (ram, detects) = (self.part.ram.is_some(), self.part.battery_insert.is_some());
+        let bits = [
+            (ITPOR, ram && self.flash.itpor),
+            (CFGUPMODE, ram && self.update.shows()),
+            (BAT_DET, detects && self.present()),
+        ];
+        bits.iter().filter(|(_, on)| *on).fold(0, |word, (bit, _)| word | bit)
+    }
+
+    /// Whether the gauge knows of a battery: a pin tells, and there is one, or the host does.
+    fn present(&self) -> bool {
+        let pin = |(id, offset, bit)| self.flash.u8(id, offset) & bit != 0;
+        self.inserted || self.part.battery_insert.is_none_or(pin)
     }
 
     fn sealed(&self) -> bool {
@@ -286,23 +519,29 @@ impl Gauge {
     /// Whether flash may be programmed: the stack voltage scaled back to a cell's against Flash Update OK
     /// Cell Volt (SLUSBZ5D 7.3.16.3), unless calibration is enabled. Both parameters count at once.
     fn gate(&self) -> bool {
-        let divider = f64::from(self.flash.u16(104, 14));
+        let Some(Gate { limit, divider }) = &self.part.gate else { return true };
         let voltage = f64::from(self.voltage());
-        let cell = if divider > 0.0 { voltage * 5000.0 / divider } else { 0.0 };
-        self.calibration || cell >= f64::from(self.flash.i16(68, 0))
+        let cell = match divider.map(|(id, offset)| self.flash.u16(id, offset)) {
+            None => voltage,
+            Some(0) => 0.0,
+            Some(divider) => voltage * 5000.0 / f64::from(divider),
+        };
+        self.calibration || cell >= f64::from(self.flash.i16(limit.0, limit.1))
     }
 
     /// Voltage() as the host reads it: the board's divider is the one that was calibrated, but nothing
     /// times 0 is a voltage.
     fn voltage(&self) -> u16 {
-        if self.flash.u16(104, 14) == 0 { 0 } else { self.gauging.voltage_mv() }
+        let divider = self.part.gate.as_ref().and_then(|gate| gate.divider);
+        match divider.map(|(id, offset)| self.flash.u16(id, offset)) {
+            Some(0) => 0,
+            Some(_) | None => self.gauging.voltage_mv(),
+        }
     }
 
     /// Something the gauge itself keeps.
-    fn store_own(&mut self, id: u16, offset: usize, bytes: &[u8], now: Duration) {
-        if !self.gate() {
-            return;
-        }
+    fn store_own(&mut self, place: Option<(u16, usize)>, bytes: &[u8], now: Duration) {
+        let Some((id, offset)) = place.filter(|_| self.gate()) else { return };
         let block = (offset / BLOCK) as u8;
         let mut content = self.flash.block(id, block).to_vec();
         let start = offset % BLOCK;
@@ -333,16 +572,19 @@ impl Gauge {
         }
         self.window.sum = sum;
         let fault = plan.commit();
-        // Sealed, only the lifetime block may be written (SLUSBZ5D 7.3.6.17).
-        let allowed = !self.sealed() || id == 59;
+        let taken = self.part.ram.is_none() || matches!(self.update, Mode::On(_));
+        let allowed = taken && (!self.sealed() || self.part.sealed_writes == Some(id));
         if !allowed || !self.gate() || fault == Some(Inside::DropCommit) {
             self.dropped += 1;
             return;
         }
         let mut content = self.window.block().to_vec();
         if id == 112 && self.seal.level != Level::FullAccess {
-            // The keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), the authentication key here too.
-            content[..8].copy_from_slice(&self.flash.get::<8>(112, 0));
+            // The keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), the authentication key here too; a
+            // part without that level has them in ROM (SLUUAC9A 6.4.5.1.1).
+            for &at in self.part.keys {
+                content[at..at + 4].copy_from_slice(&self.flash.get::<4>(112, at));
+            }
         }
         if fault == Some(Inside::CorruptCommit) {
             let old = self.flash.block(id, block);
@@ -354,7 +596,7 @@ impl Gauge {
             && let Some(pending) = self.pending.take()
         {
             self.tear(&pending, 2 * words);
-            self.power = Power::Off { until: None };
+            self.power_down(now, None);
         }
     }
 
@@ -363,10 +605,12 @@ impl Gauge {
         let special = self.sealed() || self.control == 0x01;
         let (source, wait) = match block {
             _ if !special => (Source::Flash(u16::from(self.class), block), self.manner.load),
-            0 => (Source::Authentication, self.manner.load),
-            1 => (Source::Flash(58, 0), self.manner.sealed_load),
-            4 => (Source::Flash(59, 0), self.manner.sealed_load),
-            _ => (Source::Nothing, self.manner.sealed_load),
+            0 if self.part.authentication.is_some() => (Source::Authentication, self.manner.load),
+            _ => {
+                let class = self.part.sealed_blocks.iter().find(|(shown, _)| *shown == block);
+                let source = class.map_or(Source::Nothing, |&(_, class)| Source::Flash(class, 0));
+                (source, self.manner.sealed_load)
+            }
         };
         let bytes = match source {
             Source::Flash(id, block) => self.flash.block(id, block).to_vec(),
@@ -384,7 +628,8 @@ impl Gauge {
         if sum != checksum(&message) {
             return;
         }
-        let key = self.flash.get::<16>(112, 8);
+        let Some(Authentication { key: (id, offset) }) = self.part.authentication else { return };
+        let key = self.flash.get::<16>(id, offset);
         if !self.manner.as_sent {
             message.reverse();
         }
@@ -396,86 +641,149 @@ impl Gauge {
         self.window.load(Source::Authentication, &digest, false, now + self.manner.authentication);
     }
 
+    fn is(&self, status: Status) -> bool {
+        let own = &self.part.own;
+        let byte = |place: Option<(u16, usize)>| place.map_or(0, |(id, offset)| self.flash.u8(id, offset));
+        match status {
+            Status::NotFullAccess => self.seal.level != Level::FullAccess,
+            Status::Sealed => self.sealed(),
+            Status::Calibrating => self.calibrating,
+            Status::CcOffset => self.offset_until.is_some(),
+            Status::BoardOffset => self.board_until.is_some(),
+            Status::ChecksumValid => self.checksum_valid,
+            Status::Initialized => self.present() && self.modelled >= self.initialized_from,
+            Status::Sleep => own.sleep.is_some_and(|(allowed, (id, offset))| {
+                let current = f64::from(self.flash.i16(id, offset));
+                is_set(&self.flash, Some(allowed)) && self.gauging.is_quiet(current)
+            }),
+            Status::LoadMode => byte(own.load_mode) != 0,
+            Status::Enabled => self.gauging.enabled,
+            Status::ChemistryChanged => self.chemistry.is_some(),
+            Status::DataLog
+            | Status::Hibernate
+            | Status::OcvDone
+            | Status::ShutdownArmed
+            | Status::Snooze => self.marks.contains(&status),
+        }
+    }
+
     fn status(&self) -> u16 {
-        let sleeps = self.flash.u16(64, 0) & 0x0040 != 0;
-        let quiet = self.gauging.is_quiet(f64::from(self.flash.i16(68, 2)));
-        let bits = [
-            (FAS, self.seal.level != Level::FullAccess),
-            (SS, self.sealed()),
-            (CALEN, self.calibrating),
-            (CCA, self.offset_until.is_some()),
-            (BCA, self.board_until.is_some()),
-            (CSV, self.checksum_valid),
-            (SLEEP, sleeps && quiet),
-            (LDMD, self.flash.u8(80, 1) != 0),
-            (VOK, self.gauging.enabled),
-            (QEN, self.gauging.enabled),
-        ];
-        bits.iter().filter(|(_, on)| *on).fold(0, |word, (bit, _)| word | bit)
+        let set = self.part.status.iter().filter(|(status, _)| self.is(*status));
+        set.fold(0, |word, (_, bit)| word | bit)
     }
 
     /// A word written to Control(). What is not for a sealed gauge, or unknown, does nothing.
     fn subcommand(&mut self, word: u16, now: Duration) {
-        let keys = [self.flash.get(112, 0), self.flash.get(112, 4)].map(seal::words);
-        let listening = self.quiet >= self.manner.key_quiet;
-        if self.seal.word(word, keys, listening, now) {
+        let keys: Vec<_> = self.part.keys.iter().map(|&at| seal::words(self.flash.get(112, at))).collect();
+        let locked = now < self.locked_until;
+        if locked && word > LOCKING {
+            self.locked_until = now + LOCKED;
+        }
+        let listening = self.quiet >= self.manner.key_quiet && !locked;
+        if self.seal.word(word, &keys, listening, now) {
             return;
         }
-        let open = !self.sealed();
-        match word {
-            0x0000 => self.answer = self.status(),
-            0x0001 => self.answer = self.identity.device_type,
-            0x0002 => self.answer = self.identity.firmware,
-            0x0003 => self.answer = self.identity.hardware,
-            0x0005 => self.answer = self.resets,
-            0x0007 => self.answer = self.previous,
-            0x0008 => self.answer = self.identity.chemistry,
-            0x0009 => {
+        if let Some(&(_, who, action)) = self.part.subcommands.iter().find(|(code, _, _)| *code == word) {
+            let least = match who {
+                Who::Anyone => Level::Sealed,
+                Who::Unsealed => Level::Unsealed,
+                Who::FullAccess => Level::FullAccess,
+            };
+            if self.seal.level >= least {
+                self.act(action, now);
+            }
+        }
+        if word < self.part.remembered {
+            self.previous = word;
+        }
+    }
+
+    fn act(&mut self, action: Action, now: Duration) {
+        let own = &self.part.own;
+        match action {
+            Action::ControlStatus => self.answer = self.status(),
+            Action::Answer(word) => self.answer = word,
+            Action::AnswerCode => self.answer = self.part.code,
+            Action::AnswerFrom(id, offset) => self.answer = self.flash.u16(id, offset),
+            Action::AnswerChemistry(word) => self.answer = self.chemistry.unwrap_or(word),
+            Action::ResetData => self.answer = self.resets,
+            Action::Previous => self.answer = self.previous,
+            Action::BoardOffset => {
                 // Current that flows meanwhile is taken for offset.
                 self.board_offset = (self.gauging.battery.current_ma() as i64 * 4
                     + i64::from(self.board_offset))
                 .clamp(-128, 127) as i8;
                 self.board_until = Some(now + CALIBRATING);
             }
-            0x000A => self.offset_until = Some(now + CALIBRATING),
-            0x000B => {
+            Action::CcOffset => self.offset_until = Some(now + CALIBRATING),
+            Action::WriteCcOffset => {
                 let offset = self.cc_offset.to_be_bytes();
-                self.store_own(104, 8, &offset, now);
+                self.store_own(own.cc_offset, &offset, now);
             }
-            0x000C => self.answer = self.flash.u16(56, 10),
-            0x0010 => self.full_sleep = true,
-            0x0017 => {
-                let sum = self.flash.block(88, 0).iter().map(|&byte| u16::from(byte)).sum::<u16>();
+            Action::AnswerOffset if self.calibrating => {
+                self.answer = own.cc_offset.map_or(0, |(id, offset)| self.flash.u16(id, offset));
+            }
+            Action::FlashChecksum => {
+                let sum = self.flash.bytes().iter().fold(0u16, |sum, &byte| sum.wrapping_add(byte.into()));
+                (self.answer, self.checksum_valid) = (sum, true);
+            }
+            Action::ChemistryChecksum => {
+                let block = own.chemistry.map_or(&[][..], |id| self.flash.block(id, 0));
+                let sum = block.iter().map(|&byte| u16::from(byte)).sum::<u16>();
                 (self.answer, self.checksum_valid) = (sum & 0x7FFF, true);
             }
-            0x0020 if open => {
-                self.seal = Seal::new();
-                self.window = Window::new();
-                (self.control, self.class, self.block) = (0, 0, 0);
+            Action::FullSleep => self.full_sleep = true,
+            Action::Set(status) if !self.marks.contains(&status) => self.marks.push(status),
+            Action::Clear(status) => self.marks.retain(|mark| *mark != status),
+            Action::BatteryInsert(inserted) => {
+                // With a pin to tell, the host is not listened to.
+                let pin = |(id, offset, bit)| self.flash.u8(id, offset) & bit != 0;
+                if self.part.battery_insert.is_some_and(pin) {
+                    return;
+                }
+                if inserted && !self.inserted {
+                    self.initialized_from = now + INITIALIZING;
+                }
+                self.inserted = inserted;
             }
-            0x0021 if open => {
-                let status = self.flash.u8(82, 4) | 0x04;
-                self.store_own(82, 4, &[status], now);
+            Action::Seal => {
+                if let Some((id, offset)) = self.part.ram.as_ref().map(|ram| ram.update_status) {
+                    let status = self.flash.u8(id, offset) | SEAL;
+                    self.store_own(Some((id, offset)), &[status], now);
+                }
+                self.close();
+            }
+            Action::ItEnable => {
+                if let Some((id, offset)) = own.update_status {
+                    let status = self.flash.u8(id, offset) | 0x04;
+                    self.store_own(own.update_status, &[status], now);
+                }
                 self.gauging.enabled = true;
             }
-            0x002D if open => self.calibration = !self.calibration,
-            0x0041 if open => {
-                self.restart();
+            Action::ItDisable => self.gauging.enabled = false,
+            Action::CalEnable => self.calibration = !self.calibration,
+            Action::Reset => {
+                self.restart(now + RESET);
                 self.resets = self.resets.saturating_add(1);
                 self.reset_until = now + RESET;
             }
-            0x0080 if open && self.calibration => self.calibrating = false,
-            0x0081 if open && self.calibration => self.calibrating = true,
-            0x0082 if open && self.calibrating => self.answer = self.flash.u16(104, 8),
-            0x0F00 if self.seal.level == Level::FullAccess => self.rom = true,
-            0x7C40 => {
+            Action::ExitCalibration if self.calibration => self.calibrating = false,
+            Action::EnterCalibration if self.calibration => self.calibrating = true,
+            Action::ConfigUpdate => self.update.enter(self.update_enter, now),
+            Action::Leave(exit) => self.update.leave(exit, self.update_leave, now),
+            Action::Chemistry(id) if matches!(self.update, Mode::On(_)) => self.chemistry = Some(id),
+            Action::Shutdown if self.is(Status::ShutdownArmed) => self.power_down(now, None),
+            Action::Rom => self.rom = true,
+            Action::Hdq => {
                 self.flash.hdq = true;
                 let _ = self.store.save(&self.flash);
             }
-            _ => {}
-        }
-        if word < 0x20 {
-            self.previous = word;
+            Action::AnswerOffset
+            | Action::Set(_)
+            | Action::ExitCalibration
+            | Action::EnterCalibration
+            | Action::Chemistry(_)
+            | Action::Shutdown => {}
         }
     }
 
@@ -494,13 +802,50 @@ impl Gauge {
         }
     }
 
-    fn writable(&self, register: u8) -> bool {
-        match register {
-            0x00 | 0x01 | 0x3F..=0x54 | 0x60 => true,
-            0x3E | 0x61 | 0x55..=0x5F => !self.sealed(),
-            _ => false,
+    /// A byte of a word that the host may write; the second completes it.
+    fn write_host(&mut self, register: u8, byte: u8) {
+        if register & 1 == 0 {
+            self.low = byte;
+            return;
         }
+        let word = u16::from_le_bytes([self.low, byte]);
+        match self.host_register(register) {
+            Some(Host::AtRate) => self.gauging.at_rate_ma = word as i16,
+            Some(Host::Temperature) => self.gauging.host_temperature = Some(word),
+            None => {}
+        }
+        self.registers = None;
     }
+
+    /// Whether a register is there to be written, but not by a sealed gauge's host.
+    fn withheld(&self, register: u8) -> bool {
+        let ram = self.part.ram.is_some();
+        self.sealed()
+            && (matches!(register, 0x3E | 0x61 | 0x55..=0x5F) || ram && matches!(register, 0x3F..=0x60))
+    }
+
+    fn host_register(&self, register: u8) -> Option<Host> {
+        let found = self.part.host_registers.iter().find(|(at, _)| register & !1 == *at);
+        found.map(|&(_, host)| host)
+    }
+
+    fn writable(&self, register: u8) -> bool {
+        let known = matches!(register, 0x00 | 0x01 | 0x3E..=0x61) || self.host_register(register).is_some();
+        known && !self.withheld(register)
+    }
+}
+
+/// The level of a gauge that has just begun to work with its data memory: one with RAM looks at Update
+/// Status.
+fn level(part: &Part, flash: &Flash) -> Level {
+    match part.ram.as_ref().map(|ram| ram.update_status) {
+        Some((id, offset)) if flash.u8(id, offset) & SEAL == 0 => Level::Unsealed,
+        Some(_) | None => Level::Sealed,
+    }
+}
+
+fn is_set(flash: &Flash, place: Option<(u16, usize, u16)>) -> bool {
+    place.is_some_and(|(id, offset, bit)| flash.u16(id, offset) & bit != 0)
 }
 
 impl Chip for Gauge {
@@ -520,8 +865,9 @@ impl Chip for Gauge {
         }
         if self.full_sleep {
             self.full_sleep = false;
-            let settle = Duration::from_secs(u64::from(self.flash.u8(68, 11)).max(1));
-            if self.quiet >= settle && self.status() & SLEEP != 0 {
+            let settle = self.part.own.settle.map_or(0, |(id, offset)| self.flash.u8(id, offset));
+            let settle = Duration::from_secs(u64::from(settle).max(1));
+            if self.quiet >= settle && self.is(Status::Sleep) {
                 wait = wait.max(WAKING);
             }
         }
@@ -529,12 +875,14 @@ impl Chip for Gauge {
     }
 
     fn has(&self, register: u8) -> bool {
-        register < 0x80
+        register <= self.part.last_register
     }
 
     fn extends(&self, register: u8) -> bool {
         // Where a second byte of one message is taken; elsewhere it is refused (SLUSBZ5D figure 7-5).
-        self.rom || matches!(register, 0x01 | 0x3F | 0x41..=0x5F)
+        self.rom
+            || matches!(register, 0x01 | 0x3F | 0x41..=0x5F)
+            || register & 1 == 1 && self.host_register(register).is_some()
     }
 
     fn write(&mut self, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool {
@@ -543,7 +891,7 @@ impl Chip for Gauge {
             return true;
         }
         if !self.writable(register) {
-            return self.manner.ignores_sealed && matches!(register, 0x3E | 0x61 | 0x55..=0x5F);
+            return self.manner.ignores_sealed && self.withheld(register);
         }
         match register {
             0x00 => self.low = byte,
@@ -553,7 +901,8 @@ impl Chip for Gauge {
             0x54 if self.window.source == Source::Authentication => self.authenticate(byte, now),
             0x40..=0x5F => self.window.write(usize::from(register - 0x40), byte, now),
             0x60 => self.commit(byte, plan, now),
-            _ => self.control = byte,
+            0x61 => self.control = byte,
+            _ => self.write_host(register, byte),
         }
         true
     }
@@ -564,17 +913,23 @@ impl Chip for Gauge {
         }
         match register {
             0x00 | 0x01 => self.answer.to_le_bytes()[usize::from(register)],
+            0x3E | 0x3F | 0x60 | 0x61 if self.withheld(register) => 0,
             0x3E => self.class,
             0x3F => self.block,
             0x40..=0x5F => self.window.read(usize::from(register - 0x40), now),
             0x60 => self.window.read_sum(now),
             0x61 => self.control,
             _ => {
-                let voltage = self.voltage().to_le_bytes();
-                let (gauging, calibration) = (&self.gauging, self.calibration);
-                let registers = self.registers.get_or_insert_with(|| gauging.registers(calibration));
-                registers[0x08..0x0A].copy_from_slice(&voltage);
-                registers[usize::from(register) % REGISTERS]
+                let (voltage, present, flags) = (self.voltage(), self.present(), self.own_flags());
+                let (part, gauging, calibration) = (self.part, &self.gauging, self.calibration);
+                let registers = self.registers.get_or_insert_with(|| gauging.registers(calibration, present));
+                let at = usize::from(part.voltage_register);
+                registers[at..at + 2].copy_from_slice(&voltage.to_le_bytes());
+                let byte = registers[usize::from(register) % REGISTERS];
+                match register.wrapping_sub(part.flags_register) {
+                    index @ 0..2 => byte | flags.to_le_bytes()[usize::from(index)],
+                    _ => byte,
+                }
             }
         }
     }
@@ -612,6 +967,7 @@ impl Chip for Gauge {
                 () if self.rom => "rom",
                 () if now < self.silent_until.max(self.reset_until) => "reset",
                 () if self.calibrating => "calibration",
+                () if self.update.shows() => "config-update",
                 () => "normal",
             }
             .into(),
@@ -621,6 +977,9 @@ impl Chip for Gauge {
             "programmed" => self.flash.programmed().to_string(),
             "dropped" => self.dropped.to_string(),
             "resets" => self.resets.to_string(),
+            "cfgupdate_ms" => milliseconds(self.update_enter),
+            "cfgexit_ms" => milliseconds(self.update_leave),
+            "cc_gain_inverted" => if self.flash.inverted { "on" } else { "off" }.into(),
             "state" => self.store.failure.clone().unwrap_or_else(|| "ok".into()),
             "reset_busy" => if self.manner.reset_stretches { "stretch" } else { "nack" }.into(),
             "sealed_writes" => if self.manner.ignores_sealed { "ignore" } else { "nack" }.into(),
@@ -673,6 +1032,19 @@ impl Chip for Gauge {
             }
             "sealed_writes" => {
                 self.manner.ignores_sealed = knob::choice(name, text, &["nack", "ignore"])? == 1;
+            }
+            "cfgupdate_ms" => self.update_enter = milliseconds()?,
+            "cfgexit_ms" => self.update_leave = milliseconds()?,
+            "cc_gain_inverted" => {
+                let inverted = knob::choice(name, text, &["off", "on"])? == 1;
+                if inverted && !self.has_gain_sign() {
+                    let why = "no such specimen of this part is known";
+                    return Err(Error::new(name, Cause::NotPermitted(why.into())));
+                }
+                self.flash.inverted = inverted;
+                self.invert(inverted);
+                self.gauging.apply(&self.flash);
+                self.store.save(&self.flash)?;
             }
             "load_ms" => self.manner.load = milliseconds()?,
             "sealed_load_ms" => self.manner.sealed_load = milliseconds()?,

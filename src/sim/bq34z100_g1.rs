@@ -1,18 +1,199 @@
-//! The bq34z100-G1 as it leaves the factory: its answers and its data flash, in bytes.
+//! The bq34z100-G1 as it leaves the factory: its answers, its registers and its data flash, in bytes.
 //!
 //! The flash is written down from SLUSBZ5D table 7-11 by subclass, private bytes 0. The device name is
 //! in lower case, as SLUA790 section 2.4 needs it for its checksum and as parts have it.
 
-use super::block::{Identity, Part as BlockPart};
-use super::flash::Image;
+use std::array;
+
+use super::block::Action::*;
+use super::block::Who::{Anyone, FullAccess, Unsealed};
+use super::block::{Action, Authentication, Gate, Own, Part as BlockPart, Status, Who};
+use super::flash::{Flash, Image};
+use super::gauging::Quantity as Q;
+use super::gauging::{
+    BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
+};
 
 /// The part.
 pub(super) static PART: BlockPart = BlockPart {
     name: "bq34z100-g1",
-    // SLUA790 section 2.3; versions as reported for production parts.
-    identity: Identity { device_type: 0x0100, firmware: 0x0016, hardware: 0x0008, chemistry: 0x0107 },
     image: IMAGE,
+    code: 0,
+    map: Map { settings, registers: REGISTERS, flags: FLAGS },
+    subcommands: SUBCOMMANDS,
+    status: STATUS,
+    // Codes below 0x0020 are what PREV_MACWRITE shows.
+    remembered: 0x0020,
+    last_register: 0x7F,
+    flags_register: 0x0E,
+    voltage_register: 0x08,
+    host_registers: &[],
+    keys: &[0, 4],
+    ram: None,
+    gate: Some(Gate { limit: (68, 0), divider: Some((104, 14)) }),
+    authentication: Some(Authentication { key: (112, 8) }),
+    // Manufacturer block A and lifetime data, the second to be written too (7.3.6.17).
+    sealed_blocks: &[(1, 58), (4, 59)],
+    sealed_writes: Some(59),
+    battery_insert: None,
+    own: Own {
+        cycles: Some((48, 6)),
+        lifetime: Some((59, 60)),
+        update_status: Some((82, 4)),
+        cc_offset: Some((104, 8)),
+        board_offset: Some((104, 10)),
+        load_mode: Some((80, 1)),
+        calibration: Some((64, 0, 0x4000)),
+        sleep: Some(((64, 0, 0x0040), (68, 2))),
+        settle: Some((68, 11)),
+        chemistry: Some(88),
+    },
 };
+
+/// SLUSBZ5D table 7-2; answers of SLUA790 section 2.3, versions as reported for production parts.
+#[rustfmt::skip]
+static SUBCOMMANDS: &[(u16, Who, Action)] = &[
+    (0x0000, Anyone, ControlStatus),
+    (0x0001, Anyone, Answer(0x0100)),
+    (0x0002, Anyone, Answer(0x0016)),
+    (0x0003, Anyone, Answer(0x0008)),
+    (0x0005, Anyone, ResetData),
+    (0x0007, Anyone, Previous),
+    (0x0008, Anyone, Answer(0x0107)),
+    (0x0009, Anyone, BoardOffset),
+    (0x000A, Anyone, CcOffset),
+    (0x000B, Anyone, WriteCcOffset),
+    (0x000C, Anyone, AnswerFrom(56, 10)),
+    (0x0010, Anyone, FullSleep),
+    (0x0017, Anyone, ChemistryChecksum),
+    (0x0020, Unsealed, Seal),
+    (0x0021, Unsealed, ItEnable),
+    (0x002D, Unsealed, CalEnable),
+    (0x0041, Unsealed, Reset),
+    (0x0080, Unsealed, ExitCalibration),
+    (0x0081, Unsealed, EnterCalibration),
+    (0x0082, Unsealed, AnswerOffset),
+    (0x0F00, FullAccess, Rom),
+    (0x7C40, Anyone, Hdq),
+];
+
+/// CONTROL_STATUS, table 7-3.
+#[rustfmt::skip]
+static STATUS: &[(Status, u16)] = &[
+    (Status::NotFullAccess, 0x4000),
+    (Status::Sealed,        0x2000),
+    (Status::Calibrating,   0x1000),
+    (Status::CcOffset,      0x0800),
+    (Status::BoardOffset,   0x0400),
+    (Status::ChecksumValid, 0x0200),
+    (Status::Sleep,         0x0010),
+    (Status::LoadMode,      0x0008),
+    (Status::Enabled,       0x0003), // [VOK], [QEN]
+];
+
+/// Flags(), table 7-6.
+#[rustfmt::skip]
+static FLAGS: &[(u32, u16)] = &[
+    (OTC, 0x8000), (OTD, 0x4000), (BATHI, 0x2000), (BATLOW, 0x1000), (CHG_INH, 0x0800), (XCHG, 0x0400),
+    (FC, 0x0200), (CHG, 0x0100), (OCVTAKEN, 0x0080), (CF, 0x0010), (SOC1, 0x0004), (SOCF, 0x0002),
+    (DSG, 0x0001),
+];
+
+/// Standard commands, table 7-1, and extended ones, table 7-8.
+#[rustfmt::skip]
+static REGISTERS: &[(u8, usize, Q)] = &[
+    (0x02, 1, Q::Percent),
+    (0x03, 1, Q::MaxError),
+    (0x04, 2, Q::Remaining),
+    (0x06, 2, Q::Full),
+    (0x08, 2, Q::Voltage),
+    (0x0A, 2, Q::AverageCurrent),
+    (0x0C, 2, Q::Temperature),
+    (0x0E, 2, Q::Flags),
+    (0x10, 2, Q::Current),
+    (0x12, 2, Q::FlagsB),
+    (0x18, 2, Q::TimeToEmpty),
+    (0x1A, 2, Q::TimeToFull),
+    (0x1C, 2, Q::PassedCharge),
+    (0x1E, 2, Q::DodTime),
+    (0x24, 2, Q::AvailableEnergy),
+    (0x26, 2, Q::PowerDrawn),
+    (0x28, 2, Q::SerialNumber),
+    (0x2A, 2, Q::InternalTemperature),
+    (0x2C, 2, Q::CycleCount),
+    (0x2E, 2, Q::Health),
+    (0x30, 2, Q::ChargeVoltage),
+    (0x32, 2, Q::ChargeCurrent),
+    (0x3A, 2, Q::PackConfiguration),
+    (0x3C, 2, Q::DesignCapacity),
+    (0x62, 1, Q::Grid),
+    (0x63, 1, Q::LearnedStatus),
+    (0x64, 2, Q::EndDod),
+    (0x66, 2, Q::StartCharge),
+    (0x68, 2, Q::Remaining),
+    (0x6A, 2, Q::Full),
+    (0x6C, 2, Q::StateTime),
+    (0x6E, 2, Q::QmaxPassed),
+    (0x70, 2, Q::Dod),
+    (0x72, 2, Q::Dod),
+    (0x74, 2, Q::DodTimeHours),
+];
+
+fn settings(flash: &Flash) -> Settings {
+    let i16 = |id, offset| f64::from(flash.i16(id, offset));
+    let u8 = |id, offset| f64::from(flash.u8(id, offset));
+    let i8 = |id, offset| flash.u8(id, offset) as i8;
+    let u16 = |id, offset| flash.u16(id, offset);
+    // Pack Configuration, table 7-17, and Pack Configuration B, table 7-18.
+    let (pack, pack_b) = (u16(64, 0), flash.u8(64, 2));
+    let (rmfcc, temps, jeita) = (pack & 0x0020 != 0, pack & 0x0001 != 0, pack_b & 0x08 != 0);
+    Settings {
+        ot_charge: (i16(2, 0), u8(2, 2), i16(2, 3)),
+        ot_discharge: (i16(2, 5), u8(2, 7), i16(2, 8)),
+        inhibit: (i16(32, 0), i16(32, 2), i16(32, 4)),
+        suspend: (i16(34, 0), i16(34, 2)),
+        taper_ma: i16(36, 0),
+        taper_mv: i16(36, 4),
+        taper_s: u8(36, 6),
+        charge_alert: (i8(36, 7), i8(36, 8)),
+        full: (i8(36, 9), i8(36, 10)),
+        serial: u16(48, 4),
+        cycle_mah: i16(48, 8).max(1.0),
+        cycles: u16(48, 6),
+        max_error_limit: flash.u8(48, 10),
+        design_mah: u16(48, 11),
+        charge_mv: [u16(48, 17), u16(48, 19), u16(48, 21)],
+        charge_percent: [flash.u8(48, 23), flash.u8(48, 24), flash.u8(48, 25)],
+        jeita: jeita.then(|| array::from_fn(|i| f64::from(i8(48, 26 + i)) * 10.0)),
+        energy_scale: u8(48, 30).max(1.0),
+        soc1: (u16(49, 0), u16(49, 2)),
+        socf: (u16(49, 4), u16(49, 6)),
+        low_mv: (i16(49, 8), u8(49, 10), i16(49, 11)),
+        high_mv: (i16(49, 13), u8(49, 15), i16(49, 16)),
+        // [CAL_EN] is shown as it stands in the running copy.
+        pack: pack & !0x4000,
+        full_at_taper: rmfcc,
+        thermistor: temps,
+        reserve_mah: i16(80, 66).max(0.0),
+        discharge_ma: i16(81, 0),
+        charge_ma: i16(81, 2),
+        quit_ma: i16(81, 4),
+        relax_s: (f64::from(u16(81, 6)), u8(81, 8)),
+        internal_offset: f64::from(i8(104, 11)),
+        external_offset: f64::from(i8(104, 12)),
+        deadband_ma: u8(107, 1),
+        cells: u8(64, 7).max(1.0),
+        qmax_mah: i16(82, 0).max(1.0),
+        enabled: flash.u8(82, 4) & 0x04 != 0,
+        lifetime_s: f64::from(u16(66, 3)),
+        lifetime_step: [u8(66, 0), u8(66, 1), u8(66, 2)],
+        lifetime: array::from_fn(|i| match i {
+            4 | 5 => f64::from(u16(59, 2 * i)),
+            _ => i16(59, 2 * i),
+        }),
+        ..Settings::NONE
+    }
+}
 
 #[rustfmt::skip]
 static IMAGE: Image = &[

@@ -1,4 +1,4 @@
-//! Data flash of a simulated gauge: bytes by area and block, how often each block was programmed, and
+//! Data flash of a simulated gauge, or the RAM in its place: bytes by area and block, how often each block was programmed, and
 //! the file that keeps both across processes.
 //!
 //! An area is a subclass; its blocks are 32 bytes, the last one may be shorter. Nothing here knows what
@@ -34,6 +34,10 @@ pub(super) struct Flash {
     areas: Vec<Area>,
     /// The flag that moves the interface from I2C to HDQ, which outlives a loss of power.
     pub(super) hdq: bool,
+    /// Of a gauge with RAM: its content is ROM's since power came, Flags() `[ITPOR]`.
+    pub(super) itpor: bool,
+    /// This specimen's ROM has a negative CC Gain.
+    pub(super) inverted: bool,
 }
 
 impl Flash {
@@ -43,7 +47,7 @@ impl Flash {
             bytes: bytes.to_vec(),
             wear: vec![0; bytes.len().div_ceil(BLOCK)],
         };
-        Self { areas: image.iter().map(area).collect(), hdq: false }
+        Self { areas: image.iter().map(area).collect(), hdq: false, itpor: false, inverted: false }
     }
 
     fn area(&self, id: u16) -> Option<&Area> {
@@ -114,6 +118,13 @@ impl Flash {
         if let Some(target) = self.area_mut(id).and_then(|area| area.bytes.get_mut(offset..)) {
             let count = target.len().min(bytes.len());
             target[..count].copy_from_slice(&bytes[..count]);
+        }
+    }
+
+    /// Puts back what `image` has, but for one area: what becomes of RAM.
+    pub(super) fn reload(&mut self, image: Image, but: u16) {
+        for &(id, bytes) in image.iter().filter(|(id, _)| *id != but) {
+            self.preset(id, 0, bytes);
         }
     }
 
@@ -189,13 +200,15 @@ impl Store {
         if sum.strip_suffix('\n') != Some(&sum_of(body)) {
             return Err("its sum is wrong: it is truncated or was changed".into());
         }
-        let mut new = flash.clone();
+        let mut new = Flash { itpor: false, inverted: false, ..flash.clone() };
         let mut seen = 0;
         for line in body.lines().skip(2) {
             let words: Vec<&str> = line.split(' ').collect();
             match words[..] {
                 ["protocol", "i2c"] => new.hdq = false,
                 ["protocol", "hdq"] => new.hdq = true,
+                ["itpor"] => new.itpor = true,
+                ["cc-gain", "inverted"] => new.inverted = true,
                 ["wear", area, ref counts @ ..] => {
                     let area = area.parse().ok().and_then(|id| new.area_mut(id));
                     let area = area.ok_or_else(|| format!("it holds an unknown line `{line}`"))?;
@@ -237,6 +250,12 @@ impl Store {
     fn print(&self, flash: &Flash) -> String {
         let mut out = format!("{HEAD}\nchip {}\n", self.chip);
         out.push_str(if flash.hdq { "protocol hdq\n" } else { "protocol i2c\n" });
+        if flash.itpor {
+            out.push_str("itpor\n");
+        }
+        if flash.inverted {
+            out.push_str("cc-gain inverted\n");
+        }
         for area in &flash.areas {
             let _ = write!(out, "wear {}", area.id);
             for count in &area.wear {

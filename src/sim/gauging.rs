@@ -1,7 +1,6 @@
-//! What the bq34z100-G1 makes of its pack: measurements, counting, states and flags, and the registers
-//! that show them. Thresholds are read from data flash at a reset, as the part does.
-
-use std::array;
+//! What a gauge makes of its pack: measurements, counting, states and flags, and the registers that show
+//! them. Thresholds are read from data flash at a reset, as the parts do; where they stand there, and
+//! which register shows what, is each part's own.
 
 use super::battery::Battery;
 use super::flash::Flash;
@@ -16,112 +15,193 @@ const AVERAGE_S: f64 = 15.0;
 const OCV_S: f64 = 1800.0;
 const NO_TIME: u16 = 0xFFFF;
 
-// Flags(), SLUSBZ5D table 7-6.
-const OTC: u16 = 0x8000;
-const OTD: u16 = 0x4000;
-const BATHI: u16 = 0x2000;
-const BATLOW: u16 = 0x1000;
-const CHG_INH: u16 = 0x0800;
-const XCHG: u16 = 0x0400;
-const FC: u16 = 0x0200;
-const CHG: u16 = 0x0100;
-const OCVTAKEN: u16 = 0x0080;
-const CF: u16 = 0x0010;
-const SOC1: u16 = 0x0004;
-const SOCF: u16 = 0x0002;
-const DSG: u16 = 0x0001;
+// Conditions, as Flags() of the bq34z100-G1 shows them (SLUSBZ5D table 7-6) ...
+pub(super) const OTC: u32 = 0x8000;
+pub(super) const OTD: u32 = 0x4000;
+pub(super) const BATHI: u32 = 0x2000;
+pub(super) const BATLOW: u32 = 0x1000;
+pub(super) const CHG_INH: u32 = 0x0800;
+pub(super) const XCHG: u32 = 0x0400;
+pub(super) const FC: u32 = 0x0200;
+pub(super) const CHG: u32 = 0x0100;
+pub(super) const OCVTAKEN: u32 = 0x0080;
+pub(super) const CF: u32 = 0x0010;
+pub(super) const SOC1: u32 = 0x0004;
+pub(super) const SOCF: u32 = 0x0002;
+pub(super) const DSG: u32 = 0x0001;
+// ... and those that it does not know: too warm or too cold, whether or not current flows.
+pub(super) const OT: u32 = 0x0001_0000;
+pub(super) const UT: u32 = 0x0002_0000;
 // FlagsB(), table 7-7.
 const FIRSTDOD: u16 = 0x2000;
 const DODEOC: u16 = 0x0400;
-// Pack Configuration, table 7-17, and Pack Configuration B, table 7-18.
-const RMFCC: u16 = 0x0020;
-const TEMPS: u16 = 0x0001;
-const JEITA: u8 = 0x08;
+
+/// How a part's bytes and registers are laid out, as far as they are about gauging.
+#[derive(Debug)]
+pub(super) struct Map {
+    /// Reads its thresholds.
+    pub(super) settings: fn(&Flash) -> Settings,
+    /// Address, bytes, and what is shown there.
+    pub(super) registers: &'static [(u8, usize, Quantity)],
+    /// Conditions and the bits of Flags() that show them.
+    pub(super) flags: &'static [(u32, u16)],
+}
+
+/// What a register can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Quantity {
+    AtRate,
+    AtRateTimeToEmpty,
+    AverageCurrent,
+    AveragePower,
+    AvailableEnergy,
+    ChargeCurrent,
+    ChargeVoltage,
+    ConstantPowerTimeToEmpty,
+    Current,
+    CycleCount,
+    DesignCapacity,
+    Dod,
+    DodTime,
+    /// The same in sixteenths of an hour.
+    DodTimeHours,
+    EndDod,
+    Flags,
+    FlagsB,
+    Full,
+    Grid,
+    Health,
+    /// That it comes from learned resistances.
+    HealthStatus,
+    InternalTemperature,
+    LearnedStatus,
+    MaxError,
+    MaxLoadCurrent,
+    MaxLoadTimeToEmpty,
+    NominalFull,
+    NominalRemaining,
+    PackConfiguration,
+    PassedCharge,
+    Percent,
+    /// Power drawn, scaled, and never negative.
+    PowerDrawn,
+    QmaxPassed,
+    Remaining,
+    SerialNumber,
+    StandbyCurrent,
+    StandbyTimeToEmpty,
+    StartCharge,
+    StateTime,
+    Temperature,
+    TimeToEmpty,
+    TimeToFull,
+    Voltage,
+}
 
 /// Data flash as it was at the last reset.
 #[derive(Clone, Debug)]
-struct Settings {
-    ot_charge: (f64, f64, f64),
-    ot_discharge: (f64, f64, f64),
-    inhibit: (f64, f64, f64),
-    suspend: (f64, f64),
-    taper_ma: f64,
-    taper_mv: f64,
-    taper_s: f64,
-    charge_alert: (i8, i8),
-    full: (i8, i8),
-    serial: u16,
-    cycle_mah: f64,
-    max_error_limit: u8,
-    design_mah: u16,
-    charge_mv: [u16; 3],
-    charge_percent: [u8; 3],
-    jeita: [f64; 4],
-    energy_scale: f64,
-    soc1: (u16, u16),
-    socf: (u16, u16),
-    low_mv: (f64, f64, f64),
-    high_mv: (f64, f64, f64),
-    pack: u16,
-    pack_b: u8,
-    reserve_mah: f64,
-    discharge_ma: f64,
-    charge_ma: f64,
-    quit_ma: f64,
-    relax_s: (f64, f64),
-    internal_offset: f64,
-    external_offset: f64,
-    deadband_ma: f64,
-    cells: f64,
-    qmax_mah: f64,
-    lifetime_s: f64,
-    lifetime_step: [f64; 3],
+pub(super) struct Settings {
+    pub(super) ot_charge: (f64, f64, f64),
+    pub(super) ot_discharge: (f64, f64, f64),
+    /// Too warm and too cold, with the distance back.
+    pub(super) over: (f64, f64),
+    pub(super) under: (f64, f64),
+    pub(super) inhibit: (f64, f64, f64),
+    pub(super) suspend: (f64, f64),
+    pub(super) taper_ma: f64,
+    pub(super) taper_mv: f64,
+    pub(super) taper_s: f64,
+    pub(super) charge_alert: (i8, i8),
+    pub(super) full: (i8, i8),
+    pub(super) serial: u16,
+    pub(super) cycle_mah: f64,
+    pub(super) cycles: u16,
+    pub(super) max_error_limit: u8,
+    pub(super) design_mah: u16,
+    pub(super) charge_mv: [u16; 3],
+    pub(super) charge_percent: [u8; 3],
+    /// Limits of the temperature ranges, where there are any.
+    pub(super) jeita: Option<[f64; 4]>,
+    pub(super) energy_scale: f64,
+    pub(super) soc1: (u16, u16),
+    pub(super) socf: (u16, u16),
+    pub(super) low_mv: (f64, f64, f64),
+    pub(super) high_mv: (f64, f64, f64),
+    /// What the copy of the configuration shows.
+    pub(super) pack: u16,
+    pub(super) full_at_taper: bool,
+    pub(super) thermistor: bool,
+    /// The host writes Temperature().
+    pub(super) host_temperature: bool,
+    pub(super) reserve_mah: f64,
+    pub(super) discharge_ma: f64,
+    pub(super) charge_ma: f64,
+    pub(super) quit_ma: f64,
+    pub(super) relax_s: (f64, f64),
+    pub(super) internal_offset: f64,
+    pub(super) external_offset: f64,
+    pub(super) deadband_ma: f64,
+    pub(super) standby_ma: f64,
+    pub(super) max_load_ma: f64,
+    /// Current counts with the wrong sign.
+    pub(super) inverted: bool,
+    pub(super) cells: f64,
+    pub(super) qmax_mah: f64,
+    pub(super) enabled: bool,
+    pub(super) lifetime_s: f64,
+    pub(super) lifetime_step: [f64; 3],
+    pub(super) lifetime: [f64; 6],
 }
 
 impl Settings {
-    fn read(flash: &Flash) -> Self {
-        let i16 = |id, offset| f64::from(flash.i16(id, offset));
-        let u8 = |id, offset| f64::from(flash.u8(id, offset));
-        let i8 = |id, offset| flash.u8(id, offset) as i8;
-        let u16 = |id, offset| flash.u16(id, offset);
-        Self {
-            ot_charge: (i16(2, 0), u8(2, 2), i16(2, 3)),
-            ot_discharge: (i16(2, 5), u8(2, 7), i16(2, 8)),
-            inhibit: (i16(32, 0), i16(32, 2), i16(32, 4)),
-            suspend: (i16(34, 0), i16(34, 2)),
-            taper_ma: i16(36, 0),
-            taper_mv: i16(36, 4),
-            taper_s: u8(36, 6),
-            charge_alert: (i8(36, 7), i8(36, 8)),
-            full: (i8(36, 9), i8(36, 10)),
-            serial: u16(48, 4),
-            cycle_mah: i16(48, 8).max(1.0),
-            max_error_limit: flash.u8(48, 10),
-            design_mah: u16(48, 11),
-            charge_mv: [u16(48, 17), u16(48, 19), u16(48, 21)],
-            charge_percent: [flash.u8(48, 23), flash.u8(48, 24), flash.u8(48, 25)],
-            jeita: array::from_fn(|i| f64::from(i8(48, 26 + i)) * 10.0),
-            energy_scale: u8(48, 30).max(1.0),
-            soc1: (u16(49, 0), u16(49, 2)),
-            socf: (u16(49, 4), u16(49, 6)),
-            low_mv: (i16(49, 8), u8(49, 10), i16(49, 11)),
-            high_mv: (i16(49, 13), u8(49, 15), i16(49, 16)),
-            pack: u16(64, 0),
-            pack_b: flash.u8(64, 2),
-            reserve_mah: i16(80, 66).max(0.0),
-            discharge_ma: i16(81, 0),
-            charge_ma: i16(81, 2),
-            quit_ma: i16(81, 4),
-            relax_s: (f64::from(u16(81, 6)), u8(81, 8)),
-            internal_offset: f64::from(i8(104, 11)),
-            external_offset: f64::from(i8(104, 12)),
-            deadband_ma: u8(107, 1),
-            cells: u8(64, 7).max(1.0),
-            qmax_mah: i16(82, 0).max(1.0),
-            lifetime_s: f64::from(u16(66, 3)),
-            lifetime_step: [u8(66, 0), u8(66, 1), u8(66, 2)],
-        }
-    }
+    /// A gauge of one cell for which nothing is a threshold.
+    pub(super) const NONE: Self = Self {
+        ot_charge: (f64::INFINITY, 0.0, f64::INFINITY),
+        ot_discharge: (f64::INFINITY, 0.0, f64::INFINITY),
+        over: (f64::INFINITY, 0.0),
+        under: (f64::NEG_INFINITY, 0.0),
+        inhibit: (f64::NEG_INFINITY, f64::INFINITY, 0.0),
+        suspend: (f64::NEG_INFINITY, f64::INFINITY),
+        taper_ma: 0.0,
+        taper_mv: 0.0,
+        taper_s: 40.0,
+        charge_alert: (99, 95),
+        full: (-1, 98),
+        serial: 0,
+        cycle_mah: f64::INFINITY,
+        cycles: 0,
+        max_error_limit: 100,
+        design_mah: 0,
+        charge_mv: [4200; 3],
+        charge_percent: [0; 3],
+        jeita: None,
+        energy_scale: 1.0,
+        soc1: (0, 0),
+        socf: (0, 0),
+        low_mv: (0.0, 0.0, 0.0),
+        high_mv: (f64::INFINITY, 0.0, f64::INFINITY),
+        pack: 0,
+        full_at_taper: false,
+        thermistor: false,
+        host_temperature: false,
+        reserve_mah: 0.0,
+        discharge_ma: 60.0,
+        charge_ma: 75.0,
+        quit_ma: 40.0,
+        relax_s: (60.0, 60.0),
+        internal_offset: 0.0,
+        external_offset: 0.0,
+        deadband_ma: 5.0,
+        standby_ma: 0.0,
+        max_load_ma: 0.0,
+        inverted: false,
+        cells: 1.0,
+        qmax_mah: 1000.0,
+        enabled: true,
+        lifetime_s: 0.0,
+        lifetime_step: [0.0; 3],
+        lifetime: [0.0; 6],
+    };
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,8 +221,14 @@ pub(super) struct Learned {
 /// The measuring and counting half of the gauge.
 #[derive(Clone, Debug)]
 pub(super) struct Gauging {
+    map: &'static Map,
     pub(super) battery: Battery,
     settings: Settings,
+    /// What the host writes into AtRate() and, where it may, into Temperature().
+    pub(super) at_rate_ma: i16,
+    pub(super) host_temperature: Option<u16>,
+    /// By how much the count of charge is wrong.
+    drift_mah: f64,
     /// What Voltage() is made to say instead of the model's.
     pub(super) forced_mv: Option<u16>,
     /// Voltage() has been measured since power came.
@@ -154,7 +240,7 @@ pub(super) struct Gauging {
     state: State,
     state_s: f64,
     quiet_s: f64,
-    flags: u16,
+    flags: u32,
     flags_b: u16,
     over_s: [f64; 2],
     low_s: f64,
@@ -177,12 +263,16 @@ pub(super) struct Gauging {
 
 impl Gauging {
     /// A gauge that has long been at rest with its pack.
-    pub(super) fn new(flash: &Flash, soc: f64) -> Self {
-        let settings = Settings::read(flash);
+    pub(super) fn new(map: &'static Map, flash: &Flash, soc: f64) -> Self {
+        let settings = (map.settings)(flash);
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
         let mut new = Self {
+            map,
             battery,
             settings,
+            at_rate_ma: 0,
+            host_temperature: None,
+            drift_mah: 0.0,
             forced_mv: None,
             measured: true,
             enabled: false,
@@ -214,17 +304,21 @@ impl Gauging {
         new
     }
 
-    fn load(&mut self, flash: &Flash) {
-        self.settings = Settings::read(flash);
-        self.battery.resize(self.settings.cells, self.settings.qmax_mah);
-        self.enabled = flash.u8(82, 4) & 0x04 != 0;
-        self.cycles = flash.u16(48, 6);
-        self.lifetime = array::from_fn(|i| match i {
-            4 | 5 => f64::from(flash.u16(59, 2 * i)),
-            _ => f64::from(flash.i16(59, 2 * i)),
-        });
+    /// Works with data flash as it is now, from a new open-circuit voltage on.
+    pub(super) fn load(&mut self, flash: &Flash) {
+        self.apply(flash);
+        self.lifetime = self.settings.lifetime;
         self.lifetime_kept = self.lifetime;
         self.take_ocv();
+        self.update(0.0);
+    }
+
+    /// Works with data flash as it is now, and goes on counting from where it is.
+    pub(super) fn apply(&mut self, flash: &Flash) {
+        self.settings = (self.map.settings)(flash);
+        self.battery.resize(self.settings.cells, self.settings.qmax_mah);
+        self.enabled = self.settings.enabled;
+        self.cycles = self.settings.cycles;
         self.update(0.0);
     }
 
@@ -232,7 +326,7 @@ impl Gauging {
     /// it makes (table 7-4).
     pub(super) fn reset(&mut self, flash: &Flash) {
         let (battery, forced, measured) = (self.battery.clone(), self.forced_mv, self.measured);
-        *self = Self::new(flash, 0.0);
+        *self = Self::new(self.map, flash, 0.0);
         (self.battery, self.forced_mv, self.measured) = (battery, forced, measured);
         (self.max_error, self.state_s, self.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
@@ -240,7 +334,7 @@ impl Gauging {
 
     fn take_ocv(&mut self) {
         self.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
-        self.dod_s = 0.0;
+        (self.dod_s, self.drift_mah) = (0.0, 0.0);
         self.simulate();
     }
 
@@ -251,7 +345,12 @@ impl Gauging {
     }
 
     pub(super) fn remaining(&self) -> f64 {
-        (self.battery.charge_mah - self.settings.reserve_mah).max(0.0)
+        (self.counted() - self.settings.reserve_mah).max(0.0)
+    }
+
+    /// The charge that it takes the pack to have.
+    fn counted(&self) -> f64 {
+        (self.battery.charge_mah + self.drift_mah).clamp(0.0, self.battery.capacity_mah)
     }
 
     pub(super) fn full(&self) -> f64 {
@@ -266,6 +365,7 @@ impl Gauging {
     pub(super) fn set_percent(&mut self, percent: f64) {
         let reserve = self.settings.reserve_mah.min(self.battery.capacity_mah);
         self.battery.charge_mah = reserve + self.full() * percent / 100.0;
+        self.drift_mah = 0.0;
         self.simulate();
     }
 
@@ -282,6 +382,7 @@ impl Gauging {
     /// What the coulomb counter shows: nothing within the deadband.
     fn current_ma(&self) -> f64 {
         let current = self.battery.current_ma();
+        let current = if self.settings.inverted { -current } else { current };
         if current.abs() < self.settings.deadband_ma { 0.0 } else { current }
     }
 
@@ -311,7 +412,13 @@ impl Gauging {
     fn step(&mut self, seconds: f64) -> Learned {
         let before = self.battery.charge_mah;
         self.battery.step(seconds);
-        let moved = self.battery.charge_mah - before;
+        let mut moved = self.battery.charge_mah - before;
+        if self.settings.inverted {
+            // It may run against the end of its scale, and no further.
+            let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
+            self.drift_mah = (self.drift_mah - 2.0 * moved).clamp(low, high);
+            moved = -moved;
+        }
         let current = self.current_ma();
         self.average_ma += (current - self.average_ma) * (1.0 - (-seconds / AVERAGE_S).exp());
         self.passed_mah += moved;
@@ -348,6 +455,17 @@ impl Gauging {
             } else if temperature <= recovery {
                 self.flags &= !bit;
             }
+        }
+        let ((over, back), (under, up)) = (s.over, s.under);
+        if temperature >= over {
+            self.flags |= OT;
+        } else if temperature < over - back {
+            self.flags &= !OT;
+        }
+        if temperature <= under {
+            self.flags |= UT;
+        } else if temperature > under + up {
+            self.flags &= !UT;
         }
         let (low, high, hysteresis) = s.inhibit;
         let allowed = temperature >= low + hysteresis && temperature <= high - hysteresis;
@@ -396,7 +514,7 @@ impl Gauging {
             self.flags &= !FC;
         }
         let stopped = stop || self.flags & CHG == 0 && percent > s.charge_alert.1;
-        let allowed = !stopped && self.flags & (OTC | BATHI | CHG_INH | XCHG) == 0;
+        let allowed = !stopped && self.flags & (OTC | BATHI | CHG_INH | XCHG | OT | UT) == 0;
         self.flags = if allowed { self.flags | CHG } else { self.flags & !CHG };
         let worn = self.max_error > s.max_error_limit;
         self.flags = if worn { self.flags | CF } else { self.flags & !CF };
@@ -447,8 +565,9 @@ impl Gauging {
         self.taper_s = if tapering { self.taper_s + seconds } else { 0.0 };
         if tapering && !self.tapered && self.taper_s >= 2.0 * s.taper_s {
             self.tapered = true;
-            if s.pack & RMFCC != 0 {
+            if s.full_at_taper {
                 self.battery.charge_mah = self.battery.capacity_mah;
+                self.drift_mah = 0.0;
             }
             self.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
             self.flags_b |= DODEOC;
@@ -493,7 +612,10 @@ impl Gauging {
 
     /// Temperature() in 0.1 K, before rounding.
     fn temperature(&self) -> f64 {
-        if self.settings.pack & TEMPS == 0 {
+        if self.settings.host_temperature {
+            return self.host_temperature.map_or(self.die(), f64::from);
+        }
+        if !self.settings.thermistor {
             return self.die();
         }
         self.battery.temperature() * 10.0 + FREEZING + self.settings.external_offset
@@ -503,12 +625,10 @@ impl Gauging {
     fn charge_advice(&self) -> (u16, u16) {
         let s = &self.settings;
         let temperature = self.temperature() - FREEZING;
-        let range = if s.pack_b & JEITA == 0 {
-            1
-        } else if temperature < s.jeita[0] || temperature > s.jeita[3] {
-            return (0, 0);
-        } else {
-            usize::from(temperature >= s.jeita[1]) + usize::from(temperature >= s.jeita[2])
+        let range = match s.jeita {
+            None => 1,
+            Some([t1, _, _, t4]) if temperature < t1 || temperature > t4 => return (0, 0),
+            Some([_, t2, t3, _]) => usize::from(temperature >= t2) + usize::from(temperature >= t3),
         };
         let current = f64::from(s.design_mah) * f64::from(s.charge_percent[range]) / 100.0;
         (s.charge_mv[range], whole(current))
@@ -527,62 +647,95 @@ impl Gauging {
         }
     }
 
-    /// The registers that show all this; the host's own ones are left 0.
-    pub(super) fn registers(&self, calibration: bool) -> [u8; REGISTERS] {
+    /// Minutes to empty at a load in mA.
+    fn minutes_at(&self, load_ma: f64) -> u16 {
+        if load_ma < 0.0 { whole((self.remaining() / -load_ma * 60.0).min(65534.0)) } else { NO_TIME }
+    }
+
+    /// The registers that show all this; the host's own ones are left 0. `present` is whether the gauge
+    /// knows of a battery: it predicts nothing without.
+    pub(super) fn registers(&self, calibration: bool, present: bool) -> [u8; REGISTERS] {
         let mut out = [0; REGISTERS];
-        let s = &self.settings;
-        let (remaining, full) = (whole(self.remaining()), whole(self.full()));
-        let (to_empty, to_full) = self.times();
-        let (charge_mv, charge_ma) = self.charge_advice();
-        let reserve = self.battery.energy_mwh(self.battery.charge_mah - self.remaining());
-        let energy = self.battery.energy_mwh(self.battery.charge_mah) - reserve;
-        let power = (-self.average_ma).max(0.0) * f64::from(self.voltage_mv()) / 1000.0;
-        let health = match s.design_mah {
-            0 => 0.0,
-            design => (100.0 * self.full() / f64::from(design)).min(100.0),
-        };
-        // CAL_ENABLE toggles the bit of the running copy.
-        let pack = if calibration { s.pack | 0x4000 } else { s.pack & !0x4000 };
-        out[0x02] = self.percent().round() as u8;
-        out[0x03] = self.max_error;
-        for (register, word) in [
-            (0x04, remaining),
-            (0x06, full),
-            (0x08, self.voltage_mv()),
-            (0x0A, signed(self.average_ma)),
-            (0x0C, whole(self.temperature())),
-            (0x0E, self.flags),
-            (0x10, signed(self.current_ma())),
-            (0x12, self.flags_b),
-            (0x18, to_empty),
-            (0x1A, to_full),
-            (0x1C, signed(self.passed_mah)),
-            (0x1E, whole(self.dod_s / 60.0)),
-            (0x24, whole(energy / s.energy_scale)),
-            (0x26, whole(power / s.energy_scale)),
-            (0x28, s.serial),
-            (0x2A, whole(self.die())),
-            (0x2C, self.cycles),
-            (0x2E, whole(health)),
-            (0x30, charge_mv),
-            (0x32, charge_ma),
-            (0x3A, pack),
-            (0x3C, s.design_mah),
-            (0x64, whole(self.end_dod)),
-            (0x66, whole(self.start_mah)),
-            (0x68, remaining),
-            (0x6A, full),
-            (0x6C, whole(self.state_s)),
-            (0x6E, signed(self.qmax_passed_mah)),
-            (0x70, whole(self.dod)),
-            (0x72, whole(self.dod)),
-            (0x74, whole(self.dod_s * 16.0 / 3600.0)),
-        ] {
-            out[register..register + 2].copy_from_slice(&word.to_le_bytes());
+        for &(register, size, quantity) in self.map.registers {
+            let word = if present || !quantity.is_predicted() { self.show(quantity, calibration) } else { 0 };
+            let at = usize::from(register);
+            out[at..at + size].copy_from_slice(&word.to_le_bytes()[..size]);
         }
-        out[0x62] = ((100.0 - self.percent()) / 100.0 * 14.0) as u8;
-        out[0x63] = if self.enabled { 0x04 } else { 0 };
         out
+    }
+
+    fn show(&self, quantity: Quantity, calibration: bool) -> u16 {
+        let s = &self.settings;
+        match quantity {
+            Quantity::AtRate => self.at_rate_ma as u16,
+            Quantity::AtRateTimeToEmpty => self.minutes_at(f64::from(self.at_rate_ma)),
+            Quantity::AverageCurrent => signed(self.average_ma),
+            Quantity::AveragePower => signed(self.average_ma * f64::from(self.voltage_mv()) / 1000.0),
+            Quantity::AvailableEnergy => {
+                let counted = self.counted();
+                let reserve = self.battery.energy_mwh(counted - self.remaining());
+                whole((self.battery.energy_mwh(counted) - reserve) / s.energy_scale)
+            }
+            Quantity::ChargeCurrent => self.charge_advice().1,
+            Quantity::ChargeVoltage => self.charge_advice().0,
+            Quantity::ConstantPowerTimeToEmpty | Quantity::TimeToEmpty => self.times().0,
+            Quantity::Current => signed(self.current_ma()),
+            Quantity::CycleCount => self.cycles,
+            Quantity::DesignCapacity => s.design_mah,
+            Quantity::Dod => whole(self.dod),
+            Quantity::DodTime => whole(self.dod_s / 60.0),
+            Quantity::DodTimeHours => whole(self.dod_s * 16.0 / 3600.0),
+            Quantity::EndDod => whole(self.end_dod),
+            Quantity::Flags => {
+                let set = self.map.flags.iter().filter(|(condition, _)| self.flags & condition != 0);
+                set.fold(0, |word, (_, bit)| word | bit)
+            }
+            Quantity::FlagsB => self.flags_b,
+            Quantity::Full => whole(self.full()),
+            Quantity::Grid => ((100.0 - self.percent()) / 100.0 * 14.0) as u16,
+            Quantity::Health => match s.design_mah {
+                0 => 0,
+                design => whole((100.0 * self.full() / f64::from(design)).min(100.0)),
+            },
+            Quantity::HealthStatus => 3,
+            Quantity::InternalTemperature => whole(self.die()),
+            Quantity::LearnedStatus => u16::from(self.enabled) << 2,
+            Quantity::MaxError => u16::from(self.max_error),
+            Quantity::MaxLoadCurrent => signed(s.max_load_ma),
+            Quantity::MaxLoadTimeToEmpty => self.minutes_at(s.max_load_ma),
+            Quantity::NominalFull => whole(self.battery.capacity_mah),
+            Quantity::NominalRemaining => whole(self.counted()),
+            // CAL_ENABLE toggles the bit of the running copy.
+            Quantity::PackConfiguration if calibration => s.pack | 0x4000,
+            Quantity::PackConfiguration => s.pack,
+            Quantity::PassedCharge => signed(self.passed_mah),
+            Quantity::Percent => whole(self.percent()),
+            Quantity::PowerDrawn => {
+                let power = (-self.average_ma).max(0.0) * f64::from(self.voltage_mv()) / 1000.0;
+                whole(power / s.energy_scale)
+            }
+            Quantity::QmaxPassed => signed(self.qmax_passed_mah),
+            Quantity::Remaining => whole(self.remaining()),
+            Quantity::SerialNumber => s.serial,
+            Quantity::StandbyCurrent => signed(s.standby_ma),
+            Quantity::StandbyTimeToEmpty => self.minutes_at(s.standby_ma),
+            Quantity::StartCharge => whole(self.start_mah),
+            Quantity::StateTime => whole(self.state_s),
+            Quantity::Temperature => whole(self.temperature()),
+            Quantity::TimeToFull => self.times().1,
+            Quantity::Voltage => self.voltage_mv(),
+        }
+    }
+}
+
+impl Quantity {
+    fn is_predicted(self) -> bool {
+        use Quantity::{
+            AvailableEnergy, Full, Health, HealthStatus, NominalFull, NominalRemaining, Percent, Remaining,
+        };
+        let predicted =
+            [Remaining, Full, NominalRemaining, NominalFull, Percent, AvailableEnergy, Health, HealthStatus];
+        predicted.contains(&self)
     }
 }
 

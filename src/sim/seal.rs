@@ -34,21 +34,21 @@ pub(super) struct Seal {
 }
 
 impl Seal {
-    /// After a loss of power or a reset a gauge is sealed, and half a key is forgotten.
-    pub(super) fn new() -> Self {
-        Self { level: Level::Sealed, first: None }
+    /// A level with half of no key.
+    pub(super) fn new(level: Level) -> Self {
+        Self { level, first: None }
     }
 
-    /// A word written to Control(). `keys` are those that lead to UNSEALED and to FULL ACCESS, each in
-    /// the order it is sent; `listening` is whether a first half would be taken just now. Tells whether
+    /// A word written to Control(). `keys` are those that lead to UNSEALED and, where there is such a
+    /// level, to FULL ACCESS, each in the order it is sent; `listening` is whether a first half would be taken just now. Tells whether
     /// the level has changed.
-    pub(super) fn word(&mut self, word: u16, keys: [[u16; 2]; 2], listening: bool, now: Duration) -> bool {
-        let (key, next) = match self.level {
-            Level::Sealed => (keys[0], Level::Unsealed),
-            Level::Unsealed => (keys[1], Level::FullAccess),
-            Level::FullAccess => return false,
-        };
+    pub(super) fn word(&mut self, word: u16, keys: &[[u16; 2]], listening: bool, now: Duration) -> bool {
         let first = self.first.take();
+        let (key, next) = match (self.level, keys) {
+            (Level::Sealed, [key, ..]) => (key, Level::Unsealed),
+            (Level::Unsealed, [_, key, ..]) => (key, Level::FullAccess),
+            _ => return false,
+        };
         if word == key[1] && first.is_some_and(|then| now.saturating_sub(then) <= WINDOW) {
             self.level = next;
             return true;
@@ -80,9 +80,9 @@ mod tests {
     const KEYS: [[u16; 2]; 2] = [[0x0414, 0x3672], [0xFFFF, 0xFFFF]];
 
     fn send(words: &[(u16, u64)]) -> Level {
-        let mut seal = Seal::new();
+        let mut seal = Seal::new(Level::Sealed);
         for &(word, at) in words {
-            seal.word(word, KEYS, true, Duration::from_millis(at));
+            seal.word(word, &KEYS, true, Duration::from_millis(at));
         }
         seal.level
     }

@@ -31,9 +31,10 @@ pub(super) struct Window {
 }
 
 impl Window {
-    pub(super) fn new() -> Self {
+    /// What shows after a reset: the field for a challenge, where there is one.
+    pub(super) fn new(authentication: bool) -> Self {
         Self {
-            source: Source::Authentication,
+            source: if authentication { Source::Authentication } else { Source::Nothing },
             data: [0; BLOCK],
             length: BLOCK,
             sum: 0xFF,
