@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use gaugefs::clock::Clock;
 use gaugefs::dataflash::Outcome;
 use gaugefs::error::Cause;
 use gaugefs::gauge::Seal;
@@ -159,5 +160,28 @@ fn what_the_gauge_did_not_store_is_seen() {
         assert!(error.to_string().contains(says), "{fault}: {error}");
         assert!(rig.sim.flash() == before, "{fault}: {error}");
         assert_eq!(rig.seal(), Seal::Sealed, "{fault}");
+    }
+}
+
+/// Design Capacity of each part with its own table, at its own place: stored, sealed again, and no mode
+/// left on.
+#[test]
+fn every_part_takes_its_design_capacity() {
+    for (chip, at, text) in [
+        ("bq27520-g3", (48, 10), "1200"),
+        ("bq27441-g1", (82, 10), "1200"),
+        ("bq27421-g1", (82, 10), "1200"),
+        ("bq27427", (82, 6), "1200"),
+    ] {
+        let mut rig = Rig::new(chip);
+        assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
+        let begun = rig.clock.now();
+        assert_eq!(rig.write(at.0, at.1, text), Ok(WRITTEN), "{chip}");
+        let took = rig.clock.now() - begun;
+        assert!(took < Duration::from_secs(12), "{chip}: {took:?}");
+        assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
+        assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{chip}");
+        assert_eq!(rig.read(at.0, at.1), Ok(vec![0x04, 0xb0]), "{chip}");
+        assert_eq!(rig.write(at.0, at.1, text), Ok(Outcome::Unchanged), "{chip}");
     }
 }
