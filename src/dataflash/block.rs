@@ -14,6 +14,8 @@ const BLOCK_DATA: u8 = 0x40;
 const CHECKSUM: u8 = 0x60;
 /// BlockDataControl().
 const BLOCK_DATA_CONTROL: u8 = 0x61;
+/// BlockDataControl() for the blocks that a sealed gauge shows.
+const MANUFACTURER_BLOCKS: u8 = 1;
 
 pub(super) struct Block;
 
@@ -30,6 +32,9 @@ impl Sequence for Block {
         let first = load_once(gauge, place);
         if let Ok((window, true)) = first {
             return Ok(window);
+        }
+        if first.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Protocol(_))) {
+            self.enable(gauge)?;
         }
         // The window was read too early, or a bit was lost in a selection and another block is in it.
         // What does not echo its selection counts when a second selection leads to the same bytes.
@@ -79,13 +84,19 @@ fn select(gauge: &mut Gauge, place: Place) -> Result<()> {
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
-/// The block, its checksum in order, and whether the gauge says that this block was selected.
+/// The block, its checksum in order, and whether the gauge says that this block was selected. With
+/// BlockDataControl() at 1, where a lost bit can put it, the window has nothing to do with data flash,
+/// and all the rest is in order: so that is read as well.
 fn load_once(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
     select(gauge, place)?;
-    let mut bytes = [0; 2 + WINDOW + 1];
+    let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];
     window.copy_from_slice(&bytes[2..2 + WINDOW]);
+    if bytes[2 + WINDOW + 1] == MANUFACTURER_BLOCKS {
+        let why = format!("{}: BlockDataControl() is 1, which data flash is not reached by", place.name(0));
+        return Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock));
+    }
     let (sum, told) = (checksum(&window), bytes[2 + WINDOW]);
     if sum == told {
         return Ok((window, bytes[..2] == [place.subclass, block_of(place)]));
