@@ -28,7 +28,7 @@ impl Sequence for CfgUpdate {
     }
 
     fn begin(&self, gauge: &mut Gauge) -> Result<()> {
-        if in_mode(gauge)? {
+        if settles(gauge, true, Duration::ZERO)? {
             return Ok(());
         }
         gauge.command(SET_CFGUPDATE).map_err(|error| error.at(Step::WriteBlock))?;
@@ -55,6 +55,9 @@ impl Sequence for CfgUpdate {
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
+        // SOFT_RESET does nothing before the mode has come, and the mode then comes all the same. After a
+        // loss of power it does not come at all.
+        settles(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::Reset))?;
         Statistics::count(&gauge.statistics.resets);
         gauge.command(SOFT_RESET).map_err(|error| error.at(Step::Reset))?;
         wait_for(gauge, false, gauge.chip.access.reset_limit).map_err(|error| error.at(Step::Reset))
@@ -72,14 +75,26 @@ fn in_mode(gauge: &mut Gauge) -> Result<bool> {
     Ok(u16::from_le_bytes(word) & CFGUPMODE != 0)
 }
 
-fn wait_for(gauge: &mut Gauge, set: bool, limit: Duration) -> Result<()> {
+/// Waits until the mode is on, or off. I2C has no check of its own, and a mode that was misread would be
+/// left on: what is seen counts when it is seen twice.
+fn wait_for(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<()> {
+    if settles(gauge, on, limit)? {
+        return Ok(());
+    }
+    let why = if on { "[CFGUPMODE] does not come" } else { "[CFGUPMODE] stays" };
+    Err(Error::new("Flags()", Cause::Slow(why.into())))
+}
+
+/// The same; whether it came to that.
+fn settles(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
     let limit = gauge.clock.now() + limit;
-    while in_mode(gauge)? != set {
+    loop {
+        if in_mode(gauge)? == on && in_mode(gauge)? == on {
+            return Ok(true);
+        }
         if gauge.clock.now() >= limit {
-            let why = if set { "[CFGUPMODE] does not come" } else { "[CFGUPMODE] stays" };
-            return Err(Error::new("Flags()", Cause::Slow(why.into())));
+            return Ok(false);
         }
         gauge.wait(LOOK);
     }
-    Ok(())
 }
