@@ -366,6 +366,28 @@ impl Gauge {
             self.gauging.measured = true;
             self.gauging.update(0.0);
         }
+        if on && let Some((exit, at)) = self.update.run(now) {
+            self.pass(at, true);
+            self.end_update(exit, at);
+        }
+        self.pass(now, settle);
+        if self.board_until.is_some_and(|until| now >= until) {
+            self.board_until = None;
+            let offset = self.board_offset as u8;
+            self.store_own(self.part.own.board_offset, &[offset], now);
+        }
+        if self.offset_until.is_some_and(|until| now >= until) {
+            self.offset_until = None;
+        }
+        // In CONFIG UPDATE the gauge does not gauge.
+        if !self.update.shows() {
+            self.registers = None;
+        }
+    }
+
+    /// The model's time goes on up to `now`.
+    fn pass(&mut self, now: Duration, settle: bool) {
+        let on = matches!(self.power, Power::On);
         let seconds = now.saturating_sub(self.modelled).as_secs_f64() * self.manner.speed;
         if seconds >= 1.0 || settle || self.manner.speed == 0.0 {
             self.modelled = now;
@@ -386,21 +408,6 @@ impl Gauge {
                 let count = self.flash.u16(samples, 0).saturating_add(1);
                 self.store_own(Some((samples, 0)), &count.to_be_bytes(), now);
             }
-        }
-        if self.board_until.is_some_and(|until| now >= until) {
-            self.board_until = None;
-            let offset = self.board_offset as u8;
-            self.store_own(self.part.own.board_offset, &[offset], now);
-        }
-        if self.offset_until.is_some_and(|until| now >= until) {
-            self.offset_until = None;
-        }
-        if on && let Some((exit, at)) = self.update.run(now) {
-            self.end_update(exit, at);
-        }
-        // In CONFIG UPDATE the gauge does not gauge.
-        if !self.update.shows() {
-            self.registers = None;
         }
     }
 
