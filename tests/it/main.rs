@@ -7,5 +7,6 @@ mod input;
 mod mount;
 mod rig;
 mod sim;
+mod sim2;
 mod tables;
 mod write;
