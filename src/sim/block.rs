@@ -83,23 +83,28 @@ pub(super) struct Part {
     pub(super) own: Own,
 }
 
-/// Data flash that the gauge itself reads or keeps, besides what gauging does: class and offset.
+/// Where something stands in data flash: class and offset.
+type Place = (u16, usize);
+/// A bit of the word that stands there.
+type Flag = (u16, usize, u16);
+
+/// Data flash that the gauge itself reads or keeps, besides what gauging does.
 #[derive(Debug)]
 pub(super) struct Own {
-    pub(super) cycles: Option<(u16, usize)>,
+    pub(super) cycles: Option<Place>,
     /// Classes of the lifetime data and of the count of samples.
     pub(super) lifetime: Option<(u16, u16)>,
-    pub(super) update_status: Option<(u16, usize)>,
-    pub(super) cc_offset: Option<(u16, usize)>,
-    pub(super) board_offset: Option<(u16, usize)>,
+    pub(super) update_status: Option<Place>,
+    pub(super) cc_offset: Option<Place>,
+    pub(super) board_offset: Option<Place>,
     /// The byte that is not 0 for the model of constant power.
-    pub(super) load_mode: Option<(u16, usize)>,
+    pub(super) load_mode: Option<Place>,
     /// The word and bit that lift the gate.
-    pub(super) calibration: Option<(u16, usize, u16)>,
+    pub(super) calibration: Option<Flag>,
     /// The word and bit that allow SLEEP, and where its current stands.
-    pub(super) sleep: Option<((u16, usize, u16), (u16, usize))>,
+    pub(super) sleep: Option<(Flag, Place)>,
     /// Seconds of silence before FULL SLEEP.
-    pub(super) settle: Option<(u16, usize)>,
+    pub(super) settle: Option<Place>,
     /// The class that the chemistry's checksum is about.
     pub(super) chemistry: Option<u16>,
 }
@@ -107,14 +112,14 @@ pub(super) struct Own {
 /// Below what voltage nothing is programmed: where the limit stands, and the divider of a stack's voltage.
 #[derive(Debug)]
 pub(super) struct Gate {
-    pub(super) limit: (u16, usize),
-    pub(super) divider: Option<(u16, usize)>,
+    pub(super) limit: Place,
+    pub(super) divider: Option<Place>,
 }
 
 /// SHA-1 authentication.
 #[derive(Debug)]
 pub(super) struct Authentication {
-    pub(super) key: (u16, usize),
+    pub(super) key: Place,
 }
 
 /// Who may send a subcommand.
@@ -547,7 +552,7 @@ impl Gauge {
     }
 
     /// Something the gauge itself keeps.
-    fn store_own(&mut self, place: Option<(u16, usize)>, bytes: &[u8], now: Duration) {
+    fn store_own(&mut self, place: Option<Place>, bytes: &[u8], now: Duration) {
         let Some((id, offset)) = place.filter(|_| self.gate()) else { return };
         let block = (offset / BLOCK) as u8;
         let mut content = self.flash.block(id, block).to_vec();
@@ -650,7 +655,7 @@ impl Gauge {
 
     fn is(&self, status: Status) -> bool {
         let own = &self.part.own;
-        let byte = |place: Option<(u16, usize)>| place.map_or(0, |(id, offset)| self.flash.u8(id, offset));
+        let byte = |place: Option<Place>| place.map_or(0, |(id, offset)| self.flash.u8(id, offset));
         match status {
             Status::NotFullAccess => self.seal.level != Level::FullAccess,
             Status::Sealed => self.sealed(),
@@ -851,7 +856,7 @@ fn level(part: &Part, flash: &Flash) -> Level {
     }
 }
 
-fn is_set(flash: &Flash, place: Option<(u16, usize, u16)>) -> bool {
+fn is_set(flash: &Flash, place: Option<Flag>) -> bool {
     place.is_some_and(|(id, offset, bit)| flash.u16(id, offset) & bit != 0)
 }
 
