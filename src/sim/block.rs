@@ -761,7 +761,9 @@ impl Gauge {
             Action::Seal => {
                 if let Some((id, offset)) = self.part.ram.as_ref().map(|ram| ram.update_status) {
                     let status = self.flash.u8(id, offset) | SEAL;
-                    self.store_own(Some((id, offset)), &[status], now);
+                    self.flash.preset(id, offset, &[status]);
+                    // A file that cannot be written is reported by the `state` knob.
+                    let _ = self.store.save(&self.flash);
                 }
                 self.close();
             }
