@@ -18,11 +18,14 @@ mod block;
 mod bq27427;
 mod bq27441_g1;
 mod bq27520_g3;
+mod bq34110;
 mod bq34z100_g1;
+mod bq35100;
 pub mod fault;
 mod flash;
 mod gauging;
 mod knob;
+mod mac;
 mod seal;
 mod update;
 mod window;
@@ -38,6 +41,7 @@ const LOG: usize = 4096;
 
 static PARTS: &[&block::Part] =
     &[&bq34z100_g1::PART, &bq27520_g3::PART, &bq27441_g1::PART, &bq27441_g1::BQ27421, &bq27427::PART];
+static MAC_PARTS: &[&mac::Part] = &[&bq34110::PART, &bq35100::PART];
 
 /// How a simulated gauge is made.
 #[derive(Clone, Default)]
@@ -153,16 +157,21 @@ impl fmt::Debug for Sim {
 }
 
 impl Sim {
-    /// A gauge: SEALED, its pack of one cell at rest and about 60 % full.
+    /// A gauge: SEALED, its pack of one cell at rest and about 60 % full; a primary cell is new.
     pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
-        let Some(part) = PARTS.iter().find(|part| part.name == chip) else {
-            let known: Vec<&str> = PARTS.iter().map(|part| part.name).collect();
+        let now = clock.now();
+        let chip: Box<dyn Chip> = if let Some(part) = PARTS.iter().find(|part| part.name == chip) {
+            Box::new(block::Gauge::new(part, options, now)?)
+        } else if let Some(part) = MAC_PARTS.iter().find(|part| part.name == chip) {
+            Box::new(mac::Gauge::new(part, options, now)?)
+        } else {
+            let names = PARTS.iter().map(|part| part.name).chain(MAC_PARTS.iter().map(|part| part.name));
+            let known: Vec<&str> = names.collect();
             let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
             return Err(Error::new(chip, Cause::Invalid(text)));
         };
-        let gauge = block::Gauge::new(part, options, clock.now())?;
         let state = State {
-            chip: Box::new(gauge),
+            chip,
             plan: Plan::new(options.seed),
             pointer: 0,
             transfers: 0,
@@ -189,9 +198,9 @@ impl Sim {
         SimBus { sim: self.clone(), address, secret: false }
     }
 
-    /// The files of `sim/`.
-    pub fn knobs(&self) -> &'static [Knob] {
-        knob::KNOBS
+    /// The files of `sim/`: those that the part has.
+    pub fn knobs(&self) -> Vec<Knob> {
+        knob::KNOBS.iter().copied().filter(|knob| self.get(knob.name).is_some()).collect()
     }
 
     /// What a knob shows; `None` where there is none of that name.
@@ -212,11 +221,12 @@ impl Sim {
     pub fn set(&self, knob: &str, text: &str) -> Result<()> {
         let text = text.trim();
         let mut state = self.lock();
-        match self.knobs().iter().find(|known| known.name == knob) {
-            None => Err(Error::new(knob, Cause::Invalid("there is no such knob".into()))),
+        let now = self.clock.now();
+        match knob::KNOBS.iter().find(|known| known.name == knob) {
             Some(known) if !known.writable => Err(knob::read_only(knob)),
             Some(_) if knob == "fault" => state.plan.set(text),
-            Some(_) => state.chip.set_knob(knob, text, self.clock.now()),
+            Some(_) if state.chip.knob(knob, now).is_some() => state.chip.set_knob(knob, text, now),
+            _ => Err(Error::new(knob, Cause::Invalid("there is no such knob".into()))),
         }
     }
 

@@ -18,8 +18,20 @@ const CURVE: &[(f64, f64)] = &[
     (100.0, 4199.0),
 ];
 
+/// The same of a primary cell of lithium and thionyl chloride.
+const PRIMARY_CURVE: &[(f64, f64)] = &[
+    (0.0, 2000.0),
+    (3.0, 3000.0),
+    (10.0, 3420.0),
+    (20.0, 3520.0),
+    (50.0, 3580.0),
+    (80.0, 3630.0),
+    (100.0, 3660.0),
+];
+
 /// Resistance of a cell at 25 degrees, in ohms.
 const RESISTANCE: f64 = 0.042;
+const PRIMARY_RESISTANCE: f64 = 2.0;
 /// What the charger holds at a cell once it has reached it, in mV.
 const CHARGER_MV: f64 = 4200.0;
 /// Warming by the cell's own losses: kelvins a watt, and the time it takes in seconds.
@@ -40,13 +52,29 @@ pub(super) struct Battery {
     pub(super) ambient: f64,
     /// Above that, in kelvins.
     rise: f64,
+    curve: &'static [(f64, f64)],
+    ohms: f64,
 }
 
 impl Battery {
     /// A pack at rest, at 25 degrees.
     pub(super) fn new(cells: f64, capacity_mah: f64, soc: f64) -> Self {
         let charge_mah = capacity_mah * soc / 100.0;
-        Self { cells, capacity_mah, charge_mah, load_ma: 0.0, ambient: 25.0, rise: 0.0 }
+        Self {
+            cells,
+            capacity_mah,
+            charge_mah,
+            load_ma: 0.0,
+            ambient: 25.0,
+            rise: 0.0,
+            curve: CURVE,
+            ohms: RESISTANCE,
+        }
+    }
+
+    /// The same of primary cells, which nobody charges.
+    pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
+        Self { curve: PRIMARY_CURVE, ohms: PRIMARY_RESISTANCE, ..Self::new(cells, capacity_mah, soc) }
     }
 
     /// Another size, as full as it was.
@@ -65,10 +93,11 @@ impl Battery {
         self.ambient + self.rise
     }
 
-    fn resistance(&self) -> f64 {
+    /// Of a cell, in ohms.
+    pub(super) fn resistance(&self) -> f64 {
         let cold = ((25.0 - self.temperature()) * 0.02).clamp(-0.5, 1.5);
         let empty = (10.0 - self.percent()).max(0.0) * 0.1;
-        RESISTANCE * (1.0 + cold + empty)
+        self.ohms * (1.0 + cold + empty)
     }
 
     /// Current into the pack, in mA: the load while there is charge, the charger's until the cells have
@@ -80,13 +109,13 @@ impl Battery {
         if self.charge_mah >= self.capacity_mah - SHUT {
             return 0.0;
         }
-        let driven = (CHARGER_MV - open_circuit(self.percent())) / self.resistance();
+        let driven = (CHARGER_MV - self.open_circuit(self.percent())) / self.resistance();
         (-self.load_ma).min(driven.max(0.0))
     }
 
     /// A cell's voltage under the present current, in mV.
     pub(super) fn cell_mv(&self) -> f64 {
-        (open_circuit(self.percent()) + self.current_ma() * self.resistance()).max(0.0)
+        (self.open_circuit(self.percent()) + self.current_ma() * self.resistance()).max(0.0)
     }
 
     /// Lets `seconds` pass with the current it has; the caller keeps them few.
@@ -102,25 +131,25 @@ impl Battery {
     pub(super) fn energy_mwh(&self, charge_mah: f64) -> f64 {
         let percent = (100.0 * charge_mah / self.capacity_mah).clamp(0.0, 100.0);
         let mut area = 0.0;
-        for pair in CURVE.windows(2) {
+        for pair in self.curve.windows(2) {
             let ((from, low), (to, _)) = (pair[0], pair[1]);
             let end = to.min(percent);
             if end > from {
-                area += (low + open_circuit(end)) / 2.0 * (end - from);
+                area += (low + self.open_circuit(end)) / 2.0 * (end - from);
             }
         }
         area / 100.0 * self.capacity_mah / 1000.0 * self.cells
     }
-}
 
-fn open_circuit(percent: f64) -> f64 {
-    for pair in CURVE.windows(2) {
-        let ((from, low), (to, high)) = (pair[0], pair[1]);
-        if percent <= to {
-            return low + (high - low) * (percent - from) / (to - from);
+    fn open_circuit(&self, percent: f64) -> f64 {
+        for pair in self.curve.windows(2) {
+            let ((from, low), (to, high)) = (pair[0], pair[1]);
+            if percent <= to {
+                return low + (high - low) * (percent - from) / (to - from);
+            }
         }
+        self.curve[self.curve.len() - 1].1
     }
-    CURVE[CURVE.len() - 1].1
 }
 
 #[cfg(test)]

@@ -54,6 +54,7 @@ pub(super) static KNOBS: &[Knob] = &[
     set("auth_ms", "from the challenge's checksum until the digest can be read"),
     set("auth_order", "`lsb-first` or `as-sent`: order of challenge and digest on the wire"),
     set("word_ms", "time to program a 16-bit word of flash; the clock is held meanwhile"),
+    set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
     set("key_quiet_ms", "silence on the bus without which a key is refused"),
 ];
 

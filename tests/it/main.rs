@@ -8,5 +8,6 @@ mod mount;
 mod rig;
 mod sim;
 mod sim2;
+mod sim_mac;
 mod tables;
 mod write;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::chip::Chip;
+use gaugefs::chip::{Chip, Parameter, Subclass};
 use gaugefs::clock::{Clock, SimClock};
 use gaugefs::codec;
 use gaugefs::dataflash::{Change, DataFlash, Outcome};
@@ -38,10 +38,16 @@ impl Rig {
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 
+    /// A parameter and what it belongs to; with `FLAT` and an address on a part without subclasses.
+    fn find(&self, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
+        let mut alike = self.gauge.chip.subclasses.iter().filter(|row| row.id == subclass);
+        let found = alike.find_map(|row| Some((row, row.parameter(offset)?)));
+        found.expect("a parameter of the table")
+    }
+
     /// A change as `echo text > df/subclass/offset` asks for it.
     pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
-        let subclass = self.gauge.chip.subclass(subclass).expect("a subclass of the table");
-        let parameter = subclass.parameter(offset).expect("a parameter of the table");
+        let (subclass, parameter) = self.find(subclass, offset);
         let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
         let bytes = codec::encode(parameter.kind, &value).expect("a value of the type");
         Change { subclass, parameter, bytes }
@@ -54,8 +60,7 @@ impl Rig {
 
     /// The bytes of a parameter, read through the engine.
     pub(crate) fn read(&mut self, subclass: u8, offset: u16) -> Result<Vec<u8>> {
-        let row = self.gauge.chip.subclass(subclass).expect("a subclass of the table");
-        let parameter = row.parameter(offset).expect("a parameter of the table");
+        let (row, parameter) = self.find(subclass, offset);
         let bytes = self.dataflash.read(&mut self.gauge, &[row], Duration::ZERO)?.remove(0);
         let at = usize::from(offset - row.start());
         Ok(bytes[at..at + parameter.kind.size()].to_vec())

@@ -11,9 +11,9 @@ use gaugefs::clock::{Clock, SimClock};
 use gaugefs::error::Cause;
 use gaugefs::sim::{Options, Sim};
 
-struct Bench {
-    sim: Sim,
-    clock: Arc<SimClock>,
+pub(crate) struct Bench {
+    pub(crate) sim: Sim,
+    pub(crate) clock: Arc<SimClock>,
 }
 
 /// 48/0 and 64/0 as the part leaves the factory (SLUSBZ5D table 7-11).
@@ -44,7 +44,7 @@ impl Bench {
     /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
     /// `X ms` to wait. Numbers are hexadecimal but for X; `..` stands for any further bytes.
     #[track_caller]
-    fn replay(&self, text: &str) {
+    pub(crate) fn replay(&self, text: &str) {
         let mut bus = self.sim.bus();
         for line in text.split([';', '\n']).map(str::trim).filter(|line| !line.is_empty()) {
             let (sent, expected) = match line.split_once("->") {
@@ -110,13 +110,13 @@ impl Bench {
         self.replay("W 00 41 00 ; X 200");
     }
 
-    fn word(&self, register: u8) -> u16 {
+    pub(crate) fn word(&self, register: u8) -> u16 {
         let mut read = [0; 2];
         self.sim.bus().transfer(&[register], &mut read).unwrap();
         u16::from_le_bytes(read)
     }
 
-    fn signed(&self, register: u8) -> i16 {
+    pub(crate) fn signed(&self, register: u8) -> i16 {
         self.word(register) as i16
     }
 
@@ -130,7 +130,7 @@ impl Bench {
     }
 
     #[track_caller]
-    fn set(&self, knob: &str, text: &str) {
+    pub(crate) fn set(&self, knob: &str, text: &str) {
         self.sim.set(knob, text).unwrap();
     }
 
@@ -138,7 +138,7 @@ impl Bench {
         self.sim.get(knob).unwrap().parse().unwrap()
     }
 
-    fn sleep(&self, seconds: u64) {
+    pub(crate) fn sleep(&self, seconds: u64) {
         self.clock.sleep(Duration::from_secs(seconds));
     }
 
