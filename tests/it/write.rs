@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use gaugefs::chip::FLAT;
 use gaugefs::clock::Clock;
 use gaugefs::dataflash::Outcome;
 use gaugefs::error::Cause;
@@ -12,6 +13,7 @@ use nix::errno::Errno;
 use crate::rig::Rig;
 
 const WRITTEN: Outcome = Outcome::Written { reset: true };
+const STORED: Outcome = Outcome::Written { reset: false };
 
 fn spent(rig: &mut Rig, run: impl FnOnce(&mut Rig)) -> (u64, u64) {
     let before = rig.cost();
@@ -183,5 +185,99 @@ fn every_part_takes_its_design_capacity() {
         assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{chip}");
         assert_eq!(rig.read(at.0, at.1), Ok(vec![0x04, 0xb0]), "{chip}");
         assert_eq!(rig.write(at.0, at.1, text), Ok(Outcome::Unchanged), "{chip}");
+    }
+}
+
+/// SLUA790 section 3 through the engine: the bytes that set Operation Config A to the end-of-service mode.
+#[test]
+fn a_flat_part_gets_the_bytes_of_its_example() {
+    let mut rig = Rig::new("bq35100");
+    assert_eq!(rig.read(FLAT, 0x41B1), Ok(vec![0x80]));
+    rig.sim.clear_log();
+    assert_eq!(rig.write(FLAT, 0x41B1, "0x82"), Ok(STORED));
+    let sent = rig.log();
+    let at = sent.iter().position(|line| line == "W 40 82").expect("the new byte");
+    assert_eq!(sent[at - 1..=at + 1], ["W 3E B1 41", "W 40 82", "W 60 8B 05"]);
+    assert_eq!(rig.seal(), Seal::Sealed);
+    assert_eq!(rig.read(FLAT, 0x41B1), Ok(vec![0x82]));
+}
+
+/// The same byte by byte: the sum still comes before the length.
+#[test]
+fn a_flat_part_takes_single_bytes() {
+    let mut rig = Rig::with("bq34110", Keys::default(), true);
+    assert_eq!(rig.write(FLAT, 0x41F5, "6000"), Ok(STORED));
+    let sent = rig.log();
+    let at = sent.iter().position(|line| line == "W 40 17").expect("the first new byte");
+    assert_eq!(sent[at - 2..at + 4], ["W 3E F5", "W 3F 41", "W 40 17", "W 41 70", "W 60 42", "W 61 06"]);
+    assert_eq!(rig.seal(), Seal::Sealed);
+}
+
+#[test]
+fn flat_parts_store_refuse_and_seal() {
+    for (chip, at, text, bytes, gate) in [
+        ("bq34110", 0x41F5, "6000", vec![0x17, 0x70], 0x4157),
+        ("bq34110", 0x4000, "0.5", vec![0x80, 0x00, 0x00, 0x00], 0x4157),
+        ("bq35100", 0x41FE, "6000", vec![0x17, 0x70], 0x41B6),
+        ("bq35100", 0x425E, "130", vec![0x00, 0x82], 0x41B6),
+    ] {
+        let mut rig = Rig::new(chip);
+        let before = rig.sim.flash();
+        rig.sim.set("voltage_mv", "2799").expect("a knob");
+        let error = rig.write(FLAT, at, text).expect_err("below the gate");
+        assert_eq!(error.errno(), Errno::EAGAIN, "{chip}: {error}");
+        assert!(rig.sim.flash() == before);
+        rig.sim.set("voltage_mv", "3500").expect("a knob");
+        let error = rig.write(FLAT, gate, "3600").expect_err("above the voltage");
+        assert_eq!(error.errno(), Errno::ERANGE, "{chip}: {error}");
+        assert_eq!(rig.write(FLAT, at, text), Ok(STORED), "{chip}");
+        assert_eq!(rig.write(FLAT, at, text), Ok(Outcome::Unchanged), "{chip}");
+        assert_eq!(rig.read(FLAT, at), Ok(bytes), "{chip}");
+        assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
+        for fault in ["drop-commit", "corrupt-commit"] {
+            rig.sim.set("fault", fault).expect("a fault");
+            let before = rig.sim.flash();
+            let error = rig.write(FLAT, gate, "2700").expect_err(fault);
+            assert!(matches!(error.cause(), Cause::RolledBack(_)), "{chip} {fault}: {error}");
+            assert!(rig.sim.flash() == before, "{chip} {fault}: {error}");
+        }
+    }
+}
+
+/// A part that fetches slowly: what is written before it has is lost to it.
+#[test]
+fn a_slow_flat_part_is_waited_for() {
+    for (chip, at) in [("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
+        for (load, ok) in [("4", true), ("200", false)] {
+            let mut rig = Rig::new(chip);
+            rig.sim.set("load_ms", load).expect("a knob");
+            let outcome = rig.write(FLAT, at, "6000");
+            assert_eq!(outcome == Ok(STORED), ok, "{chip} {load}: {outcome:?}");
+        }
+    }
+}
+
+/// Owners found data flash one byte lower than printed: nothing is written there.
+#[test]
+fn a_shifted_part_is_left_alone() {
+    for (chip, at) in [("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
+        let mut rig = Rig::new(chip);
+        rig.sim.set("df_shift", "1").expect("a knob");
+        let before = rig.sim.flash();
+        let error = rig.write(FLAT, at, "6000").expect_err("another map");
+        assert!(matches!(error.cause(), Cause::Gone(_)), "{chip}: {error}");
+        assert!(rig.sim.flash() == before);
+        assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
+    }
+}
+
+#[test]
+fn flat_parts_go_to_full_access_and_back() {
+    for chip in ["bq34110", "bq35100"] {
+        let mut rig = Rig::new(chip);
+        for goal in [Seal::FullAccess, Seal::Unsealed, Seal::Sealed, Seal::Unsealed, Seal::FullAccess] {
+            rig.dataflash.go_to(&mut rig.gauge, goal, Duration::ZERO).expect("the default keys");
+            assert_eq!(rig.seal(), goal, "{chip}");
+        }
     }
 }
