@@ -47,9 +47,11 @@ impl Sequence for Mac {
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
         let Some(range) = block.differing() else { return Ok(()) };
         let address = block.place.base + range.start as u16;
-        let selected = gauge.write(MAC, &address.to_le_bytes());
-        let filled = selected.and_then(|()| gauge.write(MAC_DATA, &block.new[range]));
-        filled.map_err(|error| error.at(Step::WriteBlock))
+        let at = |error: Error| error.at(Step::WriteBlock);
+        gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
+        // The gauge fetches what stands there, over anything that is in MACData() before.
+        gauge.wait(gauge.chip.access.select);
+        gauge.write(MAC_DATA, &block.new[range]).map_err(at)
     }
 
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
