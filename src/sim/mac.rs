@@ -641,6 +641,8 @@ impl Chip for Gauge {
                 self.buffer.shown.data[usize::from(register - 0x40)] = byte;
             }
             0x60 => {
+                // The gauge does one thing after the other: what came before the block is overwritten by it.
+                self.buffer.settle(Duration::MAX);
                 self.buffer.shown.sum = byte;
                 self.buffer.sum_sent = Some(byte);
             }

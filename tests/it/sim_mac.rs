@@ -153,6 +153,9 @@ mod protocol {
         bench.replay("X 20 ; R 40 2 -> 00 01");
         // Data that comes before the block has been fetched is lost to it, but for the same message's.
         bench.replay("W 3E B1 41 ; W 40 82 ; X 20 ; R 40 1 -> 80 ; W 3E B1 41 82 ; R 40 1 -> 82");
+        let flash = bench.sim.flash();
+        bench.replay("X 20 ; W 3E B1 41 ; W 40 82 ; W 60 8B 05 ; X 100");
+        assert!(bench.sim.flash() == flash);
     }
 
     #[test]
