@@ -60,8 +60,12 @@ fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64)> {
     let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO).ok()?.remove(0);
     let at = usize::from(parameter.offset - subclass.start());
     let Value::Int(value) = codec::decode(parameter.kind, &bytes[at..at + 2]) else { return None };
-    let change =
-        Change { subclass, parameter, bytes: codec::encode(parameter.kind, &Value::Int(value + 1))? };
+    let change = Change {
+        subclass,
+        parameter,
+        bytes: codec::encode(parameter.kind, &Value::Int(value + 1))?,
+        saved: false,
+    };
     let cost = |gauge: &Gauge| {
         let list = gauge.statistics.list();
         let find = |wanted| list.iter().find(|(name, _)| *name == wanted).map_or(0, |(_, count)| *count);

@@ -37,6 +37,8 @@ pub struct Change {
     pub parameter: &'static Parameter,
     /// Its bytes in data flash, as many as its type has.
     pub bytes: Vec<u8>,
+    /// Of a saved configuration: bits that must stay as they are do, whatever was saved.
+    pub saved: bool,
 }
 
 /// What a change did.
@@ -163,8 +165,10 @@ impl DataFlash {
                 visit.open(gauge).and_then(|()| self.change(gauge, changes, voltage_mv, &mut visit));
             visit.close(gauge, outcome)
         });
-        let subject = changes.first().map(Change::subject).unwrap_or_default();
-        outcome.map_err(|error| error.within(&subject))
+        match changes {
+            [change] => outcome.map_err(|error| error.within(&change.subject())),
+            _ => outcome,
+        }
     }
 
     /// The unsealed part of a write.
@@ -294,7 +298,7 @@ impl DataFlash {
 
     /// The limits that are narrower than the manual's.
     fn check_safe(&self, gauge: &Gauge, change: &Change, dirty: &[Dirty], voltage_mv: u16) -> Result<()> {
-        let refuse = |why: String| Err(Error::new("", Cause::OutOfRange(why)).at(Step::Check));
+        let refuse = |why: String| Err(Error::new(change.subject(), Cause::OutOfRange(why)).at(Step::Check));
         let number = integer(change.parameter, &change.bytes);
         match &change.parameter.safe {
             Some(Safe::AtLeast(least, why)) if number < *least => {
@@ -308,6 +312,7 @@ impl DataFlash {
                 }
                 refuse(format!("{number} is above the present {present_mv} mV a cell: {why}"))
             }
+            Some(Safe::Keep(..)) if change.saved => Ok(()),
             Some(Safe::Keep(mask, why)) => {
                 let old = integer(change.parameter, &old_bytes(change, dirty));
                 let differ = (old ^ number) & i64::from(*mask);
@@ -333,7 +338,7 @@ impl Change {
 
     /// The windows that hold its bytes, a byte each, and where in them.
     fn places(&self) -> impl Iterator<Item = (Place, usize)> {
-        let Self { subclass, parameter, bytes } = self;
+        let Self { subclass, parameter, bytes, .. } = self;
         let offsets = (parameter.offset..).take(bytes.len());
         offsets.map(|offset| locate(subclass.id, subclass.start(), offset))
     }
@@ -411,7 +416,7 @@ fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
 fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
     let mut dirty: Vec<Dirty> = Vec::new();
     for change in changes {
-        for ((place, at), &byte) in change.places().zip(&change.bytes) {
+        for (number, ((place, at), &byte)) in change.places().zip(&change.bytes).enumerate() {
             let index = match dirty.iter().position(|block| block.place == place) {
                 Some(index) => index,
                 None => {
@@ -421,11 +426,19 @@ fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
                 }
             };
             let block = &mut dirty[index];
-            block.new[at] = byte;
+            let kept = if change.saved { kept_bits(change, number) } else { 0 };
+            block.new[at] = byte & !kept | block.old[at] & kept;
             block.written = block.written.start.min(at)..block.written.end.max(at + 1);
         }
     }
     Ok(dirty)
+}
+
+/// The bits of one of its bytes that a write must leave alone.
+fn kept_bits(change: &Change, number: usize) -> u8 {
+    let Some(Safe::Keep(mask, _)) = change.parameter.safe else { return 0 };
+    let behind = change.bytes.len() - 1 - number;
+    (mask >> (8 * behind)) as u8
 }
 
 fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {

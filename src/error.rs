@@ -135,11 +135,11 @@ impl Error {
     /// The same error inside a larger subject: the parameter whose transaction met it.
     #[must_use]
     pub fn within(mut self, subject: &str) -> Self {
-        self.subject = if self.subject.is_empty() {
-            subject.to_string()
-        } else {
-            format!("{subject}: {}", self.subject)
-        };
+        if self.subject.is_empty() {
+            self.subject = subject.to_string();
+        } else if self.subject != subject {
+            self.subject = format!("{subject}: {}", self.subject);
+        }
         self
     }
 

@@ -617,7 +617,7 @@ impl Owner {
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
         })?;
-        let changes = [Change { subclass: row, parameter, bytes }];
+        let changes = [Change { subclass: row, parameter, bytes, saved: false }];
         let outcome = self.dataflash.write(&mut self.gauge, &changes, waited);
         match &outcome {
             Ok(Outcome::Unchanged) => log::info!("{}: unchanged, nothing written", parameter.name),

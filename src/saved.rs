@@ -33,7 +33,7 @@ pub fn parse(chip: &'static Chip, saved: &str) -> Result<Vec<Change>> {
         }
         let value = text::parse(parameter, value.as_bytes()).map_err(at)?;
         let bytes = codec::encode(parameter.kind, &value).ok_or_else(|| bad("does not fit its type"))?;
-        changes.push(Change { subclass, parameter, bytes });
+        changes.push(Change { subclass, parameter, bytes, saved: true });
     }
     Ok(changes)
 }

@@ -8,13 +8,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
+use gaugefs::dataflash::Change;
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings, Signal};
+use gaugefs::saved;
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
 
@@ -53,6 +56,18 @@ impl Drop for Mount {
 impl Mount {
     /// `None` where this machine cannot mount FUSE at all.
     fn new(chip: &str, interval: Duration, keys: Keys) -> Option<Self> {
+        Self::with(chip, interval, keys, |_| {}, Vec::new(), |sim| Box::new(sim.bus()))
+    }
+
+    /// One whose simulated gauge is prepared first, with a configuration to restore, behind a bus.
+    fn with(
+        chip: &str,
+        interval: Duration,
+        keys: Keys,
+        prepare: impl FnOnce(&Sim),
+        restore: Vec<Change>,
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+    ) -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
@@ -63,13 +78,12 @@ impl Mount {
         fs::create_dir(&folder).expect("a temporary folder");
         let clock = Arc::new(RealClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
+        prepare(&sim);
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings =
-            Settings { keys, interval, byte_writes: false, allow_unproven: false, restore: Vec::new() };
-        let handle =
-            poll::spawn(table, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
+        let settings = Settings { keys, interval, byte_writes: false, allow_unproven: false, restore };
+        let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = Entry {
             name: "BAT0".into(),
             handle: handle.clone(),
@@ -396,4 +410,117 @@ fn modes_keep_others_out() {
     // Root passes every mode; then the write itself is refused.
     let refused = write.and_then(|mut file| file.write_all(b"50"));
     assert_eq!(refused.map_err(errno), Err(Errno::EACCES));
+}
+
+/// All simulated gauges show what monitors need, and take a write and show it.
+#[test]
+fn every_gauge_is_mounted() {
+    for (chip, parameter, value) in [
+        ("bq27520-g3", "df/48/10", "1200"),
+        ("bq27441-g1", "df/82/10", "1200"),
+        ("bq27421-g1", "df/82/10", "1200"),
+        ("bq27427", "df/82/6", "1200"),
+        ("bq34110", "df/flash/0x41f5", "3100"),
+        ("bq35100", "df/flash/0x41fe", "3100"),
+    ] {
+        let Some(mount) = quiet(chip) else { return };
+        for name in ["type", "status", "present", "voltage_now", "current_now", "temp", "uevent", "health"] {
+            assert!(!mount.cat(name).is_empty(), "{chip} {name}");
+        }
+        if chip != "bq35100" {
+            for name in ["capacity", "charge_now", "charge_full", "capacity_level"] {
+                assert!(!mount.cat(name).is_empty(), "{chip} {name}");
+            }
+        }
+        assert_eq!(mount.echo(value, parameter), Ok(()), "{chip}: {}", mount.cat("gauge/last_error"));
+        assert_eq!(mount.cat(parameter), value, "{chip}");
+        assert_eq!(mount.cat("gauge/seal"), "sealed", "{chip}");
+        let index = mount.cat("df/index");
+        let rows: usize =
+            Chip::by_name(chip).expect("a table").subclasses.iter().map(|row| row.parameters.len()).sum();
+        assert_eq!(index.lines().count(), rows + 1, "{chip}");
+    }
+}
+
+/// A row whose address is not sure is read-only, whoever asks.
+#[test]
+fn unproven_rows_are_read_only() {
+    let Some(mount) = quiet("bq34110") else { return };
+    let index = mount.cat("df/index");
+    let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");
+    let path = format!("df/flash/{}", row.split('\t').nth(1).expect("an address"));
+    let mode = fs::metadata(mount.path(&path)).expect("there").permissions().mode() & 0o777;
+    assert_eq!(mode, 0o400);
+    let value = mount.cat(&path);
+    assert_eq!(mount.echo(&value, &path), Err(Errno::EACCES));
+}
+
+/// The data memory is RAM: gone with the power, told, and given back from a copy of df/index.
+#[test]
+fn a_ram_gauge_gets_its_configuration_back() {
+    let Some(mount) = quiet("bq27441-g1") else { return };
+    assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
+    let index = mount.cat("df/index");
+    drop(mount);
+    let table = Chip::by_name("bq27441-g1").expect("a table");
+    let restore = saved::parse(table, &index).expect("a copy of df/index");
+    let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
+    let interval = Duration::from_millis(500);
+    let mount =
+        Mount::with("bq27441-g1", interval, Keys::default(), |_| {}, restore, open).expect("as before");
+    assert_eq!(mount.cat("gauge/itpor"), "0", "a new simulated gauge has not lost anything");
+    assert_eq!(mount.cat("df/82/10"), "1340");
+    mount.sim.set("power", "off").expect("a knob");
+    until("the gauge gone", || mount.cat("present") == "0");
+    mount.sim.set("power", "on").expect("a knob");
+    until("the restoration", || {
+        mount.cat("present") == "1" && mount.cat("df/82/10") == "1234" && mount.cat("gauge/itpor") == "0"
+    });
+}
+
+#[test]
+fn an_inverted_cc_gain_is_told_with_its_remedy() {
+    let prepare = |sim: &Sim| sim.set("cc_gain_inverted", "on").expect("a knob");
+    let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
+    let Some(mount) =
+        Mount::with("bq27427", Duration::from_secs(3600), Keys::default(), prepare, Vec::new(), open)
+    else {
+        return;
+    };
+    mount.cat("df/105/4");
+    let told = mount.cat("gauge/last_error");
+    assert!(told.contains("df/105/5") && told.contains("write CC Gain (105/4) again"), "{told}");
+}
+
+/// A bus behind which the firmware says that it is another one.
+struct OtherFirmware {
+    bus: Box<dyn Bus>,
+    asked: bool,
+}
+
+impl Bus for OtherFirmware {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.bus.transfer(write, read)?;
+        if self.asked && write == [0] {
+            read.copy_from_slice(&[0x02, 0x02]);
+        }
+        self.asked = write == [0, 2, 0];
+        Ok(())
+    }
+}
+
+/// The bq34z100-R2 answers as the G1 does and keeps its data flash elsewhere.
+#[test]
+fn a_sibling_shows_standard_commands_only() {
+    let open = |sim: &Sim| Box::new(OtherFirmware { bus: Box::new(sim.bus()), asked: false }) as Box<dyn Bus>;
+    let Some(mount) =
+        Mount::with("bq34z100-g1", Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
+    else {
+        return;
+    };
+    assert!(mount.cat("model_name").contains("R2"), "{}", mount.cat("model_name"));
+    assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
+    assert!(!mount.path("df").exists());
+    assert_eq!(mount.echo("unsealed", "gauge/seal"), Err(Errno::EPERM));
+    assert_eq!(mount.echo("CHEM_ID", "gauge/control"), Err(Errno::EPERM));
 }

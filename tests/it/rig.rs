@@ -50,7 +50,7 @@ impl Rig {
         let (subclass, parameter) = self.find(subclass, offset);
         let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
         let bytes = codec::encode(parameter.kind, &value).expect("a value of the type");
-        Change { subclass, parameter, bytes }
+        Change { subclass, parameter, bytes, saved: false }
     }
 
     pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
