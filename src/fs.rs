@@ -413,17 +413,25 @@ impl Fs {
                 .collect(),
             Item::Gauge => {
                 let mut list = vec![of("registers", Item::Registers), of("statistics", Item::Statistics)];
-                let words = registers(chip).filter(|(_, register)| !register.bits.is_empty());
+                let snapshot = self.fresh(gauge);
+                let words =
+                    known(chip, snapshot.as_deref()).filter(|(_, register)| !register.bits.is_empty());
                 list.extend(words.map(|(at, register)| of(&snake_case(register.name), Item::Bits(at))));
-                let there = |state: &&State| {
-                    **state != State::ChemId || self.published(gauge).answers.chem_id.is_some()
+                let answers = self.published(gauge).answers;
+                let there = |state: &&State| match state {
+                    State::ChemId => answers.chem_id.is_some(),
+                    State::Itpor => chip.volatile.is_some() && snapshot.is_some(),
+                    State::ControlStatus | State::AgeMs => snapshot.is_some(),
+                    _ => true,
                 };
                 list.extend(STATES.iter().filter(there).map(|state| of(state.name(), Item::State(*state))));
                 list
             }
-            Item::Registers => registers(chip)
-                .map(|(at, register)| of(&snake_case(register.name), Item::Register(at)))
-                .collect(),
+            Item::Registers => {
+                let snapshot = self.fresh(gauge);
+                let there = known(chip, snapshot.as_deref());
+                there.map(|(at, register)| of(&snake_case(register.name), Item::Register(at))).collect()
+            }
             Item::Statistics => {
                 let statistics = self.entry(gauge).handle.statistics();
                 (0..).zip(statistics).map(|(at, (name, _))| of(name, Item::Statistic(at))).collect()
@@ -438,6 +446,12 @@ impl Fs {
     /// The node of that name in a folder.
     pub fn lookup(&self, folder: Node, name: &str) -> Option<Node> {
         self.list(folder).into_iter().find(|(found, _)| found == name).map(|(_, node)| node)
+    }
+
+    /// The folders whose names come and go with values.
+    pub fn changing_folders(&self) -> Vec<Node> {
+        let items = [Item::Folder, Item::Gauge, Item::Registers];
+        (0..self.gauges.len() as u16).flat_map(|gauge| items.map(|item| Node::Of(gauge, item))).collect()
     }
 
     /// The name of a file in its folder, whether it is there now or not.
@@ -712,9 +726,12 @@ impl Fs {
     }
 }
 
-/// The registers that have a file: all but Control() and the block-access window.
-fn registers(chip: &'static Chip) -> impl Iterator<Item = (u16, &'static Register)> {
-    (0..).zip(chip.registers).filter(|(_, register)| register.tier != Tier::Window)
+/// The registers that have a file now: all that have been read but Control() and the block-access window.
+fn known(chip: &'static Chip, snapshot: Option<&Snapshot>) -> impl Iterator<Item = (u16, &'static Register)> {
+    let there =
+        move |register: &Register| snapshot.is_some_and(|snapshot| snapshot.value(register).is_some());
+    let shown = (0..).zip(chip.registers).filter(|(_, register)| register.tier != Tier::Window);
+    shown.filter(move |(_, register)| there(register))
 }
 
 fn set_bits(bits: &[Bit], word: i64) -> String {

@@ -616,10 +616,9 @@ impl Watch {
         self.announce_folders()
     }
 
-    /// Listings are kept by the kernel as well; those of the gauges' folders change when a value comes
-    /// or goes.
+    /// Listings are kept by the kernel as well; some change when a value comes or goes.
     fn announce_folders(&mut self) -> std::io::Result<()> {
-        for (_, folder) in self.fs.list(Node::Root) {
+        for folder in self.fs.changing_folders() {
             let names: Vec<String> = self.fs.list(folder).into_iter().map(|(name, _)| name).collect();
             let before = self.folders.insert(folder, names);
             if before.is_some_and(|before| Some(&before) != self.folders.get(&folder)) {

@@ -17,8 +17,8 @@ const SET_CFGUPDATE: u16 = 0x0013;
 const SOFT_RESET: u16 = 0x0042;
 /// Flags() `[CFGUPMODE]`.
 const CFGUPMODE: u16 = 0x0010;
-/// Between two looks at `[CFGUPMODE]`, as the kernel's driver does.
-const LOOK: Duration = Duration::from_millis(25);
+/// Between two looks at `[CFGUPMODE]`, which takes up to a second to come or go.
+const LOOK: Duration = Duration::from_millis(100);
 
 pub(super) struct CfgUpdate;
 

@@ -473,8 +473,11 @@ fn a_ram_gauge_gets_its_configuration_back() {
     mount.sim.set("power", "off").expect("a knob");
     until("the gauge gone", || mount.cat("present") == "0");
     mount.sim.set("power", "on").expect("a knob");
+    let holds = |name: &str, text: &str| {
+        fs::read_to_string(mount.path(name)).is_ok_and(|found| found.trim_end() == text)
+    };
     until("the restoration", || {
-        mount.cat("present") == "1" && mount.cat("df/82/10") == "1234" && mount.cat("gauge/itpor") == "0"
+        holds("present", "1") && holds("df/82/10", "1234") && holds("gauge/itpor", "0")
     });
 }
 
@@ -523,4 +526,27 @@ fn a_sibling_shows_standard_commands_only() {
     assert!(!mount.path("df").exists());
     assert_eq!(mount.echo("unsealed", "gauge/seal"), Err(Errno::EPERM));
     assert_eq!(mount.echo("CHEM_ID", "gauge/control"), Err(Errno::EPERM));
+}
+
+/// What is listed is there, from the first moment on, and only what the part has.
+#[test]
+fn what_is_listed_is_there() {
+    let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
+    for (chip, itpor) in [("bq34110", false), ("bq27441-g1", true)] {
+        let Some(mount) =
+            Mount::with(chip, Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
+        else {
+            return;
+        };
+        walk(&mount.path("gauge"), &mut Vec::new());
+        assert_eq!(mount.path("gauge/itpor").exists(), itpor, "{chip}");
+        mount.sim.set("power", "off").expect("a knob");
+        for _ in 0..3 {
+            let _ = mount.echo("1", "gauge/refresh");
+        }
+        until("an empty folder", || {
+            fs::read_dir(mount.path("gauge/registers")).expect("a folder").count() == 0
+        });
+        walk(&mount.path("gauge"), &mut Vec::new());
+    }
 }
