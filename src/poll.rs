@@ -254,6 +254,8 @@ struct Owner {
     polls: u64,
     failures: u32,
     last_poll: Duration,
+    /// The next poll follows soon: after the first one, and when a reset has changed what registers say.
+    hurry: bool,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
     /// It has been tried for the power loss that the gauge tells of now.
@@ -316,11 +318,13 @@ impl Owner {
             polls: 0,
             failures: 0,
             last_poll: Duration::ZERO,
+            hurry: false,
             restore: settings.restore,
             restored: false,
         };
         owner.arrive()?;
         owner.poll()?;
+        owner.hurry = true;
         owner.look_after();
         // A quirk can be seen without a key only where the gauge is found unsealed.
         let seen = owner.shared.published();
@@ -386,6 +390,11 @@ impl Owner {
             return;
         }
         self.restored = true;
+        // Between two polls nobody saw it go. What was read of data memory is not there any more, and the
+        // seal may be open.
+        self.drop_kept();
+        self.look_at_seal();
+        self.hurry = true;
         if self.restore.is_empty() {
             log::warn!(
                 "{}: lost its configuration with its power; --restore gives it back",
@@ -440,9 +449,9 @@ impl Owner {
 
     fn pause(&self) -> Duration {
         let interval = self.shared.published().interval;
-        match (self.failures, self.polls) {
-            (1, _) => interval.min(RETRY),
-            (0, 1) => SHORTEST,
+        match self.failures {
+            0 if self.hurry => SHORTEST,
+            1 => interval.min(RETRY),
             _ => interval,
         }
     }
@@ -503,6 +512,7 @@ impl Owner {
         }
         self.polls += 1;
         self.failures = 0;
+        self.hurry = false;
         self.last_poll = taken;
         Statistics::count(&self.shared.statistics.polls);
         let snapshot = Snapshot { taken, number: self.polls, registers, control_status: self.control_status };
@@ -629,6 +639,7 @@ impl Owner {
             lock(&self.shared.kept)[subclass] = None;
         } else if outcome != Ok(Outcome::Unchanged) {
             self.drop_kept();
+            self.hurry = true;
         }
         outcome.map(|_| ())
     }

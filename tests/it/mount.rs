@@ -220,6 +220,9 @@ fn data_flash_reads_and_writes() {
     assert_eq!(mount.cat("df/80/53"), "3200", "the value, not the text that was written");
     assert_eq!(mount.cat("gauge/seal"), "sealed");
     assert_eq!(mount.cat("gauge/last_error"), "");
+    // What a register copies from data flash follows soon, however long the poll interval is.
+    assert_eq!(mount.echo("2000", "df/48/11"), Ok(()));
+    until("the new design capacity", || mount.cat("charge_full_design") == "2000000");
 }
 
 #[test]
@@ -549,4 +552,19 @@ fn what_is_listed_is_there() {
         });
         walk(&mount.path("gauge"), &mut Vec::new());
     }
+}
+
+/// The RAM is gone although no poll has missed the gauge: what was kept of it is not shown any more.
+#[test]
+fn a_short_power_loss_of_a_ram_gauge_is_seen() {
+    let Some(mount) = quiet("bq27441-g1") else { return };
+    assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
+    assert_eq!(mount.cat("df/82/10"), "1234");
+    mount.sim.set("power", "off").expect("a knob");
+    mount.sim.set("power", "on").expect("a knob");
+    std::thread::sleep(Duration::from_millis(1300));
+    assert_eq!(mount.echo("0.5", "gauge/poll_interval"), Ok(()));
+    until("the loss to be seen", || mount.cat("gauge/itpor") == "1");
+    until("the value of the ROM", || mount.cat("df/82/10") == "1340");
+    assert_eq!(mount.cat("gauge/seal"), "unsealed");
 }
