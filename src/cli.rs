@@ -282,18 +282,21 @@ impl Chips {
                     ("model", json::text(chip.model)),
                     ("data_flash", json::text(scheme(chip))),
                     ("parameters", parameters(chip).to_string()),
+                    ("unproven", unproven(chip).to_string()),
                     ("evidence", json::text(evidence(chip.evidence))),
                     ("documents", json::array(chip.documents.iter().map(|document| json::text(document)))),
                 ])
             });
             return json::array(chips) + "\n";
         }
-        let mut rows = vec![["CHIP", "DATA", "PARAMETERS", "EVIDENCE", "DOCUMENT"].map(String::from)];
+        let mut rows =
+            vec![["CHIP", "DATA", "PARAMETERS", "UNPROVEN", "EVIDENCE", "DOCUMENT"].map(String::from)];
         rows.extend(CHIPS.iter().map(|chip| {
             [
                 chip.name.to_string(),
                 scheme(chip).to_string(),
                 parameters(chip).to_string(),
+                unproven(chip).to_string(),
                 evidence(chip.evidence).to_string(),
                 chip.documents.first().copied().unwrap_or_default().to_string(),
             ]
@@ -304,6 +307,12 @@ impl Chips {
 
 fn parameters(chip: &Chip) -> usize {
     chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum()
+}
+
+/// Parameters that are read-only because their address or range is not sure.
+fn unproven(chip: &Chip) -> usize {
+    let rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
+    rows.filter(|parameter| parameter.unproven).count()
 }
 
 fn scheme(chip: &Chip) -> &'static str {
@@ -317,7 +326,7 @@ fn evidence(evidence: Evidence) -> &'static str {
     match evidence {
         Evidence::Manual => "manual",
         Evidence::Transcript => "manual, transcripts",
-        Evidence::Unproven => "unproven: read only",
+        Evidence::Unproven => "relatives, drivers",
     }
 }
 
