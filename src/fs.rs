@@ -351,6 +351,11 @@ impl Fs {
         }
     }
 
+    /// Whether anybody may write a file.
+    pub fn may_be_written(&self, node: Node) -> bool {
+        self.shape(node) == Shape::File && self.mode(node) & 0o200 != 0
+    }
+
     /// What a folder holds now.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
         let Node::Of(gauge, item) = folder else {

@@ -320,6 +320,7 @@ impl Filesystem for Adapter {
         reply.attr(&self.ttl(node), &self.attr(ino.into(), node, size));
     }
 
+    /// Truncation alone writes nothing, and the size stays what it is, as in sysfs.
     #[allow(clippy::too_many_arguments, reason = "the trait's signature")]
     fn setattr(
         &self,
@@ -342,16 +343,12 @@ impl Filesystem for Adapter {
         if mode.is_some() || uid.is_some() || gid.is_some() {
             return reply.error(self.fixed());
         }
-        let mut table = lock(&self.table);
-        let Some(node) = table.node(ino) else { return reply.error(Errno::ESTALE) };
-        // Truncation alone writes nothing. The kernel's copy is not the value any more, so the next
-        // lookup gets a nodeid of its own.
-        if size.is_some() {
-            table.retire(ino.into());
+        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.size()));
+        let Some((node, present)) = found else { return reply.error(Errno::ESTALE) };
+        if size.is_some() && !self.fs.may_be_written(node) {
+            return reply.error(Errno::EACCES);
         }
-        let present = table.live.get(&u64::from(ino)).map_or(0, |live| live.value.size());
-        drop(table);
-        reply.attr(&Duration::ZERO, &self.attr(ino.into(), node, size.unwrap_or(present)));
+        reply.attr(&Duration::ZERO, &self.attr(ino.into(), node, present));
     }
 
     fn readlink(&self, _: &Request, ino: INodeNo, reply: ReplyData) {

@@ -415,6 +415,18 @@ fn modes_keep_others_out() {
     assert_eq!(refused.map_err(errno), Err(Errno::EACCES));
 }
 
+/// `>` truncates before it writes. What cannot be written cannot be truncated, for root neither.
+#[test]
+fn nobody_empties_an_attribute() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    for name in ["capacity", "uevent", "gauge/registers/voltage", "gauge/age_ms"] {
+        assert!(!mount.cat(name).is_empty());
+        let opened = OpenOptions::new().write(true).truncate(true).open(mount.path(name));
+        assert_eq!(opened.map(|_| ()).map_err(errno), Err(Errno::EACCES), "{name}");
+        assert!(!mount.cat(name).is_empty(), "{name}");
+    }
+}
+
 /// All simulated gauges show what monitors need, and take a write and show it.
 #[test]
 fn every_gauge_is_mounted() {
