@@ -32,6 +32,8 @@ use crate::poll::Signal;
 /// How long the kernel may keep a name and a size without asking. It bounds for how long a lost
 /// notification or a dead daemon goes unnoticed.
 const TTL: Duration = Duration::from_secs(2);
+/// The size of a file that was not read yet is believed until it is read.
+const UNREAD_TTL: Duration = Duration::from_secs(3600);
 /// So long after a change a nodeid that is still in use gets the new value. 50 ms were too short: one torn
 /// read in 5 million.
 const SETTLE: Duration = Duration::from_secs(2);
@@ -111,11 +113,17 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
         .map_err(|error| host(&mountpoint.display().to_string(), &error))?;
     let notifier = session.notifier();
     let session = session.spawn().map_err(|error| host(&mountpoint.display().to_string(), &error))?;
-    let thread = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
-    thread
-        .spawn(move || Watch { fs, table, notifier, folders: HashMap::new(), answers }.run(&signal))
-        .map_err(|error| host("a thread", &error))?;
+    let renew = Arc::new(Signal::default());
+    let renewal = Renewal { fs: fs.clone(), table: table.clone(), notifier: notifier.clone() };
+    let mut watch = Watch { fs, table, notifier, folders: HashMap::new(), answers, renew: renew.clone() };
+    thread("notify", move || watch.run(&signal))?;
+    thread("renew", move || renewal.run(&renew))?;
     Ok(Mounted { session, over })
+}
+
+fn thread(name: &str, body: impl FnOnce() + Send + 'static) -> Result<()> {
+    let builder = std::thread::Builder::new().name(name.into()).stack_size(128 * 1024);
+    builder.spawn(body).map(|_| ()).map_err(|error| host("a thread", &error))
 }
 
 /// What the kernel knows by number.
@@ -125,6 +133,10 @@ struct Table {
     live: HashMap<u64, Live>,
     /// The nodeid that stands for the present value of a node.
     current: HashMap<Node, u64>,
+    /// Nodeids under which a write has been answered.
+    written: Vec<u64>,
+    /// The mount is no more.
+    over: bool,
 }
 
 struct Live {
@@ -135,6 +147,14 @@ struct Live {
     superseded: Option<Instant>,
     /// Writes that have not been answered. The kernel holds the file's page locked for as long.
     writing: u32,
+    /// Who waits for a value that was not read yet, from the first READ until it comes.
+    waiting: Option<Vec<Waiter>>,
+}
+
+/// A request that is answered when a value has come.
+enum Waiter {
+    Read { offset: u64, size: u32, reply: ReplyData },
+    Attributes(ReplyAttr),
 }
 
 /// An answer to a write, given when the kernel has heard of everything that the write changed.
@@ -173,14 +193,27 @@ impl Value {
     }
 }
 
+impl Live {
+    fn new(node: Node, value: Value) -> Self {
+        Self { node, lookups: 1, value, superseded: None, writing: 0, waiting: None }
+    }
+
+    /// Nobody is reading it from the gauge or writing it.
+    fn is_idle(&self) -> bool {
+        self.writing == 0 && self.waiting.is_none()
+    }
+}
+
 impl Table {
     fn new() -> Self {
-        let root = Live { node: Node::Root, lookups: 1, value: Value::Fixed, superseded: None, writing: 0 };
+        let root = Live::new(Node::Root, Value::Fixed);
         let number = u64::from(INodeNo::ROOT);
         Self {
             next: number + 1,
             live: HashMap::from([(number, root)]),
             current: HashMap::from([(Node::Root, number)]),
+            written: Vec::new(),
+            over: false,
         }
     }
 
@@ -189,6 +222,10 @@ impl Table {
     }
 
     /// The nodeid under which a node has that value, one lookup more.
+    ///
+    /// A value that was not read yet has a nodeid for each lookup. The size shown for it shrinks when the
+    /// kernel sees a READ end early, and only if nobody else's LOOKUP or GETATTR of that nodeid came in
+    /// between: shared, the value would be filled up with zero bytes.
     fn enter(&mut self, node: Node, value: Value) -> u64 {
         if let Some(&number) = self.current.get(&node)
             && let Some(live) = self.live.get_mut(&number)
@@ -201,8 +238,10 @@ impl Table {
         }
         let number = self.next;
         self.next += 1;
-        self.live.insert(number, Live { node, lookups: 1, value, superseded: None, writing: 0 });
-        self.current.insert(node, number);
+        if !matches!(value, Value::Unread(_)) {
+            self.current.insert(node, number);
+        }
+        self.live.insert(number, Live::new(node, value));
         number
     }
 
@@ -213,6 +252,24 @@ impl Table {
         if self.current.get(&live.node) == Some(&number) {
             self.current.remove(&live.node);
         }
+    }
+
+    /// The value of a nodeid has come, or has not; returns what its size is now and who waits for that.
+    fn arrived(&mut self, number: u64, value: Option<&Arc<[u8]>>) -> (u64, Vec<Waiter>) {
+        let Some(live) = self.live.get_mut(&number) else { return (0, Vec::new()) };
+        let waiting = live.waiting.take().unwrap_or_default();
+        if let Some(bytes) = value {
+            live.value = Value::Bytes(bytes.clone());
+        }
+        let (node, size, superseded) = (live.node, live.value.size(), live.superseded.is_some());
+        if value.is_some() && !superseded {
+            // Whoever looks it up next, within this poll, finds what was read.
+            if let Some(other) = self.current.get(&node).copied() {
+                self.retire(other);
+            }
+            self.current.insert(node, number);
+        }
+        (size, waiting)
     }
 
     fn forget(&mut self, number: u64, lookups: u64) {
@@ -232,6 +289,43 @@ fn lock(table: &Mutex<Table>) -> MutexGuard<'_, Table> {
     table.lock().expect("no thread panics while it holds the lock")
 }
 
+/// A value that was asked for. Whoever waits for it is answered even where its gauge's owner has ended.
+struct Arrival {
+    adapter: Adapter,
+    number: u64,
+    node: Node,
+    answered: bool,
+}
+
+impl Arrival {
+    fn with(mut self, read: Result<Arc<[u8]>>) {
+        self.answered = true;
+        self.answer(&read);
+    }
+
+    fn answer(&self, read: &Result<Arc<[u8]>>) {
+        let (size, waiting) = lock(&self.adapter.table).arrived(self.number, read.as_ref().ok());
+        for waiter in waiting {
+            match (waiter, read) {
+                (Waiter::Read { offset, size, reply }, Ok(bytes)) => reply.data(slice(bytes, offset, size)),
+                (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
+                (Waiter::Attributes(reply), _) => {
+                    reply.attr(&Duration::ZERO, &self.adapter.attr(self.number, self.node, size));
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Arrival {
+    fn drop(&mut self) {
+        if !self.answered {
+            self.answer(&Err(Error::host("", nix::errno::Errno::ENODEV, "the gauge has been given up")));
+        }
+    }
+}
+
+#[derive(Clone)]
 struct Adapter {
     fs: Arc<Fs>,
     table: Arc<Mutex<Table>>,
@@ -278,6 +372,10 @@ impl Adapter {
         if self.fs.may_be_cached(node) { TTL } else { Duration::ZERO }
     }
 
+    fn attr_ttl(&self, node: Node, value: &Value) -> Duration {
+        if matches!(value, Value::Unread(_)) { UNREAD_TTL } else { self.ttl(node) }
+    }
+
     /// The errno of whatever tries to add, remove or rename: there is nothing of the kind here.
     fn fixed(&self) -> Errno {
         if self.options.read_only { Errno::EROFS } else { Errno::EPERM }
@@ -299,15 +397,17 @@ impl Filesystem for Adapter {
         let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
             return reply.error(Errno::ENOENT);
         };
+        // Looked at and entered under one lock: a poll in between has to find what the kernel is told.
+        let mut table = lock(&self.table);
         let value = match self.fs.shape(node) {
             Shape::File => Value::of(self.fs.content(node)),
             Shape::Folder | Shape::Link => Some(Value::Fixed),
         };
         let Some(value) = value else { return reply.error(Errno::ENOENT) };
-        let size = value.size();
-        let number = lock(&self.table).enter(node, value);
-        let ttl = self.ttl(node);
-        reply.entry(&ttl, &self.attr(number, node, size), Generation(0));
+        let (size, ttl) = (value.size(), self.attr_ttl(node, &value));
+        let number = table.enter(node, value);
+        drop(table);
+        reply.entry_with_ttls(&ttl, &self.ttl(node), &self.attr(number, node, size), Generation(0));
     }
 
     fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
@@ -315,9 +415,15 @@ impl Filesystem for Adapter {
     }
 
     fn getattr(&self, _: &Request, ino: INodeNo, _: Option<FileHandle>, reply: ReplyAttr) {
-        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.size()));
-        let Some((node, size)) = found else { return reply.error(Errno::ESTALE) };
-        reply.attr(&self.ttl(node), &self.attr(ino.into(), node, size));
+        let mut table = lock(&self.table);
+        let Some(live) = table.live.get_mut(&u64::from(ino)) else { return reply.error(Errno::ESTALE) };
+        if let Some(waiting) = &mut live.waiting {
+            // Its size is on its way.
+            return waiting.push(Waiter::Attributes(reply));
+        }
+        let (node, size, ttl) = (live.node, live.value.size(), self.attr_ttl(live.node, &live.value));
+        drop(table);
+        reply.attr(&ttl, &self.attr(ino.into(), node, size));
     }
 
     /// Truncation alone writes nothing, and the size stays what it is, as in sysfs.
@@ -390,34 +496,29 @@ impl Filesystem for Adapter {
         _: Option<LockOwner>,
         reply: ReplyData,
     ) {
-        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.clone()));
-        let node = match found {
-            None => return reply.error(Errno::ESTALE),
-            Some((_, Value::Bytes(bytes))) => return reply.data(slice(&bytes, offset, size)),
-            Some((_, Value::Gone)) => return reply.error(Errno::ENODEV),
-            Some((_, Value::Fixed)) => return reply.error(Errno::EISDIR),
-            Some((node, Value::Unread(_))) => node,
-        };
-        let table = self.table.clone();
-        self.fs.read(
-            node,
-            Box::new(move |read| {
-                let bytes: Arc<[u8]> = match read {
-                    Ok(bytes) => bytes.into(),
-                    Err(error) => return reply.error(errno(&error)),
-                };
-                // The first answer is the value of this nodeid, for this read and every other.
-                let frozen = match lock(&table).live.get_mut(&u64::from(ino)).map(|live| &mut live.value) {
-                    Some(Value::Bytes(bytes)) => bytes.clone(),
-                    Some(value) => {
-                        *value = Value::Bytes(bytes.clone());
-                        bytes
-                    }
-                    None => bytes,
-                };
-                reply.data(slice(&frozen, offset, size));
-            }),
-        );
+        let number = u64::from(ino);
+        let mut table = lock(&self.table);
+        let Some(live) = table.live.get_mut(&number) else { return reply.error(Errno::ESTALE) };
+        match &live.value {
+            Value::Bytes(bytes) => {
+                let bytes = bytes.clone();
+                drop(table);
+                return reply.data(slice(&bytes, offset, size));
+            }
+            Value::Gone => return reply.error(Errno::ENODEV),
+            Value::Fixed => return reply.error(Errno::EISDIR),
+            Value::Unread(_) => {}
+        }
+        // The first answer is the value of this nodeid, for this read and every other.
+        let waiter = Waiter::Read { offset, size, reply };
+        if let Some(waiting) = &mut live.waiting {
+            return waiting.push(waiter);
+        }
+        live.waiting = Some(vec![waiter]);
+        let node = live.node;
+        drop(table);
+        let arrival = Arrival { adapter: self.clone(), number, node, answered: false };
+        self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from))));
     }
 
     fn write(
@@ -456,8 +557,10 @@ impl Filesystem for Adapter {
                         Ok(()) => reply.written(written),
                         Err(error) => reply.error(errno(&error)),
                     }
-                    if let Some(live) = lock(&table).live.get_mut(&number) {
+                    let mut table = lock(&table);
+                    if let Some(live) = table.live.get_mut(&number) {
                         live.writing -= 1;
+                        table.written.push(number);
                     }
                 };
                 answers.lock().expect("no thread panics while it holds the lock").push(Box::new(answer));
@@ -543,7 +646,8 @@ fn answer_xattr(value: &[u8], size: u32, reply: ReplyXattr) {
     }
 }
 
-/// Tells the kernel what has changed. It is the only one who notifies, and it holds no lock when it does.
+/// Tells the kernel which names mean something else now, and answers the writes that brought it about. It
+/// holds no lock when it notifies, and waits for nothing that a write holds.
 struct Watch {
     fs: Arc<Fs>,
     table: Arc<Mutex<Table>>,
@@ -551,36 +655,25 @@ struct Watch {
     /// The names that each folder held when it was last looked at.
     folders: HashMap<Node, Vec<String>>,
     answers: Arc<Mutex<Vec<Answer>>>,
+    renew: Arc<Signal>,
 }
 
 impl Watch {
     fn run(&mut self, signal: &Signal) {
         let mut seen = 0;
-        let mut due = None;
         loop {
-            // Nobody is to be woken while nothing is held open.
-            let limit = due.map(|due: Instant| due.saturating_duration_since(Instant::now()));
-            seen = signal.wait(seen, limit);
+            seen = signal.wait(seen, None);
             let answers =
                 std::mem::take(&mut *self.answers.lock().expect("no thread panics while it holds the lock"));
-            if self.announce().is_err() {
-                return;
-            }
+            let announced = self.announce();
             // Who reads right after a write reads what it led to.
             answers.into_iter().for_each(|answer| answer());
-            self.settle();
-            if self.superseded().is_some() {
-                signal.wait(seen, Some(FORGET));
+            lock(&self.table).over = announced.is_err();
+            self.renew.raise();
+            if announced.is_err() {
+                return;
             }
-            due = self.superseded().map(|oldest| oldest + SETTLE);
         }
-    }
-
-    /// When the oldest of the nodeids that are still in use was superseded. Those that are being written
-    /// wait for their answer, which raises the signal.
-    fn superseded(&self) -> Option<Instant> {
-        let table = lock(&self.table);
-        table.live.values().filter(|live| live.writing == 0).filter_map(|live| live.superseded).min()
     }
 
     /// Retires every nodeid whose file holds another text now, then tells the kernel which names those
@@ -589,7 +682,9 @@ impl Watch {
         let files: Vec<(u64, Node, Value)> = lock(&self.table)
             .live
             .iter()
-            .filter(|(_, live)| live.superseded.is_none() && live.value != Value::Fixed)
+            // What was not read yet has promised nothing.
+            .filter(|(_, live)| !matches!(live.value, Value::Fixed | Value::Unread(_)))
+            .filter(|(_, live)| live.superseded.is_none())
             .map(|(&number, live)| (number, live.node, live.value.clone()))
             .collect();
         let mut changed = Vec::new();
@@ -627,24 +722,59 @@ impl Watch {
         }
         Ok(())
     }
+}
 
-    /// Gives nodeids that are still in use so long after a change the latest value.
-    fn settle(&self) {
-        let now = Instant::now();
-        let due: Vec<(u64, Node)> = lock(&self.table)
-            .live
-            .iter()
-            .filter(|(_, live)| {
-                live.writing == 0 && live.superseded.is_some_and(|since| now >= since + SETTLE)
-            })
-            .map(|(&number, live)| (number, live.node))
-            .collect();
-        for (number, node) in due {
-            let value = Value::of(self.fs.content(node)).unwrap_or(Value::Gone);
-            if let Some(live) = lock(&self.table).live.get_mut(&number) {
-                live.superseded = None;
-                live.value = value;
+/// Gives files that are held open their new value, under the nodeid they have. To do so it may have to
+/// wait until a read or write of the file is answered, so this thread does nothing else.
+struct Renewal {
+    fs: Arc<Fs>,
+    table: Arc<Mutex<Table>>,
+    notifier: Notifier,
+}
+
+impl Renewal {
+    fn run(&self, signal: &Signal) {
+        let mut seen = 0;
+        let mut due = None;
+        loop {
+            // Nobody is to be woken while nothing is held open.
+            let limit = due.map(|due: Instant| due.saturating_duration_since(Instant::now()));
+            seen = signal.wait(seen, limit);
+            if lock(&self.table).over {
+                return;
             }
+            self.renew();
+            if self.superseded().is_some() {
+                signal.wait(seen, Some(FORGET));
+            }
+            due = self.superseded().map(|oldest| oldest + SETTLE);
+        }
+    }
+
+    /// When the oldest of the nodeids that are still in use was superseded. Those that are being read or
+    /// written wait for their answer.
+    fn superseded(&self) -> Option<Instant> {
+        let table = lock(&self.table);
+        table.live.values().filter(|live| live.is_idle()).filter_map(|live| live.superseded).min()
+    }
+
+    /// Whoever wrote a file reads what came of it; whoever only kept it open, so long after a change.
+    fn renew(&self) {
+        let now = Instant::now();
+        let mut due = Vec::new();
+        {
+            let mut table = lock(&self.table);
+            let written = std::mem::take(&mut table.written);
+            for (&number, live) in &mut table.live {
+                let settled = live.superseded.is_some_and(|since| now >= since + SETTLE);
+                if live.is_idle() && (settled || written.contains(&number)) {
+                    live.superseded = None;
+                    live.value = Value::of(self.fs.content(live.node)).unwrap_or(Value::Gone);
+                    due.push(number);
+                }
+            }
+        }
+        for number in due {
             // It may have been forgotten meanwhile; then there is nobody to tell.
             let _ = self.notifier.inval_inode(INodeNo(number), 0, 0);
         }

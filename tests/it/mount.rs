@@ -427,6 +427,30 @@ fn nobody_empties_an_attribute() {
     }
 }
 
+/// Who writes and reads through one open file reads what came of the write, not what was written.
+#[test]
+fn a_writer_reads_what_came_of_it() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = OpenOptions::new().read(true).write(true).open(mount.path("df/80/53")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0).expect("reads");
+        String::from_utf8_lossy(&buffer[..length]).into_owned()
+    };
+    assert_eq!(read(), "3000\n");
+    for (written, value) in [("0xc1c", "3100\n"), (" 3200 \n", "3200\n"), ("3000", "3000\n")] {
+        file.write_all_at(written.as_bytes(), 0).expect("written");
+        until(value, || read() == value);
+    }
+    assert_eq!(file.write_at(b"99999999", 0).map_err(errno), Err(Errno::ERANGE));
+    until("the old value", || read() == "3000\n");
+    // One write after the other, while the kernel is being told of the one before.
+    for millivolts in 3001..3012 {
+        file.write_all_at(millivolts.to_string().as_bytes(), 0).expect("written");
+    }
+    until("the last value", || read() == "3011\n");
+}
+
 /// All simulated gauges show what monitors need, and take a write and show it.
 #[test]
 fn every_gauge_is_mounted() {
@@ -544,6 +568,63 @@ fn a_sibling_shows_standard_commands_only() {
 }
 
 /// What is listed is there, from the first moment on, and only what the part has.
+/// Until it has been read nobody knows a value's size. Readers who come while it is on its way get it
+/// whole, and nothing after it.
+#[test]
+fn the_first_readers_of_a_value_come_together() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    for (name, text) in
+        [("df/80/53", Some("3000\n")), ("df/48/43", Some("Texas Inst.\n")), ("df/index", None)]
+    {
+        for round in 0..3 {
+            assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+            let path = mount.path(name);
+            let read = || fs::read_to_string(&path).expect("a value");
+            let texts: Vec<String> = std::thread::scope(|scope| {
+                let readers: Vec<_> = (0..8)
+                    .map(|reader| {
+                        scope.spawn(move || {
+                            std::thread::sleep(Duration::from_micros(700 * reader));
+                            read()
+                        })
+                    })
+                    .collect();
+                readers.into_iter().map(|reader| reader.join().expect("no panic")).collect()
+            });
+            for found in texts {
+                match text {
+                    Some(text) => assert!(found == text, "round {round}: {} bytes", found.len()),
+                    None => assert!(found.ends_with("-\n") && !found.contains('\0'), "round {round}"),
+                }
+            }
+        }
+    }
+}
+
+/// Programs read in pieces of all sizes.
+#[test]
+fn a_first_read_in_pieces_is_whole() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let whole = mount.cat("df/index");
+    for (name, whole) in [("df/index", &whole[..]), ("df/80/53", "3000")] {
+        for piece in [1, 512, 8192, 65536] {
+            assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+            let mut file = fs::File::open(mount.path(name)).expect("opens");
+            let mut found = Vec::new();
+            let mut buffer = vec![0; piece];
+            loop {
+                let length = file.read(&mut buffer).expect("reads");
+                if length == 0 {
+                    break;
+                }
+                found.extend_from_slice(&buffer[..length]);
+            }
+            assert_eq!(String::from_utf8_lossy(&found).trim_end(), whole, "{name} in pieces of {piece}");
+        }
+    }
+}
+
+/// `ls -l` has no complaint, whatever the gauge has or has not just now.
 #[test]
 fn what_is_listed_is_there() {
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
