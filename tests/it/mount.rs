@@ -256,6 +256,9 @@ fn refusals_have_their_errno_and_change_nothing() {
     assert_eq!(mount.cat("df/80/53"), "3300");
     assert_eq!(fs::create_dir(mount.path("mine")).map_err(errno), Err(Errno::EPERM));
     assert_eq!(fs::remove_file(mount.path("capacity")).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(fs::File::create(mount.path("mine")).map(|_| ()).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(fs::rename(mount.path("temp"), mount.path("mine")).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(fs::hard_link(mount.path("temp"), mount.path("mine")).map_err(errno), Err(Errno::EPERM));
 }
 
 #[test]
