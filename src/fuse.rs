@@ -143,6 +143,8 @@ struct Table {
 struct Live {
     node: Node,
     lookups: u64,
+    /// Who looked it up first.
+    thread: u32,
     value: Value,
     /// When another value took its place, while that is not yet served under this nodeid.
     superseded: Option<Instant>,
@@ -195,8 +197,8 @@ impl Value {
 }
 
 impl Live {
-    fn new(node: Node, value: Value) -> Self {
-        Self { node, lookups: 1, value, superseded: None, writing: 0, waiting: None }
+    fn new(node: Node, value: Value, thread: u32) -> Self {
+        Self { node, lookups: 1, thread, value, superseded: None, writing: 0, waiting: None }
     }
 
     /// Nobody is reading it from the gauge or writing it.
@@ -207,7 +209,7 @@ impl Live {
 
 impl Table {
     fn new() -> Self {
-        let root = Live::new(Node::Root, Value::Fixed);
+        let root = Live::new(Node::Root, Value::Fixed, 0);
         let number = u64::from(INodeNo::ROOT);
         Self {
             next: number + 1,
@@ -224,14 +226,17 @@ impl Table {
 
     /// The nodeid under which a node has that value, one lookup more.
     ///
-    /// A value that was not read yet has a nodeid for each lookup. The size shown for it shrinks when the
-    /// kernel sees a READ end early, and only if nobody else's LOOKUP or GETATTR of that nodeid came in
-    /// between: shared, the value would be filled up with zero bytes.
-    fn enter(&mut self, node: Node, value: Value) -> u64 {
+    /// A value that was not read yet has a nodeid for each thread that looks it up. The size shown for it
+    /// shrinks when the kernel sees a READ end early, and only if nobody else's LOOKUP or GETATTR of that
+    /// nodeid came in between: shared, the value would be filled up with zero bytes. A thread's own
+    /// lookups come before its READ, and `cp` takes a file whose number changes for another one.
+    fn enter(&mut self, node: Node, value: Value, thread: u32) -> u64 {
         if let Some(&number) = self.current.get(&node)
             && let Some(live) = self.live.get_mut(&number)
         {
-            if live.value == value {
+            // Threads that this process cannot see have the number 0.
+            let own = live.thread == thread && thread != 0 && live.waiting.is_none();
+            if live.value == value && (own || !matches!(value, Value::Unread(_))) {
                 live.lookups += 1;
                 return number;
             }
@@ -239,17 +244,18 @@ impl Table {
         }
         let number = self.next;
         self.next += 1;
-        if !matches!(value, Value::Unread(_)) {
-            self.current.insert(node, number);
-        }
-        self.live.insert(number, Live::new(node, value));
+        self.live.insert(number, Live::new(node, value, thread));
+        self.current.insert(node, number);
         number
     }
 
     /// The nodeid no longer stands for the present value.
     fn retire(&mut self, number: u64) {
         let Some(live) = self.live.get_mut(&number) else { return };
-        live.superseded.get_or_insert_with(Instant::now);
+        // What was not read yet has promised nothing.
+        if !matches!(live.value, Value::Unread(_)) {
+            live.superseded.get_or_insert_with(Instant::now);
+        }
         if self.current.get(&live.node) == Some(&number) {
             self.current.remove(&live.node);
         }
@@ -265,7 +271,7 @@ impl Table {
         let (node, size, superseded) = (live.node, live.value.size(), live.superseded.is_some());
         if value.is_some() && !superseded {
             // Whoever looks it up next, within this poll, finds what was read.
-            if let Some(other) = self.current.get(&node).copied() {
+            if let Some(other) = self.current.get(&node).copied().filter(|&other| other != number) {
                 self.retire(other);
             }
             self.current.insert(node, number);
@@ -393,7 +399,7 @@ fn slice(bytes: &[u8], offset: u64, size: u32) -> &[u8] {
 }
 
 impl Filesystem for Adapter {
-    fn lookup(&self, _: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
+    fn lookup(&self, request: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
         let Some(folder) = lock(&self.table).node(parent) else { return reply.error(Errno::ESTALE) };
         let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
             return reply.error(Errno::ENOENT);
@@ -406,7 +412,7 @@ impl Filesystem for Adapter {
         };
         let Some(value) = value else { return reply.error(Errno::ENOENT) };
         let (size, ttl) = (value.size(), self.attr_ttl(node, &value));
-        let number = table.enter(node, value);
+        let number = table.enter(node, value, request.pid());
         drop(table);
         reply.entry_with_ttls(&ttl, &self.ttl(node), &self.attr(number, node, size), Generation(0));
     }
@@ -760,7 +766,6 @@ impl Watch {
         let files: Vec<(u64, Node, Value)> = lock(&self.table)
             .live
             .iter()
-            // What was not read yet has promised nothing.
             .filter(|(_, live)| !matches!(live.value, Value::Fixed | Value::Unread(_)))
             .filter(|(_, live)| live.superseded.is_none())
             .map(|(&number, live)| (number, live.node, live.value.clone()))

@@ -627,6 +627,24 @@ fn a_first_read_in_pieces_is_whole() {
     }
 }
 
+/// `cp` compares the file that it opened with the one it looked at before.
+#[test]
+fn files_can_be_copied() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let copy = mount.folder.with_extension("copy");
+    for name in ["df/index", "df/80/53", "df/80/raw", "capacity"] {
+        let cp = std::process::Command::new("cp").arg(mount.path(name)).arg(&copy).output().expect("cp");
+        assert!(
+            cp.status.success() && cp.stderr.is_empty(),
+            "{name}: {}",
+            String::from_utf8_lossy(&cp.stderr)
+        );
+        let (copied, there) = (fs::read(&copy).expect("a copy"), fs::read(mount.path(name)).expect("a file"));
+        assert!(copied == there, "{name}: {} bytes of {}", copied.len(), there.len());
+    }
+    fs::remove_file(&copy).expect("removed");
+}
+
 /// `ls -l` has no complaint, whatever the gauge has or has not just now.
 #[test]
 fn what_is_listed_is_there() {
