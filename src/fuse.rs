@@ -130,6 +130,7 @@ fn thread(name: &str, body: impl FnOnce() + Send + 'static) -> Result<()> {
 /// What the kernel knows by number.
 struct Table {
     next: u64,
+    started: SystemTime,
     /// Every nodeid that the kernel has not forgotten.
     live: HashMap<u64, Live>,
     /// The nodeid that stands for the present value of a node.
@@ -146,6 +147,8 @@ struct Live {
     /// Who looked it up first.
     thread: u32,
     value: Value,
+    /// Since when.
+    since: SystemTime,
     /// When another value took its place, while that is not yet served under this nodeid.
     superseded: Option<Instant>,
     /// Writes that have not been answered. The kernel holds the file's page locked for as long.
@@ -197,8 +200,8 @@ impl Value {
 }
 
 impl Live {
-    fn new(node: Node, value: Value, thread: u32) -> Self {
-        Self { node, lookups: 1, thread, value, superseded: None, writing: 0, waiting: None }
+    fn new(node: Node, value: Value, thread: u32, since: SystemTime) -> Self {
+        Self { node, lookups: 1, thread, value, since, superseded: None, writing: 0, waiting: None }
     }
 
     /// Nobody is reading it from the gauge or writing it.
@@ -209,10 +212,12 @@ impl Live {
 
 impl Table {
     fn new() -> Self {
-        let root = Live::new(Node::Root, Value::Fixed, 0);
+        let started = SystemTime::now();
+        let root = Live::new(Node::Root, Value::Fixed, 0, started);
         let number = u64::from(INodeNo::ROOT);
         Self {
             next: number + 1,
+            started,
             live: HashMap::from([(number, root)]),
             current: HashMap::from([(Node::Root, number)]),
             written: Vec::new(),
@@ -230,7 +235,7 @@ impl Table {
     /// shrinks when the kernel sees a READ end early, and only if nobody else's LOOKUP or GETATTR of that
     /// nodeid came in between: shared, the value would be filled up with zero bytes. A thread's own
     /// lookups come before its READ, and `cp` takes a file whose number changes for another one.
-    fn enter(&mut self, node: Node, value: Value, thread: u32) -> u64 {
+    fn enter(&mut self, node: Node, value: Value, thread: u32) -> (u64, SystemTime) {
         if let Some(&number) = self.current.get(&node)
             && let Some(live) = self.live.get_mut(&number)
         {
@@ -238,15 +243,16 @@ impl Table {
             let own = live.thread == thread && thread != 0 && live.waiting.is_none();
             if live.value == value && (own || !matches!(value, Value::Unread(_))) {
                 live.lookups += 1;
-                return number;
+                return (number, live.since);
             }
             self.retire(number);
         }
         let number = self.next;
         self.next += 1;
-        self.live.insert(number, Live::new(node, value, thread));
+        let since = if value == Value::Fixed { self.started } else { SystemTime::now() };
+        self.live.insert(number, Live::new(node, value, thread, since));
         self.current.insert(node, number);
-        number
+        (number, since)
     }
 
     /// The nodeid no longer stands for the present value.
@@ -261,14 +267,15 @@ impl Table {
         }
     }
 
-    /// The value of a nodeid has come, or has not; returns what its size is now and who waits for that.
-    fn arrived(&mut self, number: u64, value: Option<&Arc<[u8]>>) -> (u64, Vec<Waiter>) {
-        let Some(live) = self.live.get_mut(&number) else { return (0, Vec::new()) };
+    /// The value of a nodeid has come, or has not; returns its size, its time, and who waits.
+    fn arrived(&mut self, number: u64, value: Option<&Arc<[u8]>>) -> ((u64, SystemTime), Vec<Waiter>) {
+        let Some(live) = self.live.get_mut(&number) else { return ((0, self.started), Vec::new()) };
         let waiting = live.waiting.take().unwrap_or_default();
         if let Some(bytes) = value {
             live.value = Value::Bytes(bytes.clone());
         }
-        let (node, size, superseded) = (live.node, live.value.size(), live.superseded.is_some());
+        let (node, superseded) = (live.node, live.superseded.is_some());
+        let shown = (live.value.size(), live.since);
         if value.is_some() && !superseded {
             // Whoever looks it up next, within this poll, finds what was read.
             if let Some(other) = self.current.get(&node).copied().filter(|&other| other != number) {
@@ -276,7 +283,7 @@ impl Table {
             }
             self.current.insert(node, number);
         }
-        (size, waiting)
+        (shown, waiting)
     }
 
     fn forget(&mut self, number: u64, lookups: u64) {
@@ -311,13 +318,14 @@ impl Arrival {
     }
 
     fn answer(&self, read: &Result<Arc<[u8]>>) {
-        let (size, waiting) = lock(&self.adapter.table).arrived(self.number, read.as_ref().ok());
+        let (shown, waiting) = lock(&self.adapter.table).arrived(self.number, read.as_ref().ok());
         for waiter in waiting {
             match (waiter, read) {
                 (Waiter::Read { offset, size, reply }, Ok(bytes)) => reply.data(slice(bytes, offset, size)),
                 (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
                 (Waiter::Attributes(reply), _) => {
-                    reply.attr(&Duration::ZERO, &self.adapter.attr(self.number, self.node, size));
+                    let (size, since) = shown;
+                    reply.attr(&Duration::ZERO, &self.adapter.attr(self.number, self.node, size, since));
                 }
             }
         }
@@ -344,7 +352,7 @@ struct Adapter {
 }
 
 impl Adapter {
-    fn attr(&self, number: u64, node: Node, size: u64) -> FileAttr {
+    fn attr(&self, number: u64, node: Node, size: u64, since: SystemTime) -> FileAttr {
         let (kind, nlink) = match self.fs.shape(node) {
             Shape::Folder => (FileType::Directory, 2),
             Shape::Link => (FileType::Symlink, 1),
@@ -355,15 +363,14 @@ impl Adapter {
             _ => size,
         };
         let (uid, gid) = self.fs.owner();
-        let time = SystemTime::UNIX_EPOCH;
         FileAttr {
             ino: INodeNo(number),
             size,
             blocks: 0,
-            atime: time,
-            mtime: time,
-            ctime: time,
-            crtime: time,
+            atime: since,
+            mtime: since,
+            ctime: since,
+            crtime: since,
             kind,
             perm: self.fs.mode(node),
             nlink,
@@ -412,9 +419,9 @@ impl Filesystem for Adapter {
         };
         let Some(value) = value else { return reply.error(Errno::ENOENT) };
         let (size, ttl) = (value.size(), self.attr_ttl(node, &value));
-        let number = table.enter(node, value, request.pid());
+        let (number, since) = table.enter(node, value, request.pid());
         drop(table);
-        reply.entry_with_ttls(&ttl, &self.ttl(node), &self.attr(number, node, size), Generation(0));
+        reply.entry_with_ttls(&ttl, &self.ttl(node), &self.attr(number, node, size, since), Generation(0));
     }
 
     fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
@@ -428,9 +435,10 @@ impl Filesystem for Adapter {
             // Its size is on its way.
             return waiting.push(Waiter::Attributes(reply));
         }
-        let (node, size, ttl) = (live.node, live.value.size(), self.attr_ttl(live.node, &live.value));
+        let ttl = self.attr_ttl(live.node, &live.value);
+        let attr = self.attr(ino.into(), live.node, live.value.size(), live.since);
         drop(table);
-        reply.attr(&ttl, &self.attr(ino.into(), node, size));
+        reply.attr(&ttl, &attr);
     }
 
     /// Truncation alone writes nothing, and the size stays what it is, as in sysfs.
@@ -456,12 +464,14 @@ impl Filesystem for Adapter {
         if mode.is_some() || uid.is_some() || gid.is_some() {
             return reply.error(self.fixed());
         }
-        let found = lock(&self.table).live.get(&u64::from(ino)).map(|live| (live.node, live.value.size()));
-        let Some((node, present)) = found else { return reply.error(Errno::ESTALE) };
-        if size.is_some() && !self.fs.may_be_written(node) {
+        let table = lock(&self.table);
+        let Some(live) = table.live.get(&u64::from(ino)) else { return reply.error(Errno::ESTALE) };
+        if size.is_some() && !self.fs.may_be_written(live.node) {
             return reply.error(Errno::EACCES);
         }
-        reply.attr(&Duration::ZERO, &self.attr(ino.into(), node, present));
+        let attr = self.attr(ino.into(), live.node, live.value.size(), live.since);
+        drop(table);
+        reply.attr(&Duration::ZERO, &attr);
     }
 
     fn readlink(&self, _: &Request, ino: INodeNo, reply: ReplyData) {
@@ -853,6 +863,7 @@ impl Renewal {
                 if live.is_idle() && (settled || written.contains(&number)) {
                     live.superseded = None;
                     live.value = Value::of(self.fs.content(live.node)).unwrap_or(Value::Gone);
+                    live.since = SystemTime::now();
                     due.push(number);
                 }
             }

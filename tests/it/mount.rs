@@ -352,6 +352,7 @@ fn extended_attributes_say_what_a_parameter_is() {
 fn a_file_held_open_follows() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let file = fs::File::open(mount.path("current_now")).expect("opens");
+    let before = file.metadata().and_then(|file| file.modified()).expect("a time");
     let read = || {
         let mut buffer = [0; 64];
         let length = file.read_at(&mut buffer, 0)?;
@@ -363,6 +364,9 @@ fn a_file_held_open_follows() {
     assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
     let fresh = mount.cat("current_now");
     assert_ne!(fresh, "0");
+    // A file's time is that of its value.
+    let since = fs::metadata(mount.path("current_now")).and_then(|file| file.modified()).expect("a time");
+    assert!(since > before);
     until("the new current", || read().expect("reads") == mount.cat("current_now"));
 }
 
