@@ -579,6 +579,12 @@ impl Owner {
                         .map(|answer| log::info!("Control(0x{code:04x}) answered 0x{answer:04x}")),
                 );
             }
+            // Somebody else's refresh, or a poll, came in between: its values are as fresh as was asked for.
+            Request::Refresh(done) if asked < self.last_poll && self.failures == 0 => {
+                self.drop_kept();
+                self.dataflash.forget();
+                done(Ok(()));
+            }
             Request::Refresh(done) => {
                 // However fast it is asked for, the gauge sees it twice a second at most.
                 let early = (self.last_poll + SHORTEST).saturating_sub(self.gauge.clock.now());
