@@ -703,6 +703,17 @@ impl Chip {
         self.subclasses.iter().find(|subclass| subclass.id == id)
     }
 
+    /// The parameter that stands at `df/SUBCLASS/OFFSET`, and what it belongs to; with `flash` and an
+    /// address in hexadecimal on a part without subclasses.
+    pub fn row(&self, subclass: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
+        let (id, offset) = match (subclass, offset.strip_prefix("0x")) {
+            ("flash", Some(digits)) => (FLAT, u16::from_str_radix(digits, 16).ok()?),
+            (id, _) => (id.parse().ok()?, offset.parse().ok()?),
+        };
+        let mut alike = self.subclasses.iter().filter(|row| row.id == id);
+        alike.find_map(|row| Some((row, row.parameter(offset)?)))
+    }
+
     /// The parameter at an offset of the subclass of that id, or with [`FLAT`] at an address.
     pub fn parameter(&self, id: u8, offset: u16) -> Option<&'static Parameter> {
         let alike = self.subclasses.iter().filter(|subclass| subclass.id == id);

@@ -12,17 +12,22 @@ use crate::chip::{
     Bit, Chip, Effect, FLAT, Kind, Parameter, Range, Register, Role, Subclass, Tier, kebab_case, snake_case,
 };
 use crate::codec;
+use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::poll::{Done, Handle, Published, Request, Seal, Snapshot};
 use crate::text;
 
 mod attribute;
+mod transaction;
 
 pub use attribute::Attribute;
 use attribute::Source;
+use transaction::Transaction;
 
 /// What a data-flash file shows as its size before it has been read: as sysfs does.
 const UNREAD: u64 = 4096;
+/// What `df/transaction` holds while none is open.
+const IDLE: &[u8] = b"idle\n";
 
 /// The files of `sim/`, behind which stands a simulated gauge.
 pub trait Knobs: Send + Sync {
@@ -81,6 +86,8 @@ pub struct Access {
 /// The tree.
 pub struct Fs {
     gauges: Vec<Entry>,
+    /// One for each gauge.
+    transactions: Vec<Transaction>,
     access: Access,
 }
 
@@ -122,6 +129,8 @@ pub enum Item {
     ByNameLink(u16, u16),
     /// `df/index`.
     Index,
+    /// `df/transaction`.
+    Transaction,
     /// `gauge`.
     Gauge,
     /// `gauge/registers`.
@@ -231,7 +240,8 @@ pub enum Content {
 impl Fs {
     /// A tree of these gauges.
     pub fn new(gauges: Vec<Entry>, access: Access) -> Self {
-        Self { gauges, access }
+        let transactions = gauges.iter().map(|_| Transaction::default()).collect();
+        Self { gauges, transactions, access }
     }
 
     fn entry(&self, gauge: u16) -> &Entry {
@@ -248,7 +258,7 @@ impl Fs {
                 Item::Attribute(_) | Item::Uevent | Item::Subsystem | Item::Df | Item::Gauge | Item::Sim => {
                     Item::Folder
                 }
-                Item::Subclass(_) | Item::Flat | Item::ByName | Item::Index => Item::Df,
+                Item::Subclass(_) | Item::Flat | Item::ByName | Item::Index | Item::Transaction => Item::Df,
                 Item::Parameter(subclass, _) | Item::Raw(subclass) => self.parameter_folder(gauge, subclass),
                 Item::ByNameClass(_) => Item::ByName,
                 Item::ByNameLink(subclass, _) => Item::ByNameClass(subclass),
@@ -297,6 +307,7 @@ impl Fs {
             | Item::Parameter(..)
             | Item::Raw(_)
             | Item::Index
+            | Item::Transaction
             | Item::Register(_)
             | Item::Bits(_)
             | Item::Statistic(_)
@@ -321,7 +332,7 @@ impl Fs {
                 kept(if unproven && !self.entry(gauge).handle.allows_unproven() { 4 } else { 6 })
             }
             Item::Raw(_) | Item::Index => kept(4),
-            Item::State(State::Seal | State::PollInterval) => kept(6),
+            Item::Transaction | Item::State(State::Seal | State::PollInterval) => kept(6),
             Item::State(State::Control | State::Refresh) => kept(2),
             Item::Knob(knob) => {
                 let writable =
@@ -388,7 +399,11 @@ impl Fs {
                 list
             }
             Item::Df => {
-                let mut list = vec![of("index", Item::Index), of("by-name", Item::ByName)];
+                let mut list = vec![
+                    of("index", Item::Index),
+                    of("transaction", Item::Transaction),
+                    of("by-name", Item::ByName),
+                ];
                 if chip.subclasses.iter().any(|subclass| subclass.id == FLAT) {
                     list.push(of("flash", Item::Flat));
                 }
@@ -519,6 +534,13 @@ impl Fs {
                 let rows = entry.handle.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
                 Content::Unread(256 * (1 + rows.sum::<usize>() as u64))
             }
+            Item::Transaction => match self.staged(gauge) {
+                None => Content::Bytes(IDLE.to_vec()),
+                Some(staged) if self.unread(gauge, &staged).is_empty() => {
+                    Content::Bytes(self.difference(gauge, &staged))
+                }
+                Some(staged) => Content::Unread(UNREAD + 256 * staged.len() as u64),
+            },
             Item::Register(at) => {
                 let register = &entry.handle.chip().registers[usize::from(at)];
                 line(
@@ -608,11 +630,48 @@ impl Fs {
                 Err(error) if error.errno() == Errno::EPERM => done(Ok(fs.index(gauge))),
                 Err(error) => done(Err(error)),
             }))),
+            Item::Transaction => {
+                let Some(staged) = self.staged(gauge) else { return done(Ok(IDLE.to_vec())) };
+                let unread = self.unread(gauge, &staged);
+                handle.submit(Request::ReadSome(
+                    unread,
+                    Box::new(move |read| match read {
+                        // A sealed gauge still has its staged changes; only the old values are missing.
+                        Err(error) if error.errno() != Errno::EPERM => done(Err(error)),
+                        _ => done(Ok(fs.difference(gauge, &staged))),
+                    }),
+                ));
+            }
             _ => match self.content(node) {
                 Content::Bytes(bytes) => done(Ok(bytes)),
                 Content::Unread(_) | Content::Absent => done(Err(not_there())),
             },
         }
+    }
+
+    fn staged(&self, gauge: u16) -> Option<Vec<Change>> {
+        self.transactions[usize::from(gauge)].staged(self.entry(gauge).handle.now())
+    }
+
+    /// The subclasses that staged changes are in and that would have to be read first.
+    fn unread(&self, gauge: u16, staged: &[Change]) -> Vec<usize> {
+        let handle = &self.entry(gauge).handle;
+        let touched = |subclass: &Subclass| staged.iter().any(|one| std::ptr::eq(one.subclass, subclass));
+        let rows = handle.chip().subclasses.iter().enumerate();
+        rows.filter(|(at, row)| touched(row) && handle.kept(*at).is_none()).map(|(at, _)| at).collect()
+    }
+
+    /// `df/transaction`: what is staged, a line each.
+    fn difference(&self, gauge: u16, staged: &[Change]) -> Vec<u8> {
+        let mut lines = String::new();
+        for Change { subclass, parameter, bytes, .. } in staged {
+            let at = self.chip(gauge).subclasses.iter().position(|row| std::ptr::eq(row, *subclass));
+            let kept = at.and_then(|at| self.entry(gauge).handle.kept(at));
+            let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+            let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+            lines += &format!("{}: {old} -> {new}\n", parameter.name);
+        }
+        lines.into_bytes()
     }
 
     /// `df/index`: every parameter of the table, a line each.
@@ -640,6 +699,12 @@ impl Fs {
         lines.into_bytes()
     }
 
+    /// Whether a file is written as a stream, from wherever the last write ended; elsewhere each write is
+    /// a whole value.
+    pub fn is_stream(&self, node: Node) -> bool {
+        matches!(node, Node::Of(_, Item::Transaction))
+    }
+
     /// Writes one value to a file. `done` gets the outcome, perhaps at once, perhaps from the owner's
     /// thread.
     pub fn write(&self, node: Node, data: &[u8], done: Done<()>) {
@@ -649,18 +714,22 @@ impl Fs {
         match item {
             Item::Parameter(subclass, parameter) => {
                 let (row, field) = self.row(gauge, subclass, parameter);
-                if row.kind == Kind::Security {
-                    let why = "keys cannot be changed like other parameters";
-                    return done(Err(Error::new(field.name, Cause::NotPermitted(why.into()))));
+                if self.staged(gauge).is_some() {
+                    return self.refuse(gauge, transaction::busy().within(field.name), done);
                 }
-                if field.unproven && !handle.allows_unproven() {
-                    let why = "its address or range is not sure; mount with --allow-unproven to write it";
-                    return self.refuse(gauge, Error::host(field.name, Errno::EACCES, why), done);
-                }
-                match text::parse(field, data) {
+                match transaction::check(row, field, handle.allows_unproven(), data) {
                     Ok(value) => {
                         handle.submit(Request::Write(subclass.into(), parameter.into(), value, done))
                     }
+                    Err(error) => self.refuse(gauge, error, done),
+                }
+            }
+            Item::Transaction => {
+                let transaction = &self.transactions[usize::from(gauge)];
+                let taken = transaction.write(handle.chip(), handle.allows_unproven(), handle.now(), data);
+                match taken {
+                    Ok(None) => done(Ok(())),
+                    Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
                     Err(error) => self.refuse(gauge, error, done),
                 }
             }

@@ -553,7 +553,7 @@ impl Filesystem for Adapter {
         let number = u64::from(ino);
         let Some(node) = lock(&self.table).node(ino) else { return reply.error(Errno::ESTALE) };
         let appends = flags.0 & nix::fcntl::OFlag::O_APPEND.bits() != 0;
-        if offset != 0 && !appends {
+        if offset != 0 && !appends && !self.fs.is_stream(node) {
             return reply.error(Errno::EINVAL);
         }
         // Whatever comes of it, the kernel's copy now holds what was written.

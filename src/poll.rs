@@ -87,9 +87,13 @@ pub enum Request {
     ReadSubclass(usize, Done<Arc<[u8]>>),
     /// Read every subclass but the security ones, unless kept and fresh.
     ReadAll(Done<()>),
+    /// Read some subclasses, by their indices, unless kept and fresh.
+    ReadSome(Vec<usize>, Done<()>),
     /// Write one parameter: index of the subclass, index of the parameter in it, and the value, whose
     /// range has been checked already.
     Write(usize, usize, Value, Done<()>),
+    /// Write many parameters, all or none.
+    WriteAll(Vec<Change>, Done<()>),
     /// Go to a seal state.
     Seal(Seal, Done<()>),
     /// Send a subcommand that the table marks safe.
@@ -188,6 +192,11 @@ impl Handle {
     pub fn age(&self) -> Option<Duration> {
         let taken = self.published().snapshot.as_ref()?.taken;
         Some(self.shared.clock.now().saturating_sub(taken))
+    }
+
+    /// The owner's clock.
+    pub fn now(&self) -> Duration {
+        self.shared.clock.now()
     }
 
     /// Name and value of each file of `gauge/statistics`.
@@ -544,6 +553,9 @@ impl Owner {
             (Some(sibling), Request::ReadAll(done) | Request::Write(.., done)) => {
                 return done(Err(out_of_bounds(sibling)));
             }
+            (Some(sibling), Request::ReadSome(_, done) | Request::WriteAll(_, done)) => {
+                return done(Err(out_of_bounds(sibling)));
+            }
             (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
                 return done(Err(out_of_bounds(sibling)));
             }
@@ -552,6 +564,7 @@ impl Owner {
         match request {
             Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
             Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
+            Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
             Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
             Request::ReadSubclass(index, done) => {
                 done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
@@ -562,8 +575,14 @@ impl Owner {
                     kinds.enumerate().filter(|(_, kind)| *kind != Kind::Security).map(|(index, _)| index);
                 done(self.read(&all.collect::<Vec<_>>(), waited).map(|_| ()));
             }
+            Request::ReadSome(wanted, done) => done(self.read(&wanted, waited).map(|_| ())),
             Request::Write(subclass, parameter, value, done) => {
                 let outcome = self.write(subclass, parameter, &value, waited);
+                done(self.told(outcome));
+            }
+            Request::WriteAll(changes, done) => {
+                let name = if changes.len() > 1 { "df/transaction" } else { "" };
+                let outcome = self.write_all(&changes, waited).map_err(|error| error.within(name));
                 done(self.told(outcome));
             }
             Request::Seal(goal, done) => {
@@ -633,16 +652,30 @@ impl Owner {
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
         })?;
-        let changes = [Change { subclass: row, parameter, bytes, saved: false }];
-        let outcome = self.dataflash.write(&mut self.gauge, &changes, waited);
-        match &outcome {
-            Ok(Outcome::Unchanged) => log::info!("{}: unchanged, nothing written", parameter.name),
-            Ok(Outcome::Written { .. }) => log::info!("{}: written and verified", parameter.name),
-            Err(_) => {}
+        self.write_all(&[Change { subclass: row, parameter, bytes, saved: false }], waited)
+    }
+
+    fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+        if changes.is_empty() {
+            return Ok(());
+        }
+        let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
+        let told = match &outcome {
+            Ok(Outcome::Unchanged) => "unchanged, nothing written",
+            Ok(Outcome::Written { .. }) => "written and verified",
+            Err(_) => "",
+        };
+        for change in changes.iter().filter(|_| outcome.is_ok()) {
+            log::info!("{}: {told}", change.parameter.name);
         }
         // After a reset, and after a failure, nothing that was read before is taken for granted.
         if outcome == (Ok(Outcome::Written { reset: false })) {
-            lock(&self.shared.kept)[subclass] = None;
+            let mut kept = lock(&self.shared.kept);
+            for (row, kept) in self.gauge.chip.subclasses.iter().zip(kept.iter_mut()) {
+                if changes.iter().any(|change| std::ptr::eq(change.subclass, row)) {
+                    *kept = None;
+                }
+            }
         } else if outcome != Ok(Outcome::Unchanged) {
             self.drop_kept();
             self.hurry = true;

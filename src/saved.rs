@@ -1,6 +1,6 @@
 //! A configuration that was saved by copying `df/index`, as the changes that bring it back.
 
-use crate::chip::{Chip, FLAT, Kind};
+use crate::chip::{Chip, Kind};
 use crate::codec;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
@@ -18,14 +18,7 @@ pub fn parse(chip: &'static Chip, saved: &str) -> Result<Vec<Change>> {
         let [subclass, offset, .., value] = fields.as_slice() else {
             return Err(bad("not a line of df/index"));
         };
-        let (id, offset) = match (*subclass, offset.strip_prefix("0x")) {
-            ("flash", Some(digits)) => (Some(FLAT), u16::from_str_radix(digits, 16).ok()),
-            (id, _) => (id.parse().ok(), offset.parse().ok()),
-        };
-        let row = id.zip(offset).and_then(|(id, offset)| {
-            let subclasses = chip.subclasses.iter().filter(|subclass| subclass.id == id);
-            subclasses.filter_map(|subclass| Some((subclass, subclass.parameter(offset)?))).next()
-        });
+        let row = chip.row(subclass, offset);
         let (subclass, parameter) =
             row.ok_or_else(|| bad(&format!("a {} has no such parameter", chip.model)))?;
         if *value == "-" || subclass.kind == Kind::Security || parameter.unproven {

@@ -10,4 +10,5 @@ mod sim;
 mod sim2;
 mod sim_mac;
 mod tables;
+mod transaction;
 mod write;

@@ -574,7 +574,6 @@ fn a_sibling_shows_standard_commands_only() {
     assert_eq!(mount.echo("CHEM_ID", "gauge/control"), Err(Errno::EPERM));
 }
 
-/// What is listed is there, from the first moment on, and only what the part has.
 /// Until it has been read nobody knows a value's size. Readers who come while it is on its way get it
 /// whole, and nothing after it.
 #[test]
@@ -649,7 +648,7 @@ fn files_can_be_copied() {
     fs::remove_file(&copy).expect("removed");
 }
 
-/// `ls -l` has no complaint, whatever the gauge has or has not just now.
+/// What is listed is there, whatever the gauge has or has not just now, from the first moment on, and only what the part has.
 #[test]
 fn what_is_listed_is_there() {
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
@@ -685,4 +684,29 @@ fn a_short_power_loss_of_a_ram_gauge_is_seen() {
     until("the loss to be seen", || mount.cat("gauge/itpor") == "1");
     until("the value of the ROM", || mount.cat("df/82/10") == "1340");
     assert_eq!(mount.cat("gauge/seal"), "unsealed");
+}
+
+/// As `{ echo begin; echo ...; } > df/transaction` does: one open file, many writes.
+#[test]
+fn a_transaction_in_several_writes() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let mode = fs::metadata(mount.path("df/transaction")).expect("there").permissions().mode() & 0o777;
+    assert_eq!(mode, 0o600);
+    assert_eq!(mount.cat("df/transaction"), "idle");
+    let mut file =
+        OpenOptions::new().write(true).truncate(true).open(mount.path("df/transaction")).expect("opens");
+    for line in ["begin\n", "80/53 3100\n", "48/11 2200\n"] {
+        file.write_all(line.as_bytes()).expect(line);
+    }
+    let staged = mount.cat("df/transaction");
+    assert_eq!(staged, "Cell Terminate Voltage: 3000 -> 3100\nDesign Capacity: 1000 -> 2200");
+    assert_eq!(mount.echo("3200", "df/80/53"), Err(Errno::EBUSY));
+    assert!(mount.cat("gauge/last_error").contains("a transaction is open"));
+    assert_eq!(mount.cat("df/80/53"), "3000");
+    file.write_all(b"commit\n").expect("written");
+    drop(file);
+    assert_eq!(mount.cat("df/transaction"), "idle");
+    assert_eq!((mount.cat("df/80/53").as_str(), mount.cat("df/48/11").as_str()), ("3100", "2200"));
+    assert_eq!(mount.cat("gauge/seal"), "sealed");
+    assert_eq!(mount.echo("3200", "df/80/53"), Ok(()));
 }

@@ -1,0 +1,181 @@
+//! `df/transaction`, asked of the tree as the mount asks it, on a simulated clock.
+
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use gaugefs::chip::Chip;
+use gaugefs::clock::{Clock, SimClock};
+use gaugefs::fs::{Access, Entry, Fs, Node, Scales};
+use gaugefs::keys::Keys;
+use gaugefs::poll::{self, Handle, Settings};
+use gaugefs::sim::{Options, Sim};
+use nix::errno::Errno;
+
+struct Tree {
+    clock: Arc<SimClock>,
+    sim: Sim,
+    handle: Handle,
+    fs: Arc<Fs>,
+}
+
+impl Tree {
+    fn new(chip: &str, keys: Keys) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
+        clock.sleep(Duration::from_secs(1));
+        let table = Chip::by_name(chip).expect("a chip of the tables");
+        let interval = Duration::from_secs(3600);
+        let settings =
+            Settings { keys, interval, byte_writes: false, allow_unproven: false, restore: Vec::new() };
+        let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
+        let handle = handle.expect("a gauge");
+        let entry =
+            Entry { name: "BAT0".into(), handle: handle.clone(), scales: Scales::default(), knobs: None };
+        let access = Access { uid: 0, gid: 0, group: false };
+        let fs = Arc::new(Fs::new(vec![entry], access));
+        Self { clock, sim, handle, fs }
+    }
+
+    fn node(&self, path: &str) -> Node {
+        let names = ["BAT0"].into_iter().chain(path.split('/'));
+        names.fold(Node::Root, |folder, name| self.fs.lookup(folder, name).expect(path))
+    }
+
+    fn write(&self, path: &str, text: &str) -> Result<(), Errno> {
+        let (done, is_done) = mpsc::channel();
+        let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
+        self.fs.write(self.node(path), text.as_bytes(), answer);
+        is_done.recv().expect("an answer").map_err(|error| error.errno())
+    }
+
+    fn stage(&self, lines: &str) -> Result<(), Errno> {
+        self.write("df/transaction", lines)
+    }
+
+    fn read(&self, path: &str) -> Result<String, Errno> {
+        let (done, is_done) = mpsc::channel();
+        let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
+        self.fs.read(self.node(path), answer);
+        let bytes: Vec<u8> = is_done.recv().expect("an answer").map_err(|error| error.errno())?;
+        Ok(String::from_utf8(bytes).expect("text"))
+    }
+
+    fn count(&self, wanted: &str) -> u64 {
+        self.handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
+    }
+}
+
+fn tree(chip: &str) -> Tree {
+    Tree::new(chip, Keys::default())
+}
+
+/// Three parameters in two blocks, in one write: each block programmed once, one reset.
+#[test]
+fn each_block_is_programmed_once() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.stage("begin\n80/53 3100\n48/11 2200\n48/13 8000\ncommit\n"), Ok(()));
+    assert_eq!((tree.count("flash_writes"), tree.count("resets")), (2, 1));
+    for (path, text) in [("df/80/53", "3100\n"), ("df/48/11", "2200\n"), ("df/48/13", "8000\n")] {
+        assert_eq!(tree.read(path).as_deref(), Ok(text), "{path}");
+    }
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+    // What is there already costs nothing, and neither does what holds no change.
+    assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
+    assert_eq!(tree.stage("begin\ncommit"), Ok(()));
+    assert_eq!((tree.count("flash_writes"), tree.count("resets")), (2, 1));
+}
+
+#[test]
+fn a_flat_part_is_addressed_as_below_df() {
+    let tree = tree("bq34110");
+    assert_eq!(tree.stage("begin\nflash/0x41f5 3100\n"), Ok(()));
+    let staged = tree.read("df/transaction").expect("readable");
+    assert!(staged.ends_with(" -> 3100\n"), "{staged}");
+    assert_eq!(tree.stage("commit"), Ok(()));
+    assert_eq!(tree.read("df/flash/0x41f5").as_deref(), Ok("3100\n"));
+}
+
+/// A write with a line that is refused stages nothing, and the gauge hears of none of it.
+#[test]
+fn lines_are_checked_at_once() {
+    let tree = tree("bq34z100-g1");
+    let (flash, transfers) = (tree.sim.flash(), tree.count("transfers"));
+    for line in ["commit", "abort", "80/53 3100", "nonsense"] {
+        assert_eq!(tree.stage(line), Err(Errno::ENODATA), "{line}");
+    }
+    assert_eq!(tree.stage("begin\n80/53 9999\n"), Err(Errno::ERANGE));
+    assert_eq!(tree.stage("commit\n"), Err(Errno::ENODATA), "nothing was begun");
+    assert_eq!(tree.stage("begin\n"), Ok(()));
+    for (line, errno) in [
+        ("begin", Errno::EBUSY),
+        ("80/53", Errno::EINVAL),
+        ("80/53 abc", Errno::EINVAL),
+        ("80/53 3701", Errno::ERANGE),
+        ("80/54 1", Errno::EINVAL),
+        ("80 53 1", Errno::EINVAL),
+        ("112/0 0x0", Errno::EPERM),
+        ("104/14 0", Errno::ERANGE),
+        ("nonsense", Errno::EINVAL),
+        ("80/53 3100\n80/53 1", Errno::ERANGE),
+        ("commit\n80/53 3100", Errno::EINVAL),
+    ] {
+        assert_eq!(tree.stage(line), Err(errno), "{line}");
+        assert_eq!(tree.read("df/transaction").as_deref(), Ok(""), "{line}");
+    }
+    let long = "80/53 3100\n".repeat(50) + "80/53 31";
+    assert_eq!(tree.stage(&long), Err(Errno::EINVAL), "the last line may go on");
+    assert_eq!(tree.write("df/80/53", "3100"), Err(Errno::EBUSY));
+    assert_eq!(tree.stage("80/53 3200\n\n 80/53  0xc1c \n"), Ok(()));
+    assert_eq!(tree.stage("abort"), Ok(()));
+    assert_eq!(tree.count("transfers"), transfers, "nothing was sent");
+    assert!(tree.sim.flash() == flash);
+}
+
+#[test]
+fn an_unproven_row_is_not_staged() {
+    let tree = tree("bq34110");
+    let rows = Chip::by_name("bq34110").expect("a table").subclasses.iter();
+    let row = rows.flat_map(|row| row.parameters).find(|row| row.unproven).expect("there are some");
+    assert_eq!(tree.stage(&format!("begin\nflash/0x{:04x} 1\n", row.offset)), Err(Errno::EACCES));
+}
+
+#[test]
+fn after_ten_minutes_it_is_dropped() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
+    tree.clock.sleep(Duration::from_secs(590));
+    assert_eq!(tree.stage("begin"), Err(Errno::EBUSY));
+    tree.clock.sleep(Duration::from_secs(11));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODATA));
+    assert!(tree.handle.published().last_error.contains("10 minutes"));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3000\n"));
+    assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
+}
+
+/// The second block fails: the first is put back, and the transaction is over.
+#[test]
+fn all_or_none() {
+    let tree = tree("bq34z100-g1");
+    let flash = tree.sim.flash();
+    assert_eq!(tree.stage("begin\n80/53 3100\n48/11 2200\n"), Ok(()));
+    tree.sim.set("voltage_mv", "2700").expect("a knob");
+    assert_eq!(tree.stage("commit"), Err(Errno::EAGAIN));
+    tree.sim.set("voltage_mv", "3700").expect("a knob");
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODATA));
+    assert!(tree.sim.flash() == flash);
+    assert_eq!(tree.stage("begin\n80/53 3100\n48/11 2200\n"), Ok(()));
+    tree.sim.set("fault", "drop-commit").expect("a fault");
+    assert_eq!(tree.stage("commit"), Err(Errno::EIO));
+    assert!(tree.sim.flash() == flash);
+    assert_eq!(tree.read("gauge/seal").as_deref(), Ok("sealed\n"));
+}
+
+/// Without a key the old values are not known; what is staged is.
+#[test]
+fn a_sealed_gauge_refuses_the_commit() {
+    let tree = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
+    assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("Cell Terminate Voltage: - -> 3100\n"));
+    assert_eq!(tree.stage("commit"), Err(Errno::EPERM));
+}
