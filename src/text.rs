@@ -39,6 +39,15 @@ fn shortest(value: f64) -> String {
 /// that says what is allowed. Spaces around and a newline at the end are fine; numbers are decimal,
 /// `0x` or `0b`.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
+    parse_in(parameter, Some(&parameter.range), text)
+}
+
+/// The same for a value that stands in a gauge already, wherever it lies: only the type is asked for.
+pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
+    parse_in(parameter, None, text)
+}
+
+fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
     let outside = |what: &str, min: String, max: String| {
         let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
@@ -47,7 +56,7 @@ pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     let Some(text) = std::str::from_utf8(text).ok().map(str::trim).filter(|text| text.len() < 100) else {
         return Err(invalid(format!("not a value of type {}", parameter.kind)));
     };
-    match (parameter.kind, &parameter.range) {
+    match (parameter.kind, range) {
         (Type::S(size), _) => {
             if text.bytes().any(|byte| !(b' '..=b'~').contains(&byte)) {
                 return Err(invalid("only printable ASCII can be stored".into()));
@@ -61,7 +70,7 @@ pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
         (Type::F4, range) => {
             let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
             let value = value.ok_or_else(|| invalid(format!("`{text}` is not a number")))?;
-            if let Range::Float { min, max, .. } = range
+            if let Some(Range::Float { min, max, .. }) = range
                 && !(*min..=*max).contains(&value)
             {
                 return Err(outside(text, min.to_string(), max.to_string()));
@@ -75,8 +84,8 @@ pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
             let value = integer(text)
                 .ok_or_else(|| invalid(format!("`{text}` is not a whole number; write decimal, 0x or 0b")))?;
             let bounds = match range {
-                Range::Int { min, max, .. } => Some((*min, *max)),
-                Range::Float { .. } | Range::Text { .. } => kind.bounds(),
+                Some(Range::Int { min, max, .. }) => Some((*min, *max)),
+                Some(Range::Float { .. } | Range::Text { .. }) | None => kind.bounds(),
             };
             let (min, max) = bounds.expect("an integer type has bounds");
             match value {
@@ -164,5 +173,12 @@ mod tests {
         assert_eq!(render(Type::S(12), &Value::Text(b"Texas Inst.".to_vec())), "Texas Inst.");
         assert_eq!(render(Type::S(12), &Value::Text(b"a$(id)`\x1b".to_vec())), "a__id___");
         assert_eq!(parse(&CONFIG, b"0x01e1"), Ok(Value::Int(0x1e1)));
+    }
+
+    #[test]
+    fn what_stands_in_a_gauge_need_not_be_in_range() {
+        assert_eq!(parse_stored(&VOLTAGE, b"9999"), Ok(Value::Int(9999)));
+        assert_eq!(parse_stored(&VOLTAGE, b"99999").expect_err("no I2").errno(), Errno::ERANGE);
+        assert_eq!(parse_stored(&GAIN, b"41"), Ok(Value::Float(41.0)));
     }
 }
