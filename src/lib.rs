@@ -11,6 +11,7 @@ pub mod error;
 pub mod fs;
 pub mod fuse;
 pub mod gauge;
+pub mod image;
 pub mod json;
 pub mod keys;
 pub mod lock;

@@ -1,0 +1,450 @@
+//! Golden images: a gauge's configuration as a file, in three formats, and what two of them differ in.
+//!
+//! Nothing in here reaches a gauge but through the files of its mount. Keys are in no image: not read, not
+//! shown, not written, whatever a file holds.
+
+use std::fmt;
+use std::path::Path;
+
+use nix::errno::Errno;
+
+use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Subclass, kebab_case};
+use crate::codec;
+use crate::error::{Cause, Error, Result};
+use crate::text;
+use crate::value::Value;
+
+pub mod flashstream;
+pub mod ggcsv;
+pub mod toml;
+
+/// The formats of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Named values, fit for git.
+    Toml,
+    /// The table that bqStudio exports and imports.
+    GgCsv,
+    /// What a host sends to a gauge, transfer by transfer.
+    FlashStream,
+}
+
+/// The configuration of a gauge, or a part of it.
+#[derive(Debug)]
+pub struct Image {
+    /// What it is for.
+    pub chip: &'static Chip,
+    /// Control(FW_VERSION) of the gauge that it was read from, where that is told.
+    pub firmware: Option<u16>,
+    /// Values, in the table's order.
+    pub entries: Vec<Entry>,
+    /// What a reader should know beside the values, a line each.
+    pub notes: Vec<String>,
+}
+
+/// One value of an image.
+#[derive(Debug)]
+pub struct Entry {
+    /// Where it belongs.
+    pub subclass: &'static Subclass,
+    /// The parameter.
+    pub parameter: &'static Parameter,
+    /// Its value, of the parameter's type; whether in its range is another question.
+    pub value: Value,
+    /// The line of the file that it is from; 0 for a gauge's own.
+    pub line: usize,
+}
+
+/// One parameter that two images have different values for.
+#[derive(Debug)]
+pub struct Difference<'a> {
+    /// Its name, as `df/by-name` has it.
+    pub name: String,
+    /// The value of the first.
+    pub old: &'a Entry,
+    /// The value of the second.
+    pub new: &'a Entry,
+}
+
+/// What two images differ in.
+#[derive(Debug)]
+pub struct Comparison<'a> {
+    /// Parameters that both have, with different values.
+    pub differences: Vec<Difference<'a>>,
+    /// How many parameters only the first has.
+    pub only_first: usize,
+    /// How many parameters only the second has.
+    pub only_second: usize,
+}
+
+/// An error about a line of a file.
+fn at_line(line: usize, why: impl Into<String>) -> Error {
+    Error::new(format!("line {line}"), Cause::Invalid(why.into()))
+}
+
+impl Entry {
+    fn bytes(&self) -> Option<Vec<u8>> {
+        codec::encode(self.parameter.kind, &self.value)
+    }
+
+    /// The value as the parameter's file shows it.
+    pub fn text(&self) -> String {
+        text::render(self.parameter.kind, &self.value)
+    }
+
+    /// Whether an import writes it: not where its address is not sure, nor where the gauge itself has
+    /// learned what nobody may write. Any other value outside its range is an error, with line and
+    /// parameter.
+    pub fn is_imported(&self) -> Result<bool> {
+        match text::parse(self.parameter, self.text().as_bytes()) {
+            _ if self.parameter.unproven => Ok(false),
+            Ok(_) => Ok(true),
+            Err(_) if self.parameter.learned => Ok(false),
+            Err(error) => Err(error.within(&format!("line {}", self.line))),
+        }
+    }
+}
+
+impl fmt::Display for Difference<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} -> {}", self.name, self.old.text(), self.new.text())?;
+        if self.new.parameter.unit.is_empty() { Ok(()) } else { write!(f, " {}", self.new.parameter.unit) }
+    }
+}
+
+impl Image {
+    fn new(chip: &'static Chip, firmware: Option<u16>) -> Self {
+        Self { chip, firmware, entries: Vec::new(), notes: Vec::new() }
+    }
+
+    /// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does
+    /// not tell.
+    pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
+        let read = if path.is_dir() { Self::of_gauge(path) } else { Self::of_file(path, chip) };
+        read.map_err(|error| error.within(&path.display().to_string()))
+    }
+
+    fn of_file(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|error| Error::io("", "cannot be read", &error))?;
+        // Tools have left other encodings in comments and units, which nothing here depends on.
+        let text = String::from_utf8_lossy(&bytes);
+        Self::parse(&text, chip)
+    }
+
+    /// Reads the text of a file in any format, told apart by its first line.
+    pub fn parse(text: &str, chip: Option<&'static Chip>) -> Result<Self> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let mut image = match format_of(text) {
+            Format::Toml => toml::parse(text, chip),
+            Format::GgCsv => ggcsv::parse(text, chip),
+            Format::FlashStream => flashstream::parse(text, chip),
+        }?;
+        let place = |entry: &Entry| {
+            image.chip.subclasses.iter().position(|row| std::ptr::eq(row, entry.subclass)).unwrap_or(0)
+        };
+        image.entries.sort_by_key(|entry| (place(entry), entry.parameter.offset));
+        if let Some(firmware) = image.firmware
+            && !fits(image.chip.identity.firmware, firmware)
+        {
+            let why = format!("firmware 0x{firmware:04x} is not one that the {} has", image.chip.model);
+            return Err(Error::new("", Cause::Invalid(why)));
+        }
+        Ok(image)
+    }
+
+    /// Reads a mounted gauge.
+    fn of_gauge(folder: &Path) -> Result<Self> {
+        let read = |name: &str| {
+            let text = std::fs::read_to_string(folder.join(name));
+            text.map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
+                Some(Errno::ENOENT) => {
+                    let why = "is not there; this is not a mounted gauge's folder with data flash";
+                    Error::host(name, Errno::ENOENT, why)
+                }
+                _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
+            })
+        };
+        let model = read("model_name")?;
+        let chip = CHIPS.iter().find(|chip| chip.model == model.trim()).ok_or_else(|| {
+            let why = format!("no gauge that gaugefs knows: {}", model.trim());
+            Error::new("model_name", Cause::Gone(why))
+        })?;
+        let firmware = read("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
+        let mut image = Self::new(chip, firmware);
+        for (number, line) in (1..).zip(read("df/index")?.lines()).skip(1) {
+            let fields: Vec<&str> = line.split('\t').collect();
+            let [id, offset, .., text] = fields.as_slice() else {
+                return Err(at_line(number, "not a line of df/index"));
+            };
+            let row = locate(chip, id, offset);
+            let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
+            if *text == "-" || subclass.kind == Kind::Security {
+                continue;
+            }
+            let value = text::parse_stored(parameter, text.as_bytes())?;
+            image.entries.push(Entry { subclass, parameter, value, line: 0 });
+        }
+        Ok(image)
+    }
+
+    /// The image in a format. A FlashStream needs the bytes between parameters as well, for which the
+    /// gauge's folder is asked.
+    pub fn write(&self, format: Format, gauge: &Path) -> Result<String> {
+        match format {
+            Format::Toml => Ok(toml::write(self)),
+            Format::GgCsv => Ok(ggcsv::write(self)),
+            Format::FlashStream => flashstream::write(self, |id| {
+                let file = gauge.join(format!("df/{id}/raw"));
+                std::fs::read(&file)
+                    .map_err(|error| Error::io(file.display().to_string(), "cannot be read", &error))
+            }),
+        }
+    }
+
+    fn add(&mut self, subclass: &'static Subclass, parameter: &'static Parameter, value: Value, line: usize) {
+        self.entries.push(Entry { subclass, parameter, value, line });
+    }
+
+    /// The name of a parameter as `df/by-name` has it.
+    pub fn name(&self, entry: &Entry) -> String {
+        format!("{}/{}", self.chip.class_dir(entry.subclass), kebab_case(entry.parameter.name))
+    }
+
+    /// What another image of the same chip has different values for. A file need not hold everything:
+    /// what only one of the two has is counted, and is no difference.
+    pub fn compare<'a>(&'a self, new: &'a Image) -> Result<Comparison<'a>> {
+        if !std::ptr::eq(self.chip, new.chip) {
+            let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
+            return Err(Error::new("", Cause::Invalid(why)));
+        }
+        // Subclasses may share their rows.
+        let same = |one: &Entry, other: &Entry| {
+            std::ptr::eq(one.subclass, other.subclass) && one.parameter.offset == other.parameter.offset
+        };
+        let mut differences = Vec::new();
+        let mut both = 0;
+        for old in &self.entries {
+            let Some(new) = new.entries.iter().find(|entry| same(entry, old)) else { continue };
+            both += 1;
+            if old.bytes() != new.bytes() {
+                differences.push(Difference { old, new, name: self.name(old) });
+            }
+        }
+        let (only_first, only_second) = (self.entries.len() - both, new.entries.len() - both);
+        Ok(Comparison { differences, only_first, only_second })
+    }
+}
+
+/// The format of a text, by its first line that is not blank and no comment of all formats' kind.
+fn format_of(text: &str) -> Format {
+    let first = text.split(['\r', '\n']).map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
+    let mut letters = first.chars();
+    match (letters.next(), letters.next()) {
+        (Some('*'), _) => Format::GgCsv,
+        (Some(';' | ':'), _) | (Some('A'..='Z' | 'a'..='z'), Some(':')) => Format::FlashStream,
+        _ => Format::Toml,
+    }
+}
+
+/// The row of a subclass and an offset as `df` names them.
+fn locate(chip: &'static Chip, id: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
+    let (id, offset) = match (id, offset.strip_prefix("0x")) {
+        ("flash", Some(digits)) => (FLAT, u16::from_str_radix(digits, 16).ok()?),
+        (id, _) => (id.parse().ok()?, offset.parse().ok()?),
+    };
+    let mut alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
+    alike.find_map(|subclass| Some((subclass, subclass.parameter(offset)?)))
+}
+
+fn fits(known: &[u16], code: u16) -> bool {
+    known.is_empty() || known.contains(&code)
+}
+
+/// A word in hexadecimal, with or without `0x`.
+fn word(text: &str) -> Option<u16> {
+    u16::from_str_radix(text.strip_prefix("0x").unwrap_or(text), 16).ok()
+}
+
+/// The chip that a file is for, from what it says of device type and firmware and from what is known
+/// otherwise. A contradiction is an error.
+fn chip_of(
+    told: Option<&'static Chip>,
+    device_type: Option<u16>,
+    firmware: Option<u16>,
+) -> Result<&'static Chip> {
+    let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+    let is = |chip: &Chip| {
+        device_type.is_none_or(|code| chip.identity.device_type == code)
+            && firmware.is_none_or(|code| fits(chip.identity.firmware, code))
+    };
+    let codes = || {
+        let code = |what: &str, code: Option<u16>| code.map(|code| format!("{what} 0x{code:04x}"));
+        let codes = [code("device type", device_type), code("firmware", firmware)];
+        codes.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    };
+    if let Some(chip) = told {
+        return if is(chip) {
+            Ok(chip)
+        } else {
+            invalid(format!("it is for {}, which a {} is not", codes(), chip.model))
+        };
+    }
+    if device_type.is_none() {
+        return invalid("it does not say which gauge it is for; name it with --chip".into());
+    }
+    // A part that names the firmware is meant rather than one of which none is known.
+    let names = |known: &[u16]| firmware.is_some_and(|code| known.contains(&code));
+    let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| is(chip)).collect();
+    if chips.iter().any(|chip| names(chip.identity.firmware)) {
+        chips.retain(|chip| names(chip.identity.firmware));
+    }
+    let relative = SIBLINGS.iter().find(|sibling| {
+        let (of_type, known) = (device_type == Some(sibling.identity.device_type), sibling.identity.firmware);
+        of_type && (names(known) || known.is_empty() && chips.is_empty())
+    });
+    if let ([], Some(relative)) = (chips.as_slice(), relative) {
+        let name = relative.name;
+        return invalid(format!("it is for {}: a {name}, of whose data flash gaugefs has no table", codes()));
+    }
+    let names = chips.iter().map(|chip| chip.name).chain(relative.map(|relative| relative.name));
+    match (chips.as_slice(), relative) {
+        ([chip], None) => Ok(chip),
+        ([], _) => invalid(format!("it is for {}: no gauge that gaugefs knows", codes())),
+        _ => {
+            let names = names.collect::<Vec<_>>().join(" or ");
+            invalid(format!("it is for {}: {names}; choose with --chip", codes()))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chip::{Range, Scheme};
+
+    /// What a gauge would hold with the manual's defaults.
+    pub(super) fn defaults(chip: &'static Chip) -> Image {
+        let mut image = Image::new(chip, chip.identity.firmware.first().copied());
+        for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
+            for parameter in subclass.parameters {
+                let value = match &parameter.range {
+                    Range::Int { min, default, .. } => Value::Int(default.unwrap_or(*min)),
+                    Range::Float { min, default, .. } => Value::Float(default.unwrap_or(*min)),
+                    Range::Text { default } => Value::Text(default.unwrap_or_default().into()),
+                };
+                image.add(subclass, parameter, value, 0);
+            }
+        }
+        image
+    }
+
+    /// The image as text; the bytes between parameters are 0xff.
+    pub(super) fn written(image: &Image, format: Format) -> String {
+        match format {
+            Format::Toml => toml::write(image),
+            Format::GgCsv => ggcsv::write(image),
+            Format::FlashStream => flashstream::write(image, |id| {
+                let length = image.chip.subclass(id).expect("a subclass").length;
+                let mut bytes = vec![0xff; length.into()];
+                for entry in image.entries.iter().filter(|entry| entry.subclass.id == id) {
+                    let at = usize::from(entry.parameter.offset);
+                    bytes[at..at + entry.parameter.kind.size()]
+                        .copy_from_slice(&entry.bytes().expect("it fits"));
+                }
+                Ok(bytes)
+            })
+            .expect("every value fits"),
+        }
+    }
+
+    const FORMATS: [Format; 3] = [Format::Toml, Format::GgCsv, Format::FlashStream];
+
+    #[test]
+    fn every_format_holds_what_was_written() {
+        for chip in CHIPS {
+            let image = defaults(chip);
+            for format in FORMATS {
+                let text = written(&image, format);
+                let again =
+                    Image::parse(&text, None).unwrap_or_else(|error| panic!("{}: {error}", chip.name));
+                assert!(std::ptr::eq(again.chip, *chip));
+                let compared = image.compare(&again).expect("one chip");
+                let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
+                assert!(differences.is_empty(), "{} {format:?}: {differences:?}", chip.name);
+                // A flat part's FlashStream leaves out what is not proven.
+                let may_lack = format == Format::FlashStream && chip.access.scheme == Scheme::Mac;
+                assert!(compared.only_first == 0 || may_lack, "{} {format:?}", chip.name);
+                assert_eq!(compared.only_second, 0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_difference_is_told_by_name() {
+        let old = defaults(CHIPS[0]);
+        let text = written(&old, Format::Toml)
+            .replace("cell-terminate-voltage = 3000", "cell-terminate-voltage = 3100");
+        let new = Image::parse(&text, None).expect("an image");
+        let compared = old.compare(&new).expect("one chip");
+        let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
+        assert_eq!(differences, ["it-cfg/cell-terminate-voltage: 3000 -> 3100 mV"]);
+    }
+
+    #[test]
+    fn gauges_of_two_kinds_are_not_compared() {
+        let error = defaults(CHIPS[0]).compare(&defaults(CHIPS[2])).expect_err("two chips").to_string();
+        assert_eq!(error, "one is for a bq34z100-G1, the other for a bq27441-G1");
+    }
+
+    #[test]
+    fn a_file_for_another_gauge_is_refused() {
+        let text = written(&defaults(CHIPS[0]), Format::Toml);
+        for (from, to, says) in [
+            ("0x0016", "0x0017", "device type 0x0100, firmware 0x0017, which a bq34z100-G1 is not"),
+            ("chip = \"bq34z100-g1\"", "chip = \"bq27441-g1\"", "which a bq27441-G1 is not"),
+            ("chip = \"bq34z100-g1\"", "", ""),
+        ] {
+            let outcome = Image::parse(&text.replacen(from, to, 1), None).map(drop);
+            let error = outcome.err().map_or(String::new(), |error| error.to_string());
+            assert!(error.contains(says) && error.is_empty() == says.is_empty(), "{from}: {error}");
+        }
+        let why =
+            "device type 0x0421, firmware 0x0109: bq27441-g1 or bq27421-g1 or bq27411-G1; choose with --chip";
+        let ambiguous = Image::parse("device_type = 0x0421\nfirmware = 0x0109\n", None);
+        assert!(ambiguous.expect_err("two chips").to_string().ends_with(why));
+        let relative = Image::parse("device_type = 0x0426\n", None).expect_err("no table").to_string();
+        assert!(relative.contains("a bq27426, of whose data flash gaugefs has no table"), "{relative}");
+    }
+
+    /// Whatever a file holds, it is an image or an error.
+    #[test]
+    fn garbage_is_refused_without_a_panic() {
+        let mut seed = 1u64;
+        let mut random = move |below: usize| {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 33) as usize % below
+        };
+        for chip in [CHIPS[0], CHIPS[2], CHIPS[5]] {
+            for format in FORMATS {
+                let whole = written(&defaults(chip), format).into_bytes();
+                for _ in 0..50 {
+                    let mut bytes = whole.clone();
+                    for _ in 0..=random(4) {
+                        let at = random(bytes.len());
+                        let letters = b"\n\r\t ;:*=[]#\",.0xfFWCX-\xff\x00e9";
+                        bytes[at] = letters[random(letters.len())];
+                    }
+                    if random(3) == 0 {
+                        bytes.truncate(random(whole.len()));
+                    }
+                    let text = String::from_utf8_lossy(&bytes);
+                    let _ = Image::parse(&text, None);
+                    let _ = Image::parse(&text, Some(chip));
+                }
+            }
+        }
+        for text in ["", "\n", ";", "*", ":", "W:", "X:", "W: AA", "* Field Order:", "[", "\u{feff}"] {
+            let _ = Image::parse(text, Some(CHIPS[0]));
+        }
+    }
+}

@@ -1,0 +1,638 @@
+//! An image as FlashStream: what a host sends to a gauge, transfer by transfer.
+//!
+//! A file is never replayed. It is read as the gauge would read it, down to the parameters that would then
+//! have other values; whatever else it would do to a gauge is refused, with the line.
+
+use std::collections::BTreeMap;
+
+use super::{Image, at_line, chip_of};
+use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
+use crate::codec::{self, WINDOW, checksum};
+use crate::error::{Cause, Error, Result};
+
+/// The gauge's address as FlashStream has it: shifted left by one.
+const GAUGE: u8 = 0xaa;
+/// The address of a gauge in ROM mode, likewise.
+const ROM: u8 = 0x16;
+/// Control(ROM_MODE) of every gauge of the family.
+const ROM_MODE: u16 = 0x0f00;
+const DEVICE_TYPE: u16 = 0x0001;
+const FW_VERSION: u16 = 0x0002;
+const SET_CFGUPDATE: u16 = 0x0013;
+const RESET: u16 = 0x0041;
+const SOFT_RESET: u16 = 0x0042;
+/// Control().
+const CONTROL: u8 = 0x00;
+/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
+const SELECT: u8 = 0x3e;
+/// BlockData(), or MACData().
+const DATA: u8 = 0x40;
+/// BlockDataChecksum(), or MACDataSum().
+const SUM: u8 = 0x60;
+/// BlockDataControl(), or MACDataLen().
+const LENGTH: u8 = 0x61;
+/// What MACDataLen() counts beside the data.
+const OVERHEAD: u8 = 4;
+/// The comment that names the chip: device type and firmware do not tell all of them apart.
+const CHIP_LINE: &str = "; gaugefs chip";
+/// Bytes of a row after the register, as bqStudio bounds them.
+const LONGEST: usize = 96;
+
+/// One line of a FlashStream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Command {
+    Write { address: u8, register: u8, bytes: Vec<u8> },
+    Compare { address: u8, register: u8, bytes: Vec<u8> },
+    Read { address: u8 },
+    Wait,
+}
+
+/// The lines that are commands, with their numbers.
+fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
+    let text = text.replace("\r\n", "\n").replace('\r', "\n");
+    let mut commands = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.trim();
+        if !line.is_empty() && !line.starts_with(';') {
+            commands.push((number, command(line).map_err(|why| at_line(number, why))?));
+        }
+    }
+    Ok(commands)
+}
+
+fn command(line: &str) -> Result<Command, String> {
+    // The line itself is not repeated: it may hold key words.
+    let Some((letter, rest)) = line.split_once(':') else {
+        return Err("not a line of a FlashStream; they begin with W:, C:, R:, X: or ;".into());
+    };
+    if letter.eq_ignore_ascii_case("X") {
+        let decimal = rest.trim().parse::<u32>();
+        return decimal.map(|_| Command::Wait).map_err(|_| "X: wants a number of milliseconds".into());
+    }
+    let bytes: Option<Vec<u8>> = rest.split_ascii_whitespace().map(byte).collect();
+    let bytes = bytes.ok_or("bytes are two hexadecimal digits each, with spaces between")?;
+    let [address, register, ref data @ ..] = bytes[..] else {
+        return Err("address, register and at least one byte are wanted".into());
+    };
+    if data.is_empty() {
+        return Err("address, register and at least one byte are wanted".into());
+    }
+    if data.len() > LONGEST {
+        return Err(format!("{} bytes, where a row holds {LONGEST} at most", data.len()));
+    }
+    let bytes = data.to_vec();
+    match letter.trim() {
+        "W" | "w" => Ok(Command::Write { address, register, bytes }),
+        "C" | "c" => Ok(Command::Compare { address, register, bytes }),
+        "R" | "r" => Ok(Command::Read { address }),
+        _ => Err("not a command of a FlashStream; they are W:, C:, R: and X:".into()),
+    }
+}
+
+fn byte(digits: &str) -> Option<u8> {
+    let two = digits.len() == 2 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    two.then(|| u8::from_str_radix(digits, 16).ok()).flatten()
+}
+
+/// Reads what a FlashStream would change.
+pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
+    let commands = commands(text)?;
+    for (number, command) in &commands {
+        check_address(*number, command)?;
+    }
+    let named = text.lines().find_map(|line| line.trim().strip_prefix(CHIP_LINE));
+    let named = named.and_then(|name| Chip::by_name(name.trim()));
+    if let (Some(named), Some(told)) = (named, told)
+        && !std::ptr::eq(named, told)
+    {
+        return Err(at_line(1, format!("it is for a {}, not for a {}", named.model, told.model)));
+    }
+    let device_type = answer(&commands, DEVICE_TYPE);
+    let firmware = answer(&commands, FW_VERSION);
+    let codes = (device_type.map(|(_, code)| code), firmware.map(|(_, code)| code));
+    let chip = chip_of(named.or(told), codes.0, codes.1).map_err(|error| match device_type {
+        Some((number, _)) => error.within(&format!("line {number}")),
+        None => error,
+    })?;
+    let mut image = Image::new(chip, codes.1);
+    let mut stream = Stream::new(chip);
+    for (at, (number, command)) in commands.iter().enumerate() {
+        if let Command::Write { register, bytes, .. } = command {
+            let next = commands.get(at + 1).map(|(_, next)| next);
+            stream.write(*number, *register, bytes, next).map_err(|why| at_line(*number, why))?;
+        }
+        if let Command::Compare { register, bytes, .. } = command {
+            stream.compare(*register, bytes).map_err(|why| at_line(*number, why))?;
+        }
+    }
+    if let Some(number) = stream.pending {
+        return Err(at_line(number, "these bytes are never committed by a checksum"));
+    }
+    stream.into_image(&mut image)?;
+    match (device_type, firmware) {
+        (Some((one, _)), Some((other, _))) => {
+            image.notes.insert(0, format!("device type and firmware are checked in lines {one} and {other}"));
+        }
+        _ => image.notes.insert(0, "device type and firmware are not both checked by the file".into()),
+    }
+    Ok(image)
+}
+
+fn check_address(number: usize, command: &Command) -> Result<()> {
+    let address = match command {
+        Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
+            *address
+        }
+        Command::Wait => return Ok(()),
+    };
+    match address {
+        GAUGE => match command {
+            Command::Write { register: CONTROL | SELECT, bytes, .. }
+                if bytes[..] == ROM_MODE.to_le_bytes() =>
+            {
+                Err(at_line(number, "Control(ROM_MODE): the gauge's firmware would be written; never done"))
+            }
+            _ => Ok(()),
+        },
+        ROM | 0x0b => Err(at_line(
+            number,
+            "address 0x16 is the gauge in ROM mode, where its firmware is written; never done",
+        )),
+        other => Err(at_line(number, format!("address 0x{other:02x} is not the gauge's, which is AA"))),
+    }
+}
+
+/// What the file expects as the answer to a subcommand, and the line that says so.
+fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, u16)> {
+    let asks = |command: &Command| match command {
+        Command::Write { register: CONTROL | SELECT, bytes, .. } => bytes[..] == code.to_le_bytes(),
+        _ => false,
+    };
+    let at = commands.iter().position(|(_, command)| asks(command))?;
+    // Waits may stand between.
+    let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
+    match next {
+        // The echo of ManufacturerAccessControl() comes first.
+        Command::Compare { register: SELECT, bytes, .. } if bytes.len() == 4 => {
+            Some((*number, u16::from_le_bytes([bytes[2], bytes[3]])))
+        }
+        Command::Compare { register: CONTROL | DATA, bytes, .. } if bytes.len() == 2 => {
+            Some((*number, u16::from_le_bytes([bytes[0], bytes[1]])))
+        }
+        _ => None,
+    }
+}
+
+/// A gauge as far as a FlashStream sees one: what is selected, the window, and what has been committed.
+struct Stream {
+    chip: &'static Chip,
+    class: Option<u8>,
+    block: u8,
+    address: Option<u16>,
+    window: BTreeMap<u8, u8>,
+    sum: u8,
+    /// The line of bytes in the window that are not committed yet.
+    pending: Option<usize>,
+    half_key: bool,
+    /// Data flash by subclass and offset: each byte, and the line that it is from.
+    stored: BTreeMap<(u8, u16), (u8, usize)>,
+    sums: BTreeMap<(u8, u8), u8>,
+    notes: Vec<String>,
+}
+
+impl Stream {
+    fn new(chip: &'static Chip) -> Self {
+        Self {
+            chip,
+            class: None,
+            block: 0,
+            address: None,
+            window: BTreeMap::new(),
+            sum: 0,
+            pending: None,
+            half_key: false,
+            stored: BTreeMap::new(),
+            sums: BTreeMap::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    fn is_mac(&self) -> bool {
+        self.chip.access.scheme == Scheme::Mac
+    }
+
+    fn write(
+        &mut self,
+        line: usize,
+        register: u8,
+        bytes: &[u8],
+        next: Option<&Command>,
+    ) -> Result<(), String> {
+        let mut from = register;
+        let mut bytes = bytes;
+        if register == CONTROL || (register == SELECT && self.is_mac()) {
+            let [low, high, rest @ ..] = bytes else {
+                return Err("half a word; gaugefs reads words written in one line only".into());
+            };
+            let word = u16::from_le_bytes([*low, *high]);
+            if register == SELECT && self.is_flash(word) {
+                self.select()?;
+                self.address = Some(word);
+                (from, bytes) = (DATA, rest);
+            } else {
+                return self.control(line, word, rest, next);
+            }
+        }
+        for (at, &byte) in bytes.iter().enumerate() {
+            let register = usize::from(from) + at;
+            match u8::try_from(register).unwrap_or(u8::MAX) {
+                SELECT if !self.is_mac() => {
+                    self.select()?;
+                    (self.class, self.block) = (Some(byte), 0);
+                }
+                0x3f if !self.is_mac() => {
+                    self.select()?;
+                    self.block = byte;
+                }
+                register @ DATA..SUM => {
+                    self.window.insert(register - DATA, byte);
+                    self.pending = Some(line);
+                }
+                SUM if self.is_mac() => self.sum = byte,
+                LENGTH if self.is_mac() => self.commit_mac(line, byte)?,
+                SUM => self.commit_block(line, byte)?,
+                LENGTH if byte == 0 => {}
+                LENGTH => return Err("BlockDataControl() other than 0 does not lead to data flash".into()),
+                _ => return Err(format!("register 0x{register:02x} is none that configures a gauge")),
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a word is an address between the first and the last documented byte of a flat data flash.
+    fn is_flash(&self, word: u16) -> bool {
+        let flat = || self.chip.subclasses.iter().filter(|subclass| subclass.id == FLAT);
+        let first = flat().map(Subclass::start).min();
+        let last = flat().map(|subclass| subclass.start() + (subclass.length - 1)).max();
+        first.zip(last).is_some_and(|(first, last)| (first..=last).contains(&word))
+    }
+
+    fn select(&mut self) -> Result<(), String> {
+        if let Some(line) = self.pending {
+            return Err(format!(
+                "the bytes of line {line} are not committed before the next block is chosen"
+            ));
+        }
+        self.window.clear();
+        Ok(())
+    }
+
+    /// A word for Control(). Key words are not shown, whatever is wrong with them.
+    fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
+        if std::mem::take(&mut self.half_key) && rest.is_empty() {
+            return Ok(());
+        }
+        let known = |code: u16| self.chip.subcommands.iter().find(|row| row.code == code);
+        let Some(subcommand) = known(word) else {
+            let second = |bytes: &[u8]| bytes.len() == 2;
+            let follows = matches!(next, Some(Command::Write { register: CONTROL | SELECT, bytes, .. }) if second(bytes));
+            let pair = second(rest) || rest.is_empty() && follows;
+            if !pair {
+                let model = self.chip.model;
+                return Err(format!("no subcommand of a {model}, and no pair of key words (not shown)"));
+            }
+            self.half_key = rest.is_empty();
+            self.notes.push(format!("line {line}: key words; an import uses the keys of the mount"));
+            return Ok(());
+        };
+        if !rest.is_empty() {
+            return Err(format!("more than a word for {}", subcommand.name));
+        }
+        match subcommand.effect {
+            Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
+            Effect::Answers => Ok(()),
+            Effect::Guarded
+                if [SET_CFGUPDATE, RESET, SOFT_RESET, self.chip.security.seal].contains(&word) =>
+            {
+                self.notes.push(format!("line {line}: {}; an import does it by itself", subcommand.name));
+                Ok(())
+            }
+            Effect::Safe | Effect::Guarded => {
+                self.notes.push(format!("line {line}: {}; an import does not send it", subcommand.name));
+                Ok(())
+            }
+        }
+    }
+
+    fn commit_block(&mut self, line: usize, sum: u8) -> Result<(), String> {
+        let Some(class) = self.class else { return Err("a checksum before any subclass is chosen".into()) };
+        self.pending = None;
+        let window = std::mem::take(&mut self.window);
+        if window.len() == WINDOW {
+            let bytes: Vec<u8> = window.values().copied().collect();
+            check_sum(sum, checksum(&bytes))?;
+        }
+        self.sums.insert((class, self.block), sum);
+        let Some(subclass) = self.chip.subclass(class) else {
+            return Err(format!("a {} has no subclass {class} that is documented", self.chip.model));
+        };
+        if subclass.kind == Kind::Security {
+            self.notes.push(format!("line {line}: keys; left out"));
+            return Ok(());
+        }
+        let start = u16::from(self.block) * WINDOW as u16;
+        for (at, byte) in window {
+            self.stored.insert((class, start + u16::from(at)), (byte, line));
+        }
+        Ok(())
+    }
+
+    fn commit_mac(&mut self, line: usize, length: u8) -> Result<(), String> {
+        let Some(address) = self.address else { return Err("MACDataLen() before any address".into()) };
+        self.pending = None;
+        let window = std::mem::take(&mut self.window);
+        let whole = window.keys().copied().eq(0..window.len() as u8);
+        if !whole || usize::from(length) != window.len() + usize::from(OVERHEAD) {
+            let want = window.len() + usize::from(OVERHEAD);
+            return Err(format!("MACDataLen() is {length}, where {want} bytes count; a gauge drops them"));
+        }
+        let bytes: Vec<u8> = window.into_values().collect();
+        check_sum(self.sum, mac_sum(address, &bytes))?;
+        let mut documented = bytes.is_empty();
+        for (at, byte) in (0u16..).zip(bytes) {
+            let address = address.checked_add(at).ok_or("behind the last address")?;
+            let within = |subclass: &&Subclass| {
+                subclass.id == FLAT
+                    && address >= subclass.start()
+                    && address - subclass.start() < subclass.length
+            };
+            let mut at = self.chip.subclasses.iter().filter(within);
+            let kind = at.next().map(|subclass| subclass.kind);
+            documented |= kind.is_some();
+            if kind == Some(Kind::Security) {
+                let note = format!("line {line}: keys; left out");
+                if self.notes.last() != Some(&note) {
+                    self.notes.push(note);
+                }
+            } else {
+                self.stored.insert((FLAT, address), (byte, line));
+            }
+        }
+        if documented {
+            return Ok(());
+        }
+        Err(format!("address 0x{address:04x} is none that is documented for a {}", self.chip.model))
+    }
+
+    fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
+        let (SUM, [told, ..], false, Some(class)) = (register, bytes, self.is_mac(), self.class) else {
+            return Ok(());
+        };
+        match self.sums.get(&(class, self.block)) {
+            Some(sum) if sum != told => {
+                Err(format!("checksum 0x{told:02x} is expected, where the file wrote 0x{sum:02x}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn into_image(mut self, image: &mut Image) -> Result<()> {
+        for subclass in self.chip.subclasses {
+            for parameter in subclass.parameters {
+                let offsets = parameter.offset..parameter.offset + parameter.kind.size() as u16;
+                let found: Vec<_> =
+                    offsets.filter_map(|offset| self.stored.remove(&(subclass.id, offset))).collect();
+                let Some(&(_, line)) = found.first() else { continue };
+                if found.len() < parameter.kind.size() {
+                    return Err(at_line(line, format!("{}: only a part of it is written", parameter.name)));
+                }
+                let bytes: Vec<u8> = found.iter().map(|(byte, _)| *byte).collect();
+                image.add(subclass, parameter, codec::decode(parameter.kind, &bytes), line);
+            }
+        }
+        image.notes.append(&mut self.notes);
+        if !self.stored.is_empty() {
+            let count = self.stored.len();
+            image
+                .notes
+                .push(format!("{count} bytes of no documented parameter; an import leaves them alone"));
+        }
+        Ok(())
+    }
+}
+
+fn check_sum(told: u8, sum: u8) -> Result<(), String> {
+    if told == sum {
+        return Ok(());
+    }
+    Err(format!("checksum 0x{told:02x}, where the bytes add up to 0x{sum:02x}; a gauge drops them"))
+}
+
+/// MACDataSum(): the complement of the sum of address and data.
+fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
+    let [low, high] = address.to_le_bytes();
+    checksum(bytes).wrapping_sub(low).wrapping_sub(high)
+}
+
+/// The image as text. `raw` is asked for all bytes of a subclass, from its first to its last documented
+/// one: a block is committed whole.
+pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
+    let chip = image.chip;
+    let access = &chip.access;
+    let wait = |time: std::time::Duration| format!("X: {}\n", time.as_millis().max(5));
+    let mut text = format!("; {} configuration, by gaugefs export\n{CHIP_LINE} {}\n", chip.model, chip.name);
+    text += "; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n";
+    let check = |code: u16, answer: u16| {
+        let ask = row('W', CONTROL, &code.to_le_bytes());
+        ask + &wait(access.select) + &row('C', chip.identity.answer, &answer.to_le_bytes())
+    };
+    text += &check(DEVICE_TYPE, chip.identity.device_type);
+    if let Some(firmware) = image.firmware {
+        text += &check(FW_VERSION, firmware);
+    }
+    if access.scheme == Scheme::CfgUpdate {
+        text += &row('W', CONTROL, &SET_CFGUPDATE.to_le_bytes());
+        text += &wait(access.enter.max(std::time::Duration::from_millis(1100)));
+    }
+    if access.scheme == Scheme::Mac {
+        for (address, bytes) in runs(image)? {
+            let select = row('W', SELECT, &address.to_le_bytes()) + &wait(access.select);
+            text += &select;
+            text += &row('W', DATA, &bytes);
+            text += &row('W', SUM, &[mac_sum(address, &bytes), bytes.len() as u8 + OVERHEAD]);
+            text += &wait(access.commit);
+            text += &select;
+            text += &row('C', DATA, &bytes);
+        }
+    } else {
+        text += "; Behind the last documented byte of a subclass its block is filled with 00.\n";
+        text += &row('W', LENGTH, &[0]);
+        let mut last = None;
+        for entry in &image.entries {
+            let id = entry.subclass.id;
+            if last.replace(id) == Some(id) {
+                continue;
+            }
+            text += &format!("; {}\n", chip.class_dir(entry.subclass));
+            for (block, bytes) in (0u8..).zip(raw(id)?.chunks(WINDOW)) {
+                let mut window = [0; WINDOW];
+                window[..bytes.len()].copy_from_slice(bytes);
+                let select = row('W', SELECT, &[id, block]) + &wait(access.select);
+                text += &select;
+                text += &row('W', DATA, &window);
+                text += &row('W', SUM, &[checksum(&window)]);
+                text += &wait(access.commit);
+                text += &select;
+                text += &row('C', SUM, &[checksum(&window)]);
+            }
+        }
+    }
+    let reset = if access.scheme == Scheme::CfgUpdate { SOFT_RESET } else { RESET };
+    text += &row('W', CONTROL, &reset.to_le_bytes());
+    Ok(text + &wait(access.reset_limit))
+}
+
+fn row(letter: char, register: u8, bytes: &[u8]) -> String {
+    let bytes: String = bytes.iter().map(|byte| format!(" {byte:02X}")).collect();
+    format!("{letter}: {GAUGE:02X} {register:02X}{bytes}\n")
+}
+
+/// The parameters of a flat data flash, those that are next to each other as one, as far as a window goes.
+/// What is not proven is not written.
+fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
+    let mut entries: Vec<_> = image.entries.iter().filter(|entry| !entry.parameter.unproven).collect();
+    entries.sort_by_key(|entry| entry.parameter.offset);
+    let mut runs: Vec<(u16, Vec<u8>)> = Vec::new();
+    for entry in entries {
+        let bytes = entry.bytes().ok_or_else(|| {
+            Error::new(entry.parameter.name, Cause::Invalid("its value does not fit its type".into()))
+        })?;
+        let offset = entry.parameter.offset;
+        match runs.last_mut() {
+            Some((start, run))
+                if usize::from(offset - *start) == run.len() && run.len() + bytes.len() <= WINDOW =>
+            {
+                run.extend(bytes);
+            }
+            _ => runs.push((offset, bytes)),
+        }
+    }
+    Ok(runs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(chip: &str, text: &str) -> Result<(Vec<String>, Vec<String>)> {
+        let image = parse(text, Chip::by_name(chip))?;
+        let entries = image.entries.iter();
+        let entries = entries.map(|entry| format!("{} {} {}", entry.line, image.name(entry), entry.text()));
+        Ok((entries.collect(), image.notes))
+    }
+
+    /// The identity lines of a bq27441-G1, key words, CONFIG UPDATE, a block, in the manner of TI's files:
+    /// carriage returns, X: without a space, lower case, tabs.
+    const STREAM: &str = "; a comment\r\nW: AA 00 00 80\r\nW: AA 00 00 80\r\nX:10\r\nW: AA 00 01 00\r\n\
+        C: AA 00 21 04\r\nW: AA 00 02 00\r\nC: AA 00 09 01\r\nW: AA 00 13 00\r\nX: 1100\r\n\
+        W: AA 61 00\r\nw: aa\t3e 44 00\r\n\
+        W: AA 40 00 00 00 00 00 00 00 00 03 20 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00  \r\n\
+        W: AA 60 DC\r\nX: 10\r\nW: AA 3E 44 00\r\nC: AA 60 DC\r\nW: AA 00 42 00\r\nX: 2000";
+
+    #[test]
+    fn a_block_is_read_as_its_parameters() {
+        let (entries, notes) = read("bq27441-g1", STREAM).expect("an image");
+        assert!(entries.iter().all(|entry| entry.starts_with("14 power/")), "{entries:?}");
+        assert!(!entries.is_empty());
+        assert_eq!(notes[0], "device type and firmware are checked in lines 6 and 8");
+        assert_eq!(notes[1], "line 2: key words; an import uses the keys of the mount");
+        assert_eq!(notes[2], "line 9: SET_CFGUPDATE; an import does it by itself");
+        assert_eq!(notes[3], "line 18: SOFT_RESET; an import does it by itself");
+        assert!(notes[4].ends_with("bytes of no documented parameter; an import leaves them alone"));
+    }
+
+    #[test]
+    fn what_a_gauge_would_not_survive_is_refused_with_its_line() {
+        for (line, says) in [
+            ("W: AA 00 00 0F", "line 2: Control(ROM_MODE)"),
+            ("W: 16 00 0C 00", "line 2: address 0x16 is the gauge in ROM mode"),
+            ("W: 0B 00 0C", "line 2: address 0x16 is the gauge in ROM mode"),
+            ("W: 55 00 13 00", "line 2: address 0x55 is not the gauge's, which is AA"),
+            ("W: AA 00 1C 00", "line 2: SHUTDOWN: gaugefs never sends it"),
+            ("W: AA 00 34 12", "line 2: no subcommand of a bq27441-G1, and no pair of key words (not shown)"),
+            ("W: AA 10 00", "line 2: register 0x10 is none that configures a gauge"),
+            ("W: AA 61 01", "line 2: BlockDataControl() other than 0"),
+            ("W: AA 60 00", "line 2: a checksum before any subclass is chosen"),
+            ("W: AA 3E 44 00\nW: AA 40 00", "line 3: these bytes are never committed"),
+            ("W: AA 3E 44 00\nW: AA 40 00\nW: AA 3E 44 00", "line 4: the bytes of line 3 are not committed"),
+            ("W: AA 3E F0 00\nW: AA 40 00\nW: AA 60 00", "line 4: a bq27441-G1 has no subclass 240"),
+            ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only a part of it"),
+            ("X: soon", "line 2: X: wants a number of milliseconds"),
+            ("W: AA 3", "line 2: bytes are two hexadecimal digits"),
+            ("W: AA 3E", "line 2: address, register and at least one byte"),
+            (":", "line 2: address, register"),
+            ("hello", "line 2: not a line of a FlashStream"),
+            ("M: AA 00 00", "line 2: not a command of a FlashStream"),
+        ] {
+            let error = read("bq27441-g1", &format!(";\n{line}\n")).expect_err(line).to_string();
+            assert!(error.starts_with(says), "{line}: {error}");
+        }
+        let bent = STREAM.replace("03 20", "03 21");
+        let error = read("bq27441-g1", &bent).expect_err("a wrong sum").to_string();
+        assert_eq!(error, "line 14: checksum 0xdc, where the bytes add up to 0xdb; a gauge drops them");
+        let error =
+            read("bq27441-g1", &STREAM.replace("C: AA 60 DC", "C: AA 60 DD")).expect_err("another sum");
+        assert_eq!(error.to_string(), "line 17: checksum 0xdd is expected, where the file wrote 0xdc");
+        let error = read("bq34z100-g1", STREAM).expect_err("another part").to_string();
+        assert!(error.starts_with("line 6: it is for device type 0x0421, firmware 0x0109"), "{error}");
+        let error =
+            read("bq27441-g1", &STREAM.replace("C: AA 00 09 01", "C: AA 00 10 01")).expect_err("firmware");
+        assert!(error.to_string().contains("firmware 0x0110, which a bq27441-G1 is not"), "{error}");
+    }
+
+    #[test]
+    fn key_words_are_not_shown() {
+        for text in [
+            "W: AA 00 34 12\nW: AA 00 78 56\n",
+            "W: AA 00 34 12 78 56\n",
+            "W: AA 00 34 12\n",
+            "W AA 00 3412\n",
+        ] {
+            let told = match read("bq27441-g1", text) {
+                Ok((_, notes)) => notes.join(" "),
+                Err(error) => error.to_string(),
+            };
+            assert!(
+                ["1234", "3412", "34 12", "5678", "78 56"].iter().all(|key| !told.contains(key)),
+                "{told}"
+            );
+        }
+    }
+
+    /// A row that joins address and data, and one that parts them, as ManufacturerAccessControl() takes both.
+    #[test]
+    fn a_flat_address_is_read_as_its_parameters() {
+        for text in [
+            "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n",
+            "W: AA 3E 08 40\nX: 20\nW: AA 40 FB 50\nW: AA 60 6C 06\n",
+        ] {
+            let (entries, _) = read("bq34110", text).expect("an image");
+            assert_eq!(entries.len(), 1);
+            assert!(entries[0].ends_with("data/cc-offset -1200"), "{entries:?}");
+        }
+        for (text, says) in [
+            (
+                "W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n",
+                "line 2: checksum 0x6d, where the bytes add up to 0x6c",
+            ),
+            ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7, where 6 bytes count"),
+            ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only a part of it is written"),
+            ("W: AA 61 06\n", "line 1: MACDataLen() before any address"),
+            ("W: AA 3E 00 0F\n", "line 1: Control(ROM_MODE)"),
+            ("W: AA 3E 01 00 FB 50\n", "line 1: more than a word for DEVICE_TYPE"),
+        ] {
+            let error = read("bq34110", text).expect_err(text).to_string();
+            assert!(error.starts_with(says), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! An image as bqStudio's gg.csv: a head of lines that begin with `*`, the last of which names the columns,
+//! then a line a parameter.
+
+use super::{Image, at_line, chip_of, word};
+use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use crate::codec;
+use crate::error::Result;
+use crate::text;
+use crate::value::{Type, Value};
+
+/// The columns, in the order in which bqStudio has them.
+const COLUMNS: [&str; 18] = [
+    "Class name",
+    "SubClass name",
+    "Parameter name",
+    "Parameter Value",
+    "Data Type",
+    "Data Length",
+    "Address Offset",
+    "Default Value",
+    "Minimum Value",
+    "Maximum Value",
+    "Display Format",
+    "Read Formula",
+    "Write Formula",
+    "Flags",
+    "Display Units",
+    "Help",
+    "Native Units",
+    "Data Flash Raw Value",
+];
+/// Where a flat address space begins, from which bqStudio counts its offsets.
+const FLAT_BASE: u16 = 0x4000;
+/// The line of the head that names the chip: bqStudio's own do not tell all of them apart.
+const CHIP_LINE: &str = "gaugefs chip";
+
+/// The image as text.
+pub fn write(image: &Image) -> String {
+    let rows: Vec<[String; 18]> =
+        image.entries.iter().map(|entry| row(entry.subclass, entry.parameter, &entry.value)).collect();
+    // There is no quoting; where a value has a comma, the columns are parted by tabs.
+    let tabs = rows.iter().flatten().any(|field| field.contains(','));
+    let (comma, gap) = if tabs { ("\t", "\t") } else { (",", ", ") };
+    let chip = image.chip;
+    let mut text =
+        String::from("* Texas Instruments Data Flash File\n* By gaugefs export, without keys\n*\n");
+    text += &format!("* {CHIP_LINE} {}\n* Device Number {:x}\n", chip.name, chip.identity.device_type);
+    if let Some(firmware) = image.firmware {
+        text += &format!("* Firmware Version {:x}.{:02x}\n", firmware >> 8, firmware & 0xff);
+    }
+    text += &format!("*\n* Field Order: {}\n", COLUMNS.join(gap));
+    for row in rows {
+        text += &(row.join(comma) + "\n");
+    }
+    text
+}
+
+fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18] {
+    let show = |value: &Value| {
+        let text = text::render(parameter.kind, value);
+        if matches!(parameter.kind, Type::H(_)) { text.replacen("0x", "", 1) } else { text }
+    };
+    let (letter, format) = match parameter.kind {
+        Type::I(_) => ("I", "dddd".to_string()),
+        Type::U(_) => ("U", "dddd".to_string()),
+        Type::H(size) => ("H", "h".repeat(2 * usize::from(size))),
+        Type::F4 => ("F", "f.fff".to_string()),
+        Type::S(_) => ("S", "s".to_string()),
+    };
+    let (default, min, max) = match &parameter.range {
+        Range::Int { min, max, default } => {
+            (default.map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
+        }
+        Range::Float { min, max, default } => {
+            (default.map(Value::Float), Some(Value::Float(*min)), Some(Value::Float(*max)))
+        }
+        Range::Text { default } => (default.map(|text| Value::Text(text.into())), None, None),
+    };
+    let shown = |value: Option<Value>| value.map_or(String::new(), |value| show(&value));
+    let base = if subclass.id == FLAT { FLAT_BASE } else { 0 };
+    let raw = codec::encode(parameter.kind, value).unwrap_or_default();
+    [
+        subclass.class.to_string(),
+        subclass.name.to_string(),
+        parameter.name.to_string(),
+        show(value),
+        letter.to_string(),
+        parameter.kind.size().to_string(),
+        parameter.offset.saturating_sub(base).to_string(),
+        shown(default),
+        shown(min),
+        shown(max),
+        format,
+        "x".to_string(),
+        "x".to_string(),
+        String::new(),
+        parameter.unit.to_string(),
+        String::new(),
+        parameter.unit.to_string(),
+        raw.iter().map(|byte| format!("{byte:02x}")).collect(),
+    ]
+}
+
+/// Reads an image. Parameters that the table does not have are left out and noted, and so are keys: what
+/// bqStudio calls a parameter is not always what the manual does.
+pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
+    let (mut named, mut device_type, mut firmware) = (None, None, None);
+    let mut order: Option<(char, Vec<String>)> = None;
+    let mut rows = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
+            if !line.trim().is_empty() {
+                rows.push((number, line));
+            }
+            continue;
+        };
+        if let Some(name) = head.strip_prefix(CHIP_LINE) {
+            let chip = Chip::by_name(name.trim());
+            named = Some(chip.ok_or_else(|| at_line(number, "not in the list of `gaugefs chips`"))?);
+        } else if let Some(code) = head.strip_prefix("Device Number") {
+            let code = word(code.trim());
+            device_type = Some(code.ok_or_else(|| at_line(number, "Device Number: not a hexadecimal word"))?);
+        } else if let Some(version) = head.strip_prefix("Firmware Version") {
+            let parts: Option<Vec<u8>> =
+                version.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
+            firmware = match parts.as_deref() {
+                Some([high, low] | [high, low, _]) => Some(u16::from_be_bytes([*high, *low])),
+                _ => return Err(at_line(number, "Firmware Version: not two or three numbers")),
+            };
+        } else if let Some(fields) = head.strip_prefix("Field Order:") {
+            let comma = if fields.contains('\t') { '\t' } else { ',' };
+            order = Some((comma, fields.split(comma).map(kebab_case).collect()));
+        }
+    }
+    if let (Some(named), Some(told)) = (named, told)
+        && !std::ptr::eq(named, told)
+    {
+        return Err(at_line(1, format!("it is for a {}, not for a {}", named.model, told.model)));
+    }
+    let chip = chip_of(named.or(told), device_type, firmware)?;
+    let (comma, order) =
+        order.ok_or_else(|| at_line(1, "no line `* Field Order:`, which names the columns"))?;
+    let mut image = Image::new(chip, firmware);
+    for (number, line) in rows {
+        let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
+        if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
+            let why = format!("{} fields, where the head names {}", fields.len(), order.len());
+            return Err(at_line(number, why));
+        }
+        let field = |name: &str| {
+            let at = order.iter().position(|column| column == name)?;
+            fields.get(at).copied()
+        };
+        add_row(&mut image, number, &field)?;
+    }
+    Ok(image)
+}
+
+fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<&'a str>) -> Result<()> {
+    let need = |name: &str| field(name).ok_or_else(|| at_line(number, format!("no field `{name}`")));
+    let (class, name, parameter) = (need("class-name")?, need("subclass-name")?, need("parameter-name")?);
+    let shown = need("parameter-value")?;
+    let alike = |one: &str, other: &str| kebab_case(one) == kebab_case(other);
+    let of_name = |subclass: &&Subclass| alike(subclass.name, name) && alike(subclass.class, class);
+    let row = image.chip.subclasses.iter().filter(of_name).find_map(|subclass| {
+        let parameter = subclass.parameters.iter().find(|row| alike(row.name, parameter))?;
+        Some((subclass, parameter))
+    });
+    let Some((subclass, parameter)) = row else {
+        image.notes.push(format!("line {number}: {class}/{name}/{parameter}: not in the table; left out"));
+        return Ok(());
+    };
+    if subclass.kind == Kind::Security {
+        image.notes.push(format!("line {number}: {}: a key; left out", parameter.name));
+        return Ok(());
+    }
+    if shown.is_empty() {
+        return Ok(());
+    }
+    let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
+    if let Some(formula) = field("write-formula").filter(|formula| !matches!(*formula, "" | "x" | "X")) {
+        return Err(bad(format!(
+            "its value goes through the formula {formula}, which gaugefs does not know"
+        )));
+    }
+    let format = field("display-format").unwrap_or_default();
+    let hexadecimal = match parameter.kind {
+        Type::H(_) => !format.starts_with(['d', 'D']),
+        _ => format.starts_with(['h', 'H']),
+    };
+    let text = match parameter.kind {
+        Type::S(_) | Type::F4 => shown.to_string(),
+        _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
+        _ => unscaled(shown, format.split_once('.').map_or(0, |(_, after)| after.len()))
+            .ok_or_else(|| bad(format!("`{shown}` is not of the format {format}")))?,
+    };
+    let value = text::parse_stored(parameter, text.as_bytes());
+    let value = value.map_err(|error| error.within(&format!("line {number}")))?;
+    image.add(subclass, parameter, value, number);
+    Ok(())
+}
+
+/// A number that is shown with so many decimals, as the whole number that is stored.
+fn unscaled(shown: &str, decimals: usize) -> Option<String> {
+    if decimals == 0 {
+        return Some(shown.to_string());
+    }
+    let (whole, fraction) = shown.split_once('.').unwrap_or((shown, ""));
+    (fraction.len() <= decimals).then(|| format!("{whole}{fraction:0<decimals$}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Name, value and line.
+    type Found = (String, String, usize);
+
+    fn entries(text: &str) -> Result<(Vec<Found>, Vec<String>)> {
+        let image = parse(text, Chip::by_name("bq34z100-g1"))?;
+        let entries = image.entries.iter().map(|entry| (image.name(entry), entry.text(), entry.line));
+        Ok((entries.collect(), image.notes))
+    }
+
+    /// The short form, as exports of other parts show it.
+    #[test]
+    fn the_short_form_is_read() {
+        let text = "* Texas Instruments Data Flash File\r\n* Device Number 100\r\n* Firmware Version 0.16\r\n\
+                    * Field Order: Class name, Subclass name, Parameter name, Parameter Value, Units\r\n\
+                    Gas Gauging,IT Cfg,Cell Terminate Voltage,3100,mV\r\n\
+                    Gas Gauging,IT Cfg,Something Else,1,-\r\n\
+                    Security,Codes,Sealed to Unsealed,36720414,-\r\n\
+                    Configuration,Registers,Pack Configuration,0161,flg,\r\n";
+        let (entries, notes) = entries(text).expect("an image");
+        assert_eq!(
+            entries,
+            [
+                ("it-cfg/cell-terminate-voltage".into(), "3100".into(), 5),
+                ("registers/pack-configuration".into(), "0x0161".into(), 8)
+            ]
+        );
+        assert_eq!(
+            notes,
+            [
+                "line 6: Gas Gauging/IT Cfg/Something Else: not in the table; left out",
+                "line 7: Sealed to Unsealed: a key; left out"
+            ]
+        );
+    }
+
+    #[test]
+    fn values_are_read_as_their_format_shows_them() {
+        let text = "* Field Order: Class name\tSubClass name\tParameter name\tParameter Value\tDisplay Format\tWrite Formula\n\
+                    Gas Gauging\tIT Cfg\tCell Terminate Voltage\t31.1\tdd.dd\tx\n";
+        assert_eq!(entries(text).expect("an image").0[0].1, "3110");
+        let error = entries(&text.replace("31.1", "31.111")).expect_err("too many decimals").to_string();
+        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` is not of the format dd.dd");
+        let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
+        assert!(error.starts_with("line 2: Cell Terminate Voltage: its value goes through the formula x/10"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        let order = "* Field Order: Class name, SubClass name, Parameter name, Parameter Value\n";
+        for (text, says) in [
+            ("* Device Number 27441-G1\n", "line 1: Device Number: not a hexadecimal word"),
+            ("* Firmware Version 1\n", "line 1: Firmware Version: not two or three numbers"),
+            ("* Device Number 421\n", "it is for device type 0x0421, which a bq34z100-G1 is not"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\n", "line 1: no line `* Field Order:`"),
+            (&format!("{order}Gas Gauging,IT Cfg\n"), "line 2: no field `parameter-name`"),
+            (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, where the head names 4"),
+            (
+                &format!("{order}Gas Gauging,IT Cfg,Cell Terminate Voltage,low\n"),
+                "line 2: Cell Terminate Voltage: `low` is not a whole number",
+            ),
+        ] {
+            let error = entries(text).expect_err(text).to_string();
+            assert!(error.starts_with(says), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! An image as TOML: a table a class, a key a parameter, named as in `df/by-name`.
+
+use std::borrow::Cow;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::{Image, at_line, chip_of};
+use crate::chip::{Chip, Kind, kebab_case};
+use crate::error::{Cause, Error, Result};
+use crate::text;
+use crate::value::Type;
+
+/// The image as text.
+pub fn write(image: &Image) -> String {
+    let chip = image.chip;
+    let mut text = String::from("# A gauge's configuration, by gaugefs export. Keys are never in it.\n");
+    text += &format!("chip = \"{}\"\ndevice_type = 0x{:04x}\n", chip.name, chip.identity.device_type);
+    if let Some(firmware) = image.firmware {
+        text += &format!("firmware = 0x{firmware:04x}\n");
+    }
+    for subclass in chip.subclasses {
+        let entries: Vec<_> =
+            image.entries.iter().filter(|entry| std::ptr::eq(entry.subclass, subclass)).collect();
+        if !entries.is_empty() {
+            text += &format!("\n[{}]\n", chip.class_dir(subclass));
+        }
+        for entry in entries {
+            let (parameter, shown) = (entry.parameter, entry.text());
+            let shown = match parameter.kind {
+                Type::S(_) => format!("\"{shown}\""),
+                // A float may have more digits than an integer of TOML's.
+                Type::F4 if !shown.contains('.') => shown + ".0",
+                _ => shown,
+            };
+            let marks = [
+                (parameter.unit, !parameter.unit.is_empty()),
+                ("learned", parameter.learned),
+                ("unproven: not imported", parameter.unproven),
+            ];
+            let marks: Vec<_> = marks.iter().filter(|(_, set)| *set).map(|(mark, _)| *mark).collect();
+            let remark = if marks.is_empty() { String::new() } else { format!("  # {}", marks.join(", ")) };
+            text += &format!("{} = {shown}{remark}\n", kebab_case(parameter.name));
+        }
+    }
+    text
+}
+
+/// Reads an image. A table or key that the chip does not have is an error, and so is a value that is not
+/// of its parameter's type.
+pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
+    let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
+    let document = DeTable::parse(text).map_err(|error| {
+        let why = error.message().lines().collect::<Vec<_>>().join(", ");
+        at_line(line(error.span().map_or(0, |span| span.start)), format!("not TOML: {why}"))
+    })?;
+    let (mut named, mut device_type, mut firmware) = (None, None, None);
+    let mut tables = Vec::new();
+    for (key, value) in document.get_ref() {
+        let bad = |why: &str| Err(at_line(line(key.span().start), format!("{}: {why}", key.get_ref())));
+        match (key.get_ref().as_ref(), value.get_ref()) {
+            ("chip", DeValue::String(name)) => match Chip::by_name(name) {
+                Some(chip) => named = Some(chip),
+                None => return bad(&format!("{name} is not in the list of `gaugefs chips`")),
+            },
+            ("device_type" | "firmware", number @ DeValue::Integer(_)) => {
+                let code = plain(number).and_then(|text| text.parse::<u16>().ok());
+                let Some(code) = code else { return bad("not a word of 16 bits") };
+                *(if key.get_ref() == "firmware" { &mut firmware } else { &mut device_type }) = Some(code);
+            }
+            (_, DeValue::Table(table)) => tables.push((key, table)),
+            _ => return bad("outside of tables stand chip, device_type and firmware only"),
+        }
+    }
+    if let (Some(named), Some(told)) = (named, told)
+        && !std::ptr::eq(named, told)
+    {
+        let why = format!("it is for a {}, not for a {}", named.model, told.model);
+        return Err(Error::new("", Cause::Invalid(why)));
+    }
+    let chip = chip_of(named.or(told), device_type, firmware)?;
+    let mut image = Image::new(chip, firmware);
+    for (key, table) in tables {
+        add_table(&mut image, key, table, &line)?;
+    }
+    Ok(image)
+}
+
+fn add_table(
+    image: &mut Image,
+    class: &Spanned<Cow<'_, str>>,
+    table: &DeTable<'_>,
+    line: &dyn Fn(usize) -> usize,
+) -> Result<()> {
+    let chip = image.chip;
+    let found = chip.subclasses.iter().find(|subclass| chip.class_dir(subclass) == *class.get_ref());
+    let Some(subclass) = found else {
+        let why = format!("a {} has no class {}", chip.model, class.get_ref());
+        return Err(at_line(line(class.span().start), why));
+    };
+    if subclass.kind == Kind::Security {
+        let why = format!("{}: keys are in no image; take the table out", class.get_ref());
+        return Err(at_line(line(class.span().start), why));
+    }
+    for (key, value) in table {
+        let number = line(key.span().start);
+        let name = format!("{}/{}", class.get_ref(), key.get_ref());
+        let found = subclass.parameters.iter().find(|row| kebab_case(row.name) == *key.get_ref());
+        let Some(parameter) = found else {
+            return Err(at_line(number, format!("a {} has no parameter {name}", chip.model)));
+        };
+        let is_text = matches!(value.get_ref(), DeValue::String(_));
+        let text = plain(value.get_ref()).filter(|_| is_text == matches!(parameter.kind, Type::S(_)));
+        let Some(text) = text else {
+            let found = value.get_ref().type_str();
+            return Err(at_line(number, format!("{name}: {found}, where {} is stored", parameter.kind)));
+        };
+        let value = text::parse_stored(parameter, text.as_bytes());
+        let value = value.map_err(|error| error.within(&format!("line {number}")))?;
+        image.add(subclass, parameter, value, number);
+    }
+    Ok(())
+}
+
+/// A value as the text that a parameter's file takes.
+fn plain(value: &DeValue<'_>) -> Option<String> {
+    match value {
+        DeValue::String(text) => Some(text.to_string()),
+        DeValue::Integer(number) => {
+            i64::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
+        }
+        DeValue::Float(number) => Some(number.as_str().to_string()),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEAD: &str = "chip = \"bq34z100-g1\"\n";
+
+    #[test]
+    fn a_part_of_a_configuration_is_enough() {
+        let text = format!(
+            "{HEAD}[it-cfg]\ncell-terminate-voltage = 3_100 # mV\n[registers]\npack-configuration = 0x0161\n"
+        );
+        let image = parse(&text, None).expect("an image");
+        let values: Vec<_> =
+            image.entries.iter().map(|entry| (image.name(entry), entry.text(), entry.line)).collect();
+        assert_eq!(
+            values,
+            [
+                ("it-cfg/cell-terminate-voltage".into(), "3100".into(), 3),
+                ("registers/pack-configuration".into(), "0x0161".into(), 5)
+            ]
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (text, says) in [
+            ("[it-cfg]\nno-such = 1", "line 3: a bq34z100-G1 has no parameter it-cfg/no-such"),
+            ("[no-such]\n", "line 2: a bq34z100-G1 has no class no-such"),
+            ("[codes]\n", "line 2: codes: keys are in no image; take the table out"),
+            (
+                "[it-cfg]\n\ncell-terminate-voltage = \"3\"",
+                "line 4: it-cfg/cell-terminate-voltage: string, where I2 is stored",
+            ),
+            (
+                "[it-cfg]\ncell-terminate-voltage = true",
+                "line 3: it-cfg/cell-terminate-voltage: boolean, where I2 is stored",
+            ),
+            (
+                "[it-cfg]\ncell-terminate-voltage = 1.5",
+                "line 3: Cell Terminate Voltage: `1.5` is not a whole number",
+            ),
+            ("[it-cfg]\ncell-terminate-voltage = 40000", "line 3: Cell Terminate Voltage: 40000 is outside"),
+            ("x = 1", "line 2: x: outside of tables"),
+            ("[it-cfg\n", "line 2: not TOML"),
+            ("firmware = 70000", "line 2: firmware: not a word of 16 bits"),
+        ] {
+            let error = parse(&format!("{HEAD}{text}\n"), None).expect_err(text).to_string();
+            assert!(error.starts_with(says), "{text}: {error}");
+        }
+    }
+}
