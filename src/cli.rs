@@ -8,7 +8,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::builder::PossibleValuesParser;
-use clap::{ArgGroup, Args, Parser, Subcommand};
+use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use nix::errno::Errno;
 
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
@@ -17,6 +18,7 @@ use crate::clock::{Clock, RealClock};
 use crate::daemon::{self, Keyring, Source, background, mountpoint};
 use crate::error::{Error, Result};
 use crate::fs::Scales;
+use crate::image::{Format, Image};
 use crate::probe::{self, ROM_ADDRESS, Reading};
 use crate::{json, keys};
 
@@ -49,6 +51,31 @@ Examples:
   gaugefs probe --bus /dev/i2c-1
   gaugefs probe --bus /dev/i2c-1 --address 0x55";
 
+const EXPORT: &str = "\
+Keys are in no file. toml is made for git; gg.csv is bqStudio's; flashstream is what TI's
+tools send to a gauge.
+
+Examples:
+  gaugefs export /run/gauges/BAT0 -o pack.toml
+  gaugefs export /run/gauges/BAT0 --format flashstream -o pack.gm.fs";
+
+const DIFF: &str = "\
+Files are TOML, gg.csv or FlashStream, told apart by what is in them. A file need not hold
+all parameters: those that both have are compared. Exit code 0: no difference, 1: some,
+2: they could not be compared.
+
+Examples:
+  gaugefs diff pack.toml /run/gauges/BAT0
+  gaugefs diff pack.toml pack.gm.fs";
+
+const LINT: &str = "\
+No gauge is needed. A FlashStream is read as a gauge would; what writes firmware or anything
+else that is no documented parameter is refused with its line.
+
+Examples:
+  gaugefs lint golden.gm.fs
+  gaugefs lint --chip bq27441-g1 golden.gm.fs";
+
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
 #[derive(Debug, Parser)]
 #[command(name = "gaugefs", version, after_help = EXAMPLES, max_term_width = 100, arg_required_else_help = true)]
@@ -63,6 +90,9 @@ enum Command {
     Umount(Umount),
     Probe(Probe),
     Chips(Chips),
+    Export(Export),
+    Diff(Diff),
+    Lint(Lint),
 }
 
 /// Mount a gauge; returns once it is mounted and has been read
@@ -180,6 +210,59 @@ struct Chips {
     json: bool,
 }
 
+/// Write a mounted gauge's configuration to a file
+#[derive(Args, Debug)]
+#[command(after_help = EXPORT)]
+struct Export {
+    /// A mounted gauge's folder, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// Format of the file
+    #[arg(long, value_enum, default_value = "toml")]
+    format: FormatName,
+    /// File to write [default: standard output]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// The formats on the command line.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FormatName {
+    Toml,
+    #[value(name = "gg.csv")]
+    GgCsv,
+    Flashstream,
+}
+
+/// Compare two configurations, parameter by parameter
+#[derive(Args, Debug)]
+#[command(after_help = DIFF)]
+struct Diff {
+    /// A mounted gauge's folder, or a file of any format
+    a: PathBuf,
+    /// Another
+    b: PathBuf,
+    /// What a file is for that does not tell
+    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
+    chip: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Show what a configuration file would set, and what is wrong with it
+#[derive(Args, Debug)]
+#[command(after_help = LINT)]
+struct Lint {
+    /// A file of any format
+    file: PathBuf,
+    /// What it is for, where it does not tell
+    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
+    chip: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
 /// Key words from the command line, which are not shown again.
 #[derive(Clone)]
 struct Key([u16; 2]);
@@ -213,6 +296,9 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             print(&chips.table());
             Ok(ExitCode::SUCCESS)
         }
+        Command::Export(export) => export.run(),
+        Command::Diff(diff) => diff.run(),
+        Command::Lint(lint) => lint.run(),
     };
     done.unwrap_or_else(|error| {
         eprintln!("gaugefs: {error}");
@@ -273,6 +359,115 @@ impl Mount {
     }
 }
 
+impl Export {
+    fn run(self) -> Result<ExitCode> {
+        if !self.gauge.is_dir() {
+            let name = self.gauge.display().to_string();
+            return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
+        }
+        let image = Image::open(&self.gauge, None)?;
+        let text = image.write(self.format.into(), &self.gauge)?;
+        match self.output {
+            None => print(&text),
+            Some(file) => std::fs::write(&file, text)
+                .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl From<FormatName> for Format {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::Toml => Format::Toml,
+            FormatName::GgCsv => Format::GgCsv,
+            FormatName::Flashstream => Format::FlashStream,
+        }
+    }
+}
+
+impl Diff {
+    /// As diff(1): whoever asks for a difference has to tell "none" from "cannot say".
+    fn run(self) -> Result<ExitCode> {
+        self.compare().or_else(|error| {
+            eprintln!("gaugefs: {error}");
+            Ok(ExitCode::from(2))
+        })
+    }
+
+    fn compare(self) -> Result<ExitCode> {
+        let told = self.chip.as_deref().and_then(Chip::by_name);
+        // A gauge tells what a file beside it is for.
+        let first = if self.a.is_dir() { Some(Image::open(&self.a, None)?) } else { None };
+        let b = Image::open(&self.b, told.or(first.as_ref().map(|image| image.chip)))?;
+        let a = match first {
+            Some(image) => image,
+            None => Image::open(&self.a, told.or(Some(b.chip)))?,
+        };
+        let comparison = a.compare(&b)?;
+        let differences = &comparison.differences;
+        if self.json {
+            let rows = differences.iter().map(|difference| {
+                json::object(&[
+                    ("name", json::text(&difference.name)),
+                    ("a", json::text(&difference.old.text())),
+                    ("b", json::text(&difference.new.text())),
+                    ("unit", json::text(difference.new.parameter.unit)),
+                ])
+            });
+            print(&(json::array(rows) + "\n"));
+        } else {
+            print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>());
+        }
+        for (count, name) in [(comparison.only_first, &self.a), (comparison.only_second, &self.b)] {
+            if count > 0 {
+                let count = counted(count);
+                eprintln!("gaugefs: {}: {count} that the other does not have", name.display());
+            }
+        }
+        Ok(if differences.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    }
+}
+
+impl Lint {
+    fn run(self) -> Result<ExitCode> {
+        let image = Image::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
+        if self.json {
+            let rows = image.entries.iter().map(|entry| {
+                json::object(&[
+                    ("name", json::text(&image.name(entry))),
+                    ("value", json::text(&entry.text())),
+                    ("unit", json::text(entry.parameter.unit)),
+                    ("line", entry.line.to_string()),
+                ])
+            });
+            let notes = image.notes.iter().map(|note| json::text(note));
+            let all = [
+                ("chip", json::text(image.chip.name)),
+                ("parameters", json::array(rows)),
+                ("notes", json::array(notes)),
+            ];
+            print(&(json::object(&all) + "\n"));
+        } else {
+            print(&format!("{}: {}\n", image.chip.model, counted(image.entries.len())));
+            let rows = image.entries.iter().map(|entry| {
+                let unit = entry.parameter.unit;
+                let mark = if matches!(entry.is_imported(), Ok(false)) { "not imported" } else { "" };
+                let value = format!("{} {unit}", entry.text());
+                [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
+            });
+            print(&align(&rows.collect::<Vec<_>>()));
+            print(&image.notes.iter().map(|note| format!("{note}\n")).collect::<String>());
+        }
+        let mut code = ExitCode::SUCCESS;
+        for error in image.entries.iter().filter_map(|entry| entry.is_imported().err()) {
+            eprintln!("gaugefs: {}", error.within(&self.file.display().to_string()));
+            code = ExitCode::FAILURE;
+        }
+        Ok(code)
+    }
+}
+
 impl Chips {
     fn table(&self) -> String {
         if self.json {
@@ -313,6 +508,10 @@ fn parameters(chip: &Chip) -> usize {
 fn unproven(chip: &Chip) -> usize {
     let rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
     rows.filter(|parameter| parameter.unproven).count()
+}
+
+fn counted(parameters: usize) -> String {
+    if parameters == 1 { "1 parameter".into() } else { format!("{parameters} parameters") }
 }
 
 fn scheme(chip: &Chip) -> &'static str {

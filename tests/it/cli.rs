@@ -11,6 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use gaugefs::chip::{Kind, kebab_case};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
@@ -25,7 +26,12 @@ struct Ran {
 
 fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
-    command.args(arguments).env("COLUMNS", "100").env_remove("RUST_LOG").stdin(Stdio::null());
+    command
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .env("COLUMNS", "100")
+        .env_remove("RUST_LOG")
+        .stdin(Stdio::null());
     command
 }
 
@@ -78,7 +84,19 @@ fn golden(name: &str, lines: &[&str]) {
 
 #[test]
 fn help_is_for_people() {
-    golden("help", &["--help", "mount --help", "umount --help", "probe --help", "chips --help"]);
+    golden(
+        "help",
+        &[
+            "--help",
+            "mount --help",
+            "umount --help",
+            "probe --help",
+            "chips --help",
+            "export --help",
+            "diff --help",
+            "lint --help",
+        ],
+    );
 }
 
 #[test]
@@ -106,6 +124,11 @@ fn misuse_is_told_apart() {
             "mount --bus /dev/i2c-1 --sim-state /tmp/y /tmp/x",
             "umount",
             "probe",
+            "export",
+            "export --format hex /tmp/x",
+            "diff /tmp/x",
+            "lint",
+            "lint --chip bq99 /tmp/x",
         ],
     );
 }
@@ -120,6 +143,78 @@ fn what_cannot_be_done_is_said_with_its_remedy() {
     let mount = |at| gaugefs(&["mount", "--sim", CHIP, at]);
     mount("/proc").failed(&["/proc: proc", "is mounted there"]);
     mount("/etc/passwd").failed(&["/etc/passwd: not a folder"]);
+}
+
+#[test]
+fn what_a_file_would_set_is_shown() {
+    // The golden file names the samples as they are named from the package's folder.
+    golden(
+        "images",
+        &[
+            "lint tests/it/images/pack.toml",
+            "lint tests/it/images/pack.toml --json",
+            "lint tests/it/images/pack.gm.fs",
+            "lint tests/it/images/pack.gm.fs --chip bq27441-g1",
+            "lint tests/it/images/pack.gg.csv",
+            "lint tests/it/images/outside.toml",
+            "lint tests/it/images/rom.fs",
+            "lint tests/it/images/none",
+            "diff tests/it/images/pack.toml tests/it/images/pack.toml",
+            "diff tests/it/images/pack.toml tests/it/images/pack.gg.csv",
+            "diff tests/it/images/pack.toml tests/it/images/pack.gg.csv --json",
+            "diff tests/it/images/pack.toml tests/it/images/pack.gm.fs --chip bq27441-g1",
+            "diff tests/it/images/pack.toml tests/it/images/none",
+            "export tests/it/images/pack.toml",
+        ],
+    );
+}
+
+#[test]
+fn an_export_shows_no_difference_to_its_gauge() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    for chip in gaugefs::chip::CHIPS {
+        gaugefs(&["mount", "--sim", chip.name, &at]).done();
+        let gauge = format!("{at}/BAT0");
+        for format in ["toml", "gg.csv", "flashstream"] {
+            let file = folder.file(format);
+            gaugefs(&["export", &gauge, "--format", format, "-o", &file]).done();
+            gaugefs(&["lint", &file]).done();
+            let diff = gaugefs(&["diff", &file, &gauge]);
+            assert_eq!((diff.code, diff.out.as_str()), (Some(0), ""), "{} {format}: {}", chip.name, diff.err);
+            let text = fs::read_to_string(&file).expect("the export");
+            for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind == Kind::Security) {
+                for key in subclass.parameters {
+                    assert!(
+                        !text.contains(key.name) && !text.contains(&kebab_case(key.name)),
+                        "{}",
+                        key.name
+                    );
+                }
+            }
+        }
+        gaugefs(&["umount", &at]).done();
+    }
+}
+
+#[test]
+fn a_difference_to_a_gauge_is_told() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("pack.toml"));
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let gauge = format!("{at}/BAT0");
+    fs::write(&file, gaugefs(&["export", &gauge]).done()).expect("a file");
+    fs::write(format!("{gauge}/df/80/53"), "3100\n").expect("a write");
+    let diff = gaugefs(&["diff", &file, &gauge]);
+    assert_eq!((diff.code, diff.out.as_str()), (Some(1), "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n"));
+    gaugefs(&["export", &at]).failed(&["model_name", "not a mounted gauge's folder"]);
+    gaugefs(&["umount", &at]).done();
 }
 
 #[test]
