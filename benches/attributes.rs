@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
 use gaugefs::fs::{Access, Entry, Fs, Scales};
@@ -52,6 +53,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
         interval,
         byte_writes: false,
         allow_unproven: false,
+        auth_order: Order::default(),
         restore: Vec::new(),
     };
     let handle = poll::spawn(chip, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");

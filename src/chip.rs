@@ -73,6 +73,8 @@ pub struct Chip {
     pub access: Access,
     /// What a data-flash write needs first.
     pub gate: Option<Gate>,
+    /// SHA-1 authentication at AuthenticateData(); `None` where no source has the part's sequence.
+    pub authentication: Option<Authentication>,
     /// Data flash, in the manual's order.
     pub subclasses: &'static [Subclass],
     /// Single-byte writes only above this bus clock; `None` where the manual says nothing.
@@ -375,6 +377,15 @@ pub enum Scheme {
     CfgUpdate,
     /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
     Mac,
+}
+
+/// The waits of SHA-1 authentication, each with its source in the table.
+#[derive(Debug)]
+pub struct Authentication {
+    /// From the challenge until its checksum may follow.
+    pub challenge: Duration,
+    /// From the checksum until the digest stands in AuthenticateData().
+    pub digest: Duration,
 }
 
 /// The voltage below which the gauge takes a flash write, acknowledges it and stores nothing.

@@ -11,6 +11,7 @@ use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use nix::errno::Errno;
 
+use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
@@ -21,6 +22,8 @@ use crate::fs::Scales;
 use crate::image::{Format, Image};
 use crate::probe::{self, ROM_ADDRESS, Reading};
 use crate::{json, keys};
+
+mod auth;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -93,6 +96,7 @@ enum Command {
     Export(Export),
     Diff(Diff),
     Lint(Lint),
+    Auth(auth::Auth),
 }
 
 /// Mount a gauge; returns once it is mounted and has been read
@@ -167,6 +171,10 @@ struct Mount {
     /// Never try the manual's default key
     #[arg(long, help_heading = "Access")]
     no_default_keys: bool,
+    /// In which order the gauge takes the bytes of a challenge, lsb-first or as-sent; `gaugefs auth`
+    /// tells which one fits
+    #[arg(long, value_name = "ORDER", default_value = "lsb-first", value_parser = order, help_heading = "Access")]
+    auth_order: Order,
 
     /// Stay in the foreground and log to standard error
     #[arg(short, long, help_heading = "Running")]
@@ -299,6 +307,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Export(export) => export.run(),
         Command::Diff(diff) => diff.run(),
         Command::Lint(lint) => lint.run(),
+        Command::Auth(auth) => auth.run().map(|told| {
+            print(&told);
+            ExitCode::SUCCESS
+        }),
     };
     done.unwrap_or_else(|error| {
         eprintln!("gaugefs: {error}");
@@ -348,6 +360,7 @@ impl Mount {
             },
             read_only: self.read_only,
             allow_unproven: self.allow_unproven,
+            auth_order: self.auth_order,
             restore: self.restore,
             private: self.private,
             group: self.group,
@@ -690,6 +703,10 @@ fn chip_names() -> PossibleValuesParser {
 
 fn key_words(text: &str) -> Result<Key, String> {
     keys::words(text).map(Key).ok_or_else(|| "expected two words, such as '0414 3672'".into())
+}
+
+fn order(text: &str) -> Result<Order, String> {
+    Order::by_name(text).ok_or_else(|| "expected lsb-first or as-sent".into())
 }
 
 fn address(text: &str) -> Result<u8, String> {

@@ -8,6 +8,7 @@ use nix::errno::Errno;
 use nix::sys::signal::{SigSet, Signal as Unix};
 use nix::unistd::{getegid, geteuid};
 
+use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::trace::Trace;
 use crate::bus::{Bus, GAUGE_ADDRESS};
@@ -82,6 +83,8 @@ pub struct Options {
     pub read_only: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
+    /// The order of bytes in which challenges are sent.
+    pub auth_order: Order,
     /// A copy of `df/index`, for gauges that lose their configuration with their power.
     pub restore: Option<PathBuf>,
     /// Shut other users out.
@@ -140,6 +143,7 @@ pub fn run(options: Options) -> Result<()> {
         interval: options.interval,
         byte_writes: options.byte_writes || too_fast(chip, clock_hz),
         allow_unproven: options.allow_unproven,
+        auth_order: options.auth_order,
         restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
     };
     let signal = Arc::new(Signal::default());

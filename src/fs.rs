@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
+use crate::authentication;
 use crate::chip::{
     Bit, Chip, Effect, FLAT, Kind, Parameter, Range, Register, Role, Subclass, Tier, kebab_case, snake_case,
 };
@@ -170,6 +171,10 @@ pub enum State {
     Seal,
     /// A subcommand to send.
     Control,
+    /// A challenge to write, and the gauge's answer to it.
+    Authenticate,
+    /// The order of bytes in which challenges are sent.
+    AuthOrder,
     /// Seconds between polls.
     PollInterval,
     /// Written: poll now.
@@ -189,6 +194,8 @@ const STATES: &[State] = &[
     State::Itpor,
     State::Seal,
     State::Control,
+    State::Authenticate,
+    State::AuthOrder,
     State::PollInterval,
     State::Refresh,
     State::AgeMs,
@@ -206,6 +213,8 @@ impl State {
             State::Itpor => "itpor",
             State::Seal => "seal",
             State::Control => "control",
+            State::Authenticate => "authenticate",
+            State::AuthOrder => "auth_order",
             State::PollInterval => "poll_interval",
             State::Refresh => "refresh",
             State::AgeMs => "age_ms",
@@ -332,7 +341,9 @@ impl Fs {
                 kept(if unproven && !self.entry(gauge).handle.allows_unproven() { 4 } else { 6 })
             }
             Item::Raw(_) | Item::Index => kept(4),
-            Item::Transaction | Item::State(State::Seal | State::PollInterval) => kept(6),
+            Item::Transaction | Item::State(State::Seal | State::Authenticate | State::PollInterval) => {
+                kept(6)
+            }
             Item::State(State::Control | State::Refresh) => kept(2),
             Item::Knob(knob) => {
                 let writable =
@@ -437,11 +448,14 @@ impl Fs {
                 let words =
                     known(chip, snapshot.as_deref()).filter(|(_, register)| !register.bits.is_empty());
                 list.extend(words.map(|(at, register)| of(&snake_case(register.name), Item::Bits(at))));
-                let answers = self.published(gauge).answers;
+                let published = self.published(gauge);
                 let there = |state: &&State| match state {
-                    State::ChemId => answers.chem_id.is_some(),
+                    State::ChemId => published.answers.chem_id.is_some(),
                     State::Itpor => chip.volatile.is_some() && snapshot.is_some(),
                     State::ControlStatus | State::AgeMs => snapshot.is_some(),
+                    State::Authenticate | State::AuthOrder => {
+                        chip.authentication.is_some() && published.sibling.is_none()
+                    }
                     _ => true,
                 };
                 list.extend(STATES.iter().filter(there).map(|state| of(state.name(), Item::State(*state))));
@@ -584,6 +598,11 @@ impl Fs {
                 word.map(|word| u8::from(word & lost != 0).to_string())
             }
             State::Seal => Some(published.seal.as_str().to_string()),
+            State::Authenticate => match &published.digest {
+                Some(digest) => Some(authentication::to_hex(digest)),
+                None => return Content::Bytes(Vec::new()),
+            },
+            State::AuthOrder => Some(self.entry(gauge).handle.auth_order().as_str().to_string()),
             State::PollInterval => Some(published.interval.as_secs_f64().to_string()),
             State::AgeMs => self.entry(gauge).handle.age().map(|age| age.as_millis().to_string()),
             State::LastError if published.last_error.is_empty() => return Content::Bytes(Vec::new()),
@@ -745,6 +764,10 @@ impl Fs {
             },
             Item::State(State::Control) => match subcommand(handle.chip(), word()) {
                 Ok(code) => handle.submit(Request::Control(code, done)),
+                Err(error) => self.refuse(gauge, error, done),
+            },
+            Item::State(State::Authenticate) => match authentication::from_hex(data) {
+                Ok(challenge) => handle.submit(Request::Authenticate(challenge, done)),
                 Err(error) => self.refuse(gauge, error, done),
             },
             Item::State(State::PollInterval) => match interval(word()) {

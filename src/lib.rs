@@ -1,5 +1,6 @@
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
 
+pub mod authentication;
 pub mod bus;
 pub mod chip;
 pub mod cli;

@@ -8,6 +8,7 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
+use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
 use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
@@ -72,6 +73,8 @@ pub struct Published {
     pub sibling: Option<&'static Sibling>,
     /// Its seal state, as of the last time it was looked at.
     pub seal: Seal,
+    /// The answer to the last challenge; `None` while there is none.
+    pub digest: Option<Message>,
     /// Time between polls.
     pub interval: Duration,
     /// The last failure, one line; empty for none.
@@ -98,6 +101,8 @@ pub enum Request {
     Seal(Seal, Done<()>),
     /// Send a subcommand that the table marks safe.
     Control(u16, Done<()>),
+    /// Publish the gauge's answer to a challenge.
+    Authenticate(Message, Done<()>),
     /// Poll now and drop kept data flash.
     Refresh(Done<()>),
     /// Change the time between polls.
@@ -116,6 +121,7 @@ pub struct Handle {
 struct Shared {
     chip: &'static Chip,
     allow_unproven: bool,
+    auth_order: Order,
     clock: Arc<dyn Clock>,
     statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
@@ -177,6 +183,11 @@ impl Handle {
         self.shared.allow_unproven
     }
 
+    /// The order of bytes in which challenges are sent.
+    pub fn auth_order(&self) -> Order {
+        self.shared.auth_order
+    }
+
     /// What is known now.
     pub fn published(&self) -> Arc<Published> {
         self.shared.published()
@@ -228,6 +239,8 @@ pub struct Settings {
     pub byte_writes: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
+    /// The order of bytes in which challenges are sent.
+    pub auth_order: Order,
     /// What a gauge whose data memory is RAM is given again when it has lost its power.
     pub restore: Vec<Change>,
 }
@@ -305,12 +318,14 @@ impl Owner {
             answers: Answers::default(),
             sibling: None,
             seal: Seal::Sealed,
+            digest: None,
             interval: settings.interval,
             last_error: "".into(),
         };
         let shared = Arc::new(Shared {
             chip,
             allow_unproven: settings.allow_unproven,
+            auth_order: settings.auth_order,
             clock,
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
@@ -379,7 +394,9 @@ impl Owner {
         self.other = Registers::NONE;
         self.polls = self.polls.next_multiple_of(SLOW_EVERY);
         self.restored = false;
-        self.shared.publish(|published| (published.answers, published.sibling) = (answers, sibling));
+        self.shared.publish(|published| {
+            (published.answers, published.sibling, published.digest) = (answers, sibling, None);
+        });
         Ok(())
     }
 
@@ -559,6 +576,7 @@ impl Owner {
             (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
                 return done(Err(out_of_bounds(sibling)));
             }
+            (Some(sibling), Request::Authenticate(_, done)) => return done(Err(out_of_bounds(sibling))),
             (_, request) => request,
         };
         match request {
@@ -566,6 +584,7 @@ impl Owner {
             Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
             Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
             Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
+            Request::Authenticate(_, done) if late => done(Err(self.too_late())),
             Request::ReadSubclass(index, done) => {
                 done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
             }
@@ -597,6 +616,15 @@ impl Owner {
                     self.told(outcome)
                         .map(|answer| log::info!("Control(0x{code:04x}) answered 0x{answer:04x}")),
                 );
+            }
+            Request::Authenticate(challenge, done) => {
+                // Whatever comes of it, the digest before is no answer to this challenge.
+                self.shared.publish(|published| published.digest = None);
+                let order = self.shared.auth_order;
+                let digest = authentication::ask(&mut self.gauge, &challenge, order, waited);
+                done(self.told(digest).map(|digest| {
+                    self.shared.publish(|published| published.digest = Some(digest));
+                }));
             }
             // Somebody else's refresh, or a poll, came in between: its values are as fresh as was asked for.
             Request::Refresh(done) if asked < self.last_poll && self.failures == 0 => {

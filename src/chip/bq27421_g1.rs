@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
     security: SECURITY,
     access: ACCESS,
     gate: None,
+    authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: Some(100_000),
     signature: &[],

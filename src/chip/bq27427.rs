@@ -55,6 +55,7 @@ pub static CHIP: Chip = Chip {
         reset_limit: Duration::from_secs(4),
     },
     gate: None,
+    authentication: None,
     subclasses: SUBCLASSES,
     // The rule of the family, SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),

@@ -40,6 +40,7 @@ pub static CHIP: Chip = Chip {
     security: SECURITY,
     access: ACCESS,
     gate: None,
+    authentication: None,
     subclasses: SUBCLASSES,
     // SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),

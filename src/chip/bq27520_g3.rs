@@ -72,6 +72,8 @@ pub static CHIP: Chip = Chip {
         reset_limit: Duration::from_secs(2),
     },
     gate: Some(Gate { limit: (68, 0), divider: None }),
+    // Known of the relative with firmware 1.30 only (SLUS914A 4.1.2.3).
+    authentication: None,
     subclasses: SUBCLASSES,
     // The rule of the family, SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),

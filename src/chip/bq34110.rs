@@ -76,6 +76,7 @@ pub static CHIP: Chip = Chip {
     // No divider: owners whose writes were dropped had not set theirs yet, so that Voltage() itself was low
     // (E2E 834655, 797502, 846947).
     gate: Some(Gate { limit: (FLAT, 0x4157), divider: None }),
+    authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     // From somewhere on an owner's part had all one address lower. Each row has a first byte that its second

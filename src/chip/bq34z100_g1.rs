@@ -10,8 +10,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role, Safe, Scheme,
-    SealStatus, Security, Subclass, Subcommand,
+    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role,
+    Safe, Scheme, SealStatus, Security, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -70,6 +70,12 @@ pub static CHIP: Chip = Chip {
     },
     // 7.3.16.3 and 8.2.2.1.3: cell voltages are compared at the internal divider's full scale of 5000.
     gate: Some(Gate { limit: (68, 0), divider: Some((104, 14, 5000)) }),
+    // 7.3.15.3 gives the sequence and no times: these are a shipped driver's for the bq27541, which has the
+    // same commands.
+    authentication: Some(Authentication {
+        challenge: Duration::from_millis(1),
+        digest: Duration::from_millis(50),
+    }),
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     signature: &[],

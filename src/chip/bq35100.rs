@@ -78,6 +78,8 @@ pub static CHIP: Chip = Chip {
     },
     // The rule is that of the siblings; no scale between Voltage() and the limit is known.
     gate: Some(Gate { limit: (FLAT, 0x41B6), divider: None }),
+    // It has AuthenticateData() at 0x40, but how it is selected is in no source at hand.
+    authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     // An owner's part had its keys, at least, one address lower (E2E 668766). Each row has a first byte that

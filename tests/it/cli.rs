@@ -95,6 +95,7 @@ fn help_is_for_people() {
             "export --help",
             "diff --help",
             "lint --help",
+            "auth --help",
         ],
     );
 }
@@ -122,6 +123,7 @@ fn misuse_is_told_apart() {
             "mount --sim bq34z100-g1 --group no-such-group /tmp/x",
             "mount --bus /dev/i2c-1 --address 0xaa /tmp/x",
             "mount --bus /dev/i2c-1 --sim-state /tmp/y /tmp/x",
+            "mount --sim bq34z100-g1 --auth-order random /tmp/x",
             "umount",
             "probe",
             "export",
@@ -129,6 +131,7 @@ fn misuse_is_told_apart() {
             "diff /tmp/x",
             "lint",
             "lint --chip bq99 /tmp/x",
+            "auth /tmp/x",
         ],
     );
 }
@@ -469,4 +472,87 @@ fn log_and_trace_hold_what_they_should() {
     assert!(trace.contains("\nW: AA 00 01 00\n"), "{trace}");
     assert_eq!(trace.matches("\n; hidden\n").count() + trace.matches("; hidden\n; hidden\n").count(), 2);
     assert!(!trace.contains("W: AA 00 14 04"), "a key word is in the trace");
+}
+
+/// What is in the log, the trace and `gauge/last_error` of a session in which every key was used.
+#[test]
+fn a_genuine_pack_is_told_and_its_keys_appear_nowhere() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, log, trace, keys) =
+        (folder.file("m"), folder.file("log"), folder.file("trace"), folder.file("keys"));
+    let write_keys = |text: &str| {
+        fs::write(&keys, text).expect("a key file");
+        fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its mode");
+    };
+    let default = "0123456789ABCDEFFEDCBA9876543210";
+    write_keys(&format!("unseal = 8d3e b7c5\nfull_access = ffff ffff\nauthentication = {default}\n"));
+    let mount = ["mount", "--sim", CHIP, "--sim-key", "8d3e b7c5", "--key-file", &keys];
+    gaugefs(&[&mount[..], &["--log", &log, "--trace", &trace, &at]].concat()).done();
+    let gauge = format!("{at}/BAT0");
+    let auth = || gaugefs(&["auth", &gauge, "--key-file", &keys]);
+
+    assert_eq!(auth().done(), "genuine, byte order lsb-first\n");
+    fs::write(Path::new(&gauge).join("sim/auth_order"), "as-sent").expect("a knob");
+    assert_eq!(
+        auth().done(),
+        "genuine, byte order as-sent; it is mounted with lsb-first: mount it with --auth-order as-sent\n"
+    );
+    fs::write(Path::new(&gauge).join("gauge/seal"), "full-access").expect("a state");
+    assert!(auth().done().starts_with("genuine"));
+    assert_eq!(read(&gauge, "gauge/seal"), "full-access");
+    fs::write(Path::new(&gauge).join("df/80/53"), "3100").expect("a write");
+    // A key that stands where a subcommand or a challenge should is not repeated either.
+    for (file, text) in [("control", "8d3e"), ("control", "b7c5"), ("authenticate", default)] {
+        fs::write(Path::new(&gauge).join("gauge").join(file), text).expect_err("a refusal");
+        let told = read(&gauge, "gauge/last_error");
+        assert!(!told.to_lowercase().contains(&text.to_lowercase()), "{told}");
+    }
+
+    write_keys("authentication = 0123456789ABCDEFFEDCBA9876543211\n");
+    auth().failed(&["BAT0: not genuine", "in either byte order"]);
+    write_keys("unseal = 8d3e b7c5\n");
+    auth().failed(&[&keys, "has no line `authentication"]);
+    gaugefs(&["auth", &at, "--key-file", &folder.file("none")]).failed(&["cannot read the key file"]);
+    write_keys(&format!("authentication = {default}\n"));
+    gaugefs(&["auth", &at, "--key-file", &keys]).failed(&["not a mounted gauge"]);
+
+    let told = read(&gauge, "gauge/last_error");
+    gaugefs(&["umount", &at]).done();
+    within(Duration::from_secs(5), "the end is logged", || {
+        fs::read_to_string(&log).expect("the log").contains("unmounted")
+    });
+    for text in [told, fs::read_to_string(&log).expect("it"), fs::read_to_string(&trace).expect("it")] {
+        let tight: String = text.to_lowercase().split_whitespace().collect();
+        // As it is written, and as it goes over the wire; only the parts of a key that stand for nothing
+        // else by chance.
+        for key in ["8d3eb7c5", "3e8dc5b7", "aa003e8d", "aa00c5b7", "aa00ffff"] {
+            assert!(!tight.contains(key), "{key} in {text}");
+        }
+        let turned: String =
+            default.as_bytes().chunks(2).rev().map(|pair| String::from_utf8_lossy(pair)).collect();
+        for key in [default.to_lowercase(), turned.to_lowercase()] {
+            assert!(!tight.contains(&key), "the authentication key in {text}");
+        }
+    }
+}
+
+#[test]
+fn the_byte_order_is_chosen_with_the_mount() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, keys) = (folder.file("m"), folder.file("keys"));
+    fs::write(&keys, "authentication = 0123456789abcdeffedcba9876543210\n").expect("a key file");
+    fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its mode");
+    gaugefs(&["mount", "--sim", CHIP, "--auth-order", "as-sent", &at]).done();
+    let auth = gaugefs(&["auth", &folder.file("m/BAT0"), "--key-file", &keys]).done();
+    assert!(auth.contains("genuine, byte order lsb-first; it is mounted with as-sent"), "{auth}");
+    fs::write(Path::new(&at).join("BAT0/sim/auth_order"), "as-sent").expect("a knob");
+    let auth = gaugefs(&["auth", &folder.file("m/BAT0"), "--key-file", &keys]).done();
+    assert_eq!(auth, "genuine, byte order as-sent\n");
+    gaugefs(&["umount", &at]).done();
 }

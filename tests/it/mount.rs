@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use gaugefs::authentication::Order;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
@@ -82,7 +83,14 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings = Settings { keys, interval, byte_writes: false, allow_unproven: false, restore };
+        let settings = Settings {
+            keys,
+            interval,
+            byte_writes: false,
+            allow_unproven: false,
+            auth_order: Order::default(),
+            restore,
+        };
         let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = Entry {
             name: "BAT0".into(),
@@ -709,4 +717,54 @@ fn a_transaction_in_several_writes() {
     assert_eq!((mount.cat("df/80/53").as_str(), mount.cat("df/48/11").as_str()), ("3100", "2200"));
     assert_eq!(mount.cat("gauge/seal"), "sealed");
     assert_eq!(mount.echo("3200", "df/80/53"), Ok(()));
+}
+
+#[test]
+fn a_challenge_is_answered_sealed_and_unsealed() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    // Most significant byte first, as SHA-1 has it; on the wire it is the other way round.
+    let zeros = "00".repeat(20);
+    let answer = "2fa27ceb5b616484620fe32217c29b0a8e3cf3f0";
+    assert_eq!(mount.cat("gauge/authenticate"), "");
+    assert_eq!(mount.cat("gauge/auth_order"), "lsb-first");
+    for seal in ["sealed", "unsealed", "full-access"] {
+        mount.echo(seal, "gauge/seal").expect("a state");
+        // What the window showed before is not taken for the answer.
+        mount.echo(&"a5".repeat(20), "gauge/authenticate").expect("another challenge");
+        assert_ne!(mount.cat("gauge/authenticate"), answer);
+        mount.echo(&zeros, "gauge/authenticate").expect("a challenge");
+        assert_eq!(mount.cat("gauge/authenticate"), answer);
+        assert_eq!(mount.cat("gauge/seal"), seal);
+    }
+    // What a gauge makes of it that takes the same bytes in the other order.
+    let orders = [
+        ("lsb-first", "b78043012bb40f9ff86404f645c2ab6a9f28eaf3"),
+        ("as-sent", "67d8d90516ecd55a3c751fc0be7a361db366a246"),
+    ];
+    for (order, answer) in orders {
+        mount.sim.set("auth_order", order).expect("a knob");
+        mount.echo("000102030405060708090A0B0C0D0E0F10111213", "gauge/authenticate").expect("a challenge");
+        assert_eq!(mount.cat("gauge/authenticate"), answer);
+    }
+    // Data flash is where it was, and nothing was programmed.
+    mount.echo("unsealed", "gauge/seal").expect("a state");
+    mount.echo(&zeros, "gauge/authenticate").expect("a challenge");
+    assert_eq!(mount.cat("df/80/53"), "3000");
+    assert_eq!(mount.sim.get("programmed").as_deref(), Some("0"));
+
+    for text in ["", "00", &zeros[1..], &format!("{zeros}00"), &format!("{}zz", &zeros[2..])] {
+        assert_eq!(mount.echo(text, "gauge/authenticate"), Err(Errno::EINVAL), "`{text}`");
+    }
+    // One that cannot be answered leaves no answer behind.
+    mount.sim.set("auth_ms", "5000").expect("a knob");
+    assert_eq!(mount.echo(&zeros, "gauge/authenticate"), Err(Errno::EPROTO));
+    assert_eq!(mount.cat("gauge/authenticate"), "");
+    assert!(mount.cat("gauge/last_error").contains("no digest of the challenge"));
+}
+
+#[test]
+fn only_a_part_whose_authentication_is_known_has_the_file() {
+    let Some(mount) = quiet("bq27441-g1") else { return };
+    assert!(!mount.path("gauge/authenticate").exists());
+    assert!(!mount.path("gauge/auth_order").exists());
 }

@@ -3,6 +3,7 @@
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
+use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, SimClock};
 use gaugefs::fs::{Access, Entry, Fs, Node, Scales};
@@ -25,8 +26,14 @@ impl Tree {
         clock.sleep(Duration::from_secs(1));
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let interval = Duration::from_secs(3600);
-        let settings =
-            Settings { keys, interval, byte_writes: false, allow_unproven: false, restore: Vec::new() };
+        let settings = Settings {
+            keys,
+            interval,
+            byte_writes: false,
+            allow_unproven: false,
+            auth_order: Order::default(),
+            restore: Vec::new(),
+        };
         let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
         let handle = handle.expect("a gauge");
         let entry =

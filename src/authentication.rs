@@ -1,0 +1,251 @@
+//! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
+//!
+//! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M.
+//! This is not the HMAC of RFC 2104. Here stand the sequence on the bus, which knows no key, and the
+//! computation of what a gauge with a key has to answer, which knows no gauge.
+
+use std::time::Duration;
+
+use sha1::{Digest as _, Sha1};
+
+use crate::chip::Authentication;
+use crate::codec::checksum;
+use crate::error::{Cause, Error, Result};
+use crate::gauge::{Gauge, Seal, Statistics};
+
+/// DataFlashBlock(): 0 stands for challenge and digest.
+const DATA_FLASH_BLOCK: u8 = 0x3f;
+/// AuthenticateData().
+const AUTHENTICATE_DATA: u8 = 0x40;
+/// AuthenticateChecksum(), which starts the computation.
+const AUTHENTICATE_CHECKSUM: u8 = 0x54;
+/// BlockDataControl(): 1 lets an unsealed gauge show what a sealed one shows.
+const BLOCK_DATA_CONTROL: u8 = 0x61;
+
+/// Bytes of a challenge, and of a digest.
+pub const LENGTH: usize = 20;
+/// A challenge or a digest, the most significant byte first, as SHA-1 takes and gives it.
+pub type Message = [u8; LENGTH];
+
+/// How often the digest is looked for.
+const LOOKS: u32 = 4;
+/// write(2) returns within 30 s.
+const LIMIT: Duration = Duration::from_secs(12);
+
+/// In which order challenge and digest pass over the bus. The manual does not say; drivers and traces of
+/// relatives have the least significant byte first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Order {
+    /// The least significant byte first.
+    #[default]
+    LsbFirst,
+    /// The first byte first.
+    AsSent,
+}
+
+impl Order {
+    /// Both.
+    pub const ALL: [Order; 2] = [Order::LsbFirst, Order::AsSent];
+
+    /// The word that stands for it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Order::LsbFirst => "lsb-first",
+            Order::AsSent => "as-sent",
+        }
+    }
+
+    /// The order that a word stands for.
+    pub fn by_name(word: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|order| order.as_str() == word)
+    }
+
+    /// From the order of SHA-1 to that of the bus, or back.
+    fn turn(self, mut message: Message) -> Message {
+        if self == Order::LsbFirst {
+            message.reverse();
+        }
+        message
+    }
+}
+
+/// What a gauge with that key answers to that challenge.
+pub fn answer(key: &[u8; 16], challenge: &Message) -> Message {
+    let inner = Sha1::new().chain_update(key).chain_update(challenge).finalize();
+    Sha1::new().chain_update(key).chain_update(inner).finalize().into()
+}
+
+/// The order in which a gauge with that key answers so, where it was asked in the order `asked`; `None`
+/// where it answers so in neither.
+pub fn fits(key: &[u8; 16], challenge: &Message, digest: &Message, asked: Order) -> Option<Order> {
+    let (sent, got) = (asked.turn(*challenge), asked.turn(*digest));
+    Order::ALL.into_iter().find(|order| answer(key, &order.turn(sent)) == order.turn(got))
+}
+
+/// Asks the gauge for its digest of a challenge. The seal stays as it is: no key is needed for it.
+pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duration) -> Result<Message> {
+    let Some(waits) = &gauge.chip.authentication else {
+        let why = "this part has no authentication that gaugefs knows";
+        return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())));
+    };
+    gauge.limit(Some(LIMIT.saturating_sub(waited)));
+    let outcome = gauge.claim().and_then(|()| {
+        let sent = order.turn(*challenge);
+        // Nothing is stored by it, so all of it may be done again.
+        let first = attempt(gauge, waits, &sent);
+        first.or_else(|_| {
+            Statistics::count(&gauge.statistics.retries);
+            attempt(gauge, waits, &sent)
+        })
+    });
+    gauge.limit(None);
+    outcome.map(|digest| order.turn(digest)).map_err(|error| error.within("authenticate"))
+}
+
+fn attempt(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
+    // SEALED there is no BlockDataControl() (Table 7-8), and none is needed.
+    let open = gauge.seal()? != Seal::Sealed;
+    if open {
+        gauge.write(BLOCK_DATA_CONTROL, &[1])?;
+    }
+    let digest = exchange(gauge, waits, sent);
+    // Data flash is not to be found in the window until this is 0 again.
+    let closed = if open { gauge.write(BLOCK_DATA_CONTROL, &[0]) } else { Ok(()) };
+    digest.and_then(|digest| closed.map(|()| digest))
+}
+
+fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
+    gauge.write(DATA_FLASH_BLOCK, &[0])?;
+    gauge.wait(gauge.chip.access.select);
+    gauge.write(AUTHENTICATE_DATA, sent)?;
+    gauge.wait(waits.challenge);
+    // Sent once: a second one would be about the digest.
+    let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
+    started.map_err(|bus| Error::new("AuthenticateChecksum()", Cause::Bus(bus)))?;
+    // I2C has no check of its own, and no document says how long the gauge computes: a digest counts when
+    // it is read twice.
+    let mut before = None;
+    for _ in 0..LOOKS {
+        gauge.wait(waits.digest);
+        let mut digest = [0; LENGTH];
+        gauge.read(AUTHENTICATE_DATA, &mut digest)?;
+        if digest != *sent && before == Some(digest) {
+            return Ok(digest);
+        }
+        before = Some(digest);
+    }
+    let why = "the gauge shows no digest of the challenge";
+    Err(Error::new("AuthenticateData()", Cause::Protocol(why.into())))
+}
+
+/// A challenge or a digest as text, two digits a byte.
+pub fn to_hex(message: &Message) -> String {
+    message.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The same, read back; spaces around it are fine. The error does not repeat what may be a key.
+pub fn from_hex(text: &[u8]) -> Result<Message> {
+    let digits = text.trim_ascii();
+    let digit = |byte: u8| char::from(byte).to_digit(16).map(|digit| digit as u8);
+    let mut message = [0; LENGTH];
+    let bytes = digits.chunks(2).map(|pair| match *pair {
+        [high, low] => Some(digit(high)? << 4 | digit(low)?),
+        _ => None,
+    });
+    let whole = digits.len() == 2 * LENGTH
+        && message.iter_mut().zip(bytes).all(|(into, byte)| byte.map(|byte| *into = byte).is_some());
+    if !whole {
+        let why = format!("expected a challenge of {LENGTH} bytes as {} hexadecimal digits", 2 * LENGTH);
+        return Err(Error::new("authenticate", Cause::Invalid(why)));
+    }
+    Ok(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(text: &str) -> Message {
+        from_hex(text.as_bytes()).expect("20 bytes")
+    }
+
+    fn key(text: &str) -> [u8; 16] {
+        let line = format!("authentication = {text}");
+        let keys = crate::keys::Keys::parse("keys", line.as_bytes()).expect("a key file");
+        keys.authentication.expect("a key")
+    }
+
+    const DEFAULT: &str = "0123456789ABCDEFFEDCBA9876543210";
+    const ZEROS: &str = "0000000000000000000000000000000000000000";
+
+    /// SLUAAQ0's example, that of the bq26100, and what bqStudio computed for a bq35100.
+    #[test]
+    fn answers_are_those_of_the_published_examples() {
+        for (k, m, d) in [
+            ("42C5413DB9EDBBA212DFB96B7440433C", ZEROS, "B0BEF440CAC492FAF09604A46C2C0996512331AF"),
+            (
+                "00000000000000000000000000000000",
+                "C82CA3CA10DEC7268E070A7CF0D1FE8220AAD3B8",
+                "FB8A342458E0B136988CB5203BB23F94DFD4440E",
+            ),
+            (DEFAULT, "546869732069732061207465737420666F722068", "5D80AC0CDB62DA0BADB8AD272AF9D6A11223E734"),
+        ] {
+            assert_eq!(to_hex(&answer(&key(k), &message(m))), d.to_lowercase());
+        }
+    }
+
+    /// A bq78350 on the wire: challenge and answer with the least significant byte first.
+    #[test]
+    fn a_relatives_trace_has_the_least_significant_byte_first() {
+        let k = key("01000000000000000000000000000001");
+        let sent = message("C82CA3CA10DEC7268E070A7CF0D1FE8220AAD3B8");
+        let got = message("ADB2D89D38F6DF5B098850541935F84EC61E0DB3");
+        assert_eq!(fits(&k, &sent, &got, Order::AsSent), Some(Order::LsbFirst));
+        let (sent, got) = (Order::LsbFirst.turn(sent), Order::LsbFirst.turn(got));
+        assert_eq!(fits(&k, &sent, &got, Order::LsbFirst), Some(Order::LsbFirst));
+    }
+
+    /// Derived for the default key, in both orders: bytes on the wire.
+    #[test]
+    fn the_order_on_the_wire_is_found_out() {
+        for (sent, lsb_first, as_sent) in [
+            (ZEROS, "F0F33C8E0A9BC21722E30F628464615BEB7CA22F", "2FA27CEB5B616484620FE32217C29B0A8E3CF3F0"),
+            (
+                "000102030405060708090a0b0c0d0e0f10111213",
+                "67D8D90516ECD55A3C751FC0BE7A361DB366A246",
+                "B78043012BB40F9FF86404F645C2AB6A9F28EAF3",
+            ),
+            (
+                "C82CA3CA10DEC7268E070A7CF0D1FE8220AAD3B8",
+                "A89F35E7163A1F0D4F8DEEFE102DA4915EA5E4C3",
+                "B46F6021955E203EE105A2235AE7A0ACC1FF0AED",
+            ),
+        ] {
+            for asked in Order::ALL {
+                let challenge = asked.turn(message(sent));
+                for (got, order) in [(lsb_first, Order::LsbFirst), (as_sent, Order::AsSent)] {
+                    let digest = asked.turn(message(got));
+                    assert_eq!(fits(&key(DEFAULT), &challenge, &digest, asked), Some(order));
+                    assert_eq!(fits(&key(&DEFAULT.replace('7', "8")), &challenge, &digest, asked), None);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_challenge_is_40_digits_and_nothing_else() {
+        assert_eq!(to_hex(&message(" 00FF102030405060708090a0b0c0d0e0f0112233\n")).len(), 40);
+        for text in [
+            "",
+            "00",
+            &ZEROS[1..],
+            &format!("{ZEROS}0"),
+            &ZEROS.replacen('0', "g", 1),
+            &format!("0x{}", &ZEROS[2..]),
+        ] {
+            let error = from_hex(text.as_bytes()).expect_err("not a challenge");
+            assert_eq!(error.errno(), nix::errno::Errno::EINVAL);
+            assert!(text.len() < 3 || !error.to_string().contains(text));
+        }
+    }
+}
