@@ -1,13 +1,14 @@
 //! The bus: one trait, one method, one START...STOP transfer.
 //!
 //! A [`Bus`] speaks to one 7-bit address. What stands behind it is a real adapter (`linux`), a
-//! simulated gauge (`crate::sim`), or a wrapper around another `Bus` (`trace`, `count`).
+//! simulated gauge (`crate::sim`), a recorded one (`replay`), or a wrapper around another `Bus` (`trace`).
 
 use std::fmt;
 
 use nix::errno::Errno;
 
 pub mod linux;
+pub mod replay;
 pub mod trace;
 
 /// The address of every gauge in the tables; the parts allow no other.
@@ -44,6 +45,22 @@ impl BusError {
             BusError::Busy => Errno::EBUSY,
             BusError::Other(errno) => errno,
         }
+    }
+}
+
+impl BusError {
+    /// The error that prints so; what is not known by its text is any other of the adapter's.
+    pub fn by_text(text: &str) -> Self {
+        let known = [
+            BusError::NoAck,
+            BusError::ArbitrationLost,
+            BusError::Timeout,
+            BusError::Short,
+            BusError::Gone,
+            BusError::Busy,
+        ];
+        let found = known.into_iter().find(|error| error.to_string() == text);
+        found.unwrap_or(BusError::Other(Errno::EIO))
     }
 }
 

@@ -101,7 +101,7 @@ enum Command {
 
 /// Mount a gauge; returns once it is mounted and has been read
 #[derive(Args, Debug)]
-#[command(after_help = MOUNT, group = ArgGroup::new("gauge").required(true).args(["sim", "bus"]))]
+#[command(after_help = MOUNT, group = ArgGroup::new("gauge").required(true).args(["sim", "bus", "replay"]))]
 struct Mount {
     /// Folder to mount at; made if it is missing
     mountpoint: PathBuf,
@@ -110,31 +110,34 @@ struct Mount {
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true, help_heading = "Gauge")]
     sim: Option<String>,
     /// Keep the simulated gauge's flash in this file; made if it is missing
-    #[arg(long, value_name = "FILE", conflicts_with = "bus", help_heading = "Gauge")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "replay"], help_heading = "Gauge")]
     sim_state: Option<PathBuf>,
     /// Unseal key of a new simulated gauge [default: the manual's]
-    #[arg(long, value_name = "WORDS", value_parser = key_words, conflicts_with = "bus", help_heading = "Gauge")]
+    #[arg(long, value_name = "WORDS", value_parser = key_words, conflicts_with_all = ["bus", "replay"], help_heading = "Gauge")]
     sim_key: Option<Key>,
     /// The I2C bus that the gauge is on, such as /dev/i2c-1
     #[arg(long, value_name = "DEVICE", help_heading = "Gauge")]
     bus: Option<PathBuf>,
     /// The gauge's 7-bit address
-    #[arg(long, value_name = "ADDRESS", default_value = "0x55", value_parser = address, conflicts_with = "sim", help_heading = "Gauge")]
+    #[arg(long, value_name = "ADDRESS", default_value = "0x55", value_parser = address, conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     address: u8,
     /// What the gauge is [default: it is asked]
-    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true, conflicts_with = "sim", help_heading = "Gauge")]
+    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     chip: Option<String>,
+    /// A recorded gauge, read-only: the file that --trace wrote
+    #[arg(long, value_name = "FILE", conflicts_with = "trace", help_heading = "Gauge")]
+    replay: Option<PathBuf>,
     /// Write one byte a transfer, as some gauges want above 100 kHz
     #[arg(long, help_heading = "Gauge")]
     byte_writes: bool,
     /// A copy of df/index to write again when a gauge without flash has lost its power
-    #[arg(long, value_name = "FILE", help_heading = "Gauge")]
+    #[arg(long, value_name = "FILE", conflicts_with = "replay", help_heading = "Gauge")]
     restore: Option<PathBuf>,
 
     /// Name of the gauge's folder [default: BAT0]
     #[arg(long, value_name = "NAME", value_parser = name, help_heading = "What is shown")]
     name: Option<String>,
-    /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim]
+    /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim and --replay]
     #[arg(long, value_name = "SECONDS", value_parser = interval, help_heading = "What is shown")]
     poll: Option<Duration>,
     /// Show energy_now and power_avg too; beside charge_now they mislead some monitors
@@ -334,23 +337,25 @@ impl Mount {
 
     fn options(self) -> daemon::Options {
         let known = |name: &str| Chip::by_name(name).expect("clap took only names of chips");
-        let source = match (self.sim, self.bus) {
-            (Some(chip), _) => {
+        let source = match (self.sim, self.replay, self.bus) {
+            (Some(chip), _, _) => {
                 Source::Sim { chip: known(&chip), state: self.sim_state, key: self.sim_key.map(|key| key.0) }
             }
-            (None, bus) => Source::Bus {
-                bus: bus.expect("clap wants --sim or --bus"),
+            (None, Some(file), _) => Source::Recorded(file),
+            (None, None, bus) => Source::Bus {
+                bus: bus.expect("clap wants --sim, --bus or --replay"),
                 address: self.address,
                 chip: self.chip.as_deref().map(known),
             },
         };
+        let recorded = matches!(source, Source::Recorded(_));
         let simulated = matches!(source, Source::Sim { .. });
         daemon::Options {
             mountpoint: self.mountpoint,
             source,
             byte_writes: self.byte_writes,
             name: self.name,
-            interval: self.poll.unwrap_or(Duration::from_secs(if simulated { 3 } else { 30 })),
+            interval: self.poll.unwrap_or(Duration::from_secs(if simulated || recorded { 3 } else { 30 })),
             scales: Scales {
                 current: self.current_scale,
                 voltage: self.voltage_scale,
@@ -358,7 +363,7 @@ impl Mount {
                 absolute_current: self.absolute_current,
                 energy_shown: self.energy,
             },
-            read_only: self.read_only,
+            read_only: self.read_only || recorded,
             allow_unproven: self.allow_unproven,
             auth_order: self.auth_order,
             restore: self.restore,

@@ -10,14 +10,16 @@ use nix::unistd::{getegid, geteuid};
 
 use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
+use crate::bus::replay::{Recording, Replay, Seals};
 use crate::bus::trace::Trace;
 use crate::bus::{Bus, GAUGE_ADDRESS};
-use crate::chip::Chip;
+use crate::chip::{Chip, SealStatus, Tier};
 use crate::clock::{Clock, RealClock};
 use crate::dataflash::Change;
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Entry, Fs, Knobs, Scales};
 use crate::fuse;
+use crate::gauge::bursts;
 use crate::keys::Keys;
 use crate::lock::{Holder, Lock};
 use crate::poll::{self, Handle, Request, Settings, Signal};
@@ -44,6 +46,8 @@ pub enum Source {
         /// Its unseal key, where it is new.
         key: Option<[u16; 2]>,
     },
+    /// In a file that `--trace` wrote.
+    Recorded(PathBuf),
     /// On a bus.
     Bus {
         /// The adapter's node.
@@ -186,6 +190,28 @@ fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
     saved::parse(chip, &text).map_err(|error| error.within(&name))
 }
 
+/// The gauge of a recording, which has to hold all that a mount reads by itself.
+fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
+    let name = path.display().to_string();
+    let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
+    let recording = Recording::open(path)?;
+    let chip = Chip::by_name(&recording.chip)
+        .ok_or_else(|| refuse(format!("`{}` is no gauge that gaugefs knows", recording.chip)))?;
+    let status = match chip.security.status {
+        SealStatus::Field { register, .. } => register,
+        SealStatus::Bits { .. } => None,
+    };
+    let replay = Replay::new(&recording, Seals { command: chip.security.seal, status });
+    for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
+        let mut read = bursts(chip.registers, |found| found == tier).into_iter();
+        if !read.all(|(register, length)| replay.covers(register, length)) {
+            let why = "it ends before every register was read; a few seconds of a mount have them all";
+            return Err(refuse(why.into()));
+        }
+    }
+    Ok((chip, replay))
+}
+
 /// Whether the part takes only one byte a write at that clock.
 fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
     chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
@@ -240,6 +266,18 @@ impl Source {
                     subject,
                     sim: Some(sim),
                     lock,
+                })
+            }
+            Self::Recorded(path) => {
+                let (chip, replay) = recorded(path)?;
+                Ok(Opened {
+                    chip,
+                    bus: Box::new(replay),
+                    clock_hz: None,
+                    address: GAUGE_ADDRESS,
+                    subject: format!("recording {}", path.display()),
+                    sim: None,
+                    lock: None,
                 })
             }
             Self::Bus { bus, address, chip } => {

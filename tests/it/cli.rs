@@ -124,6 +124,8 @@ fn misuse_is_told_apart() {
             "mount --bus /dev/i2c-1 --address 0xaa /tmp/x",
             "mount --bus /dev/i2c-1 --sim-state /tmp/y /tmp/x",
             "mount --sim bq34z100-g1 --auth-order random /tmp/x",
+            "mount --replay /tmp/y --bus /dev/i2c-1 /tmp/x",
+            "mount --replay /tmp/y --trace /tmp/z /tmp/x",
             "umount",
             "probe",
             "export",
@@ -555,4 +557,80 @@ fn the_byte_order_is_chosen_with_the_mount() {
     let auth = gaugefs(&["auth", &folder.file("m/BAT0"), "--key-file", &keys]).done();
     assert_eq!(auth, "genuine, byte order as-sent\n");
     gaugefs(&["umount", &at]).done();
+}
+
+/// Every file of a gauge's folder that does not count or measure the session itself.
+fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
+    let mut files = Vec::new();
+    for folder in [".", "gauge", "gauge/registers"] {
+        for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
+            let entry = entry.expect("an entry");
+            let name = entry.file_name().into_string().expect("a name");
+            if entry.file_type().expect("a kind").is_file() && !own.contains(&name.as_str()) {
+                // What has not been read yet is listed and not there.
+                let text = fs::read_to_string(entry.path()).unwrap_or_default();
+                files.push((format!("{folder}/{name}"), text));
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn a_recorded_gauge_is_mounted_as_it_was() {
+    if !can_mount() {
+        return;
+    }
+    let parts = [("bq34z100-g1", "df/48/11"), ("bq27441-g1", "df/82/10"), ("bq34110", "df/flash/0x41f5")];
+    for (chip, parameter) in parts {
+        let folder = Folder::new();
+        let (at, trace) = (folder.file("m"), folder.file("trace"));
+        let gauge = format!("{at}/BAT0");
+        let number = |name: &str| read(&gauge, name).parse::<i64>().expect("a number");
+        gaugefs(&["mount", "--sim", chip, "--poll", "0.5", "--trace", &trace, &at]).done();
+        let first = read(&gauge, "current_now");
+        let value = read(&gauge, parameter);
+        fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
+        within(Duration::from_secs(10), "the load is seen", || read(&gauge, "current_now") != first);
+        // From now on every poll is like the next.
+        fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
+        let polls = number("gauge/statistics/polls") + 2;
+        within(Duration::from_secs(10), "two polls", || number("gauge/statistics/polls") >= polls);
+        let recorded = shown(&gauge);
+        gaugefs(&["umount", &at]).done();
+
+        gaugefs(&["mount", "--replay", &trace, "--poll", "0.5", &at]).done();
+        assert_eq!(read(&gauge, "current_now"), first, "{chip} begins as the recording");
+        assert!(!Path::new(&gauge).join("sim").exists());
+        for file in ["gauge/refresh", "gauge/seal", parameter] {
+            let refused = fs::File::options().write(true).open(Path::new(&gauge).join(file));
+            let error = refused.expect_err("it is read-only").raw_os_error();
+            assert_eq!(error, Some(nix::libc::EROFS), "{chip}: {file}");
+        }
+        assert_eq!(read(&gauge, parameter), value, "{chip}");
+        within(Duration::from_secs(20), "all polls", || shown(&gauge) == recorded);
+        assert_eq!(read(&gauge, "gauge/last_error"), "", "{chip}");
+        // What was never read cannot be read now, and leaves everything else as it is.
+        fs::read(Path::new(&gauge).join("df/index")).expect_err("most of data flash was not recorded");
+        assert_eq!(read(&gauge, "gauge/seal"), "sealed", "{chip}");
+        assert!(shown(&gauge) == recorded, "{chip} stays as it ended");
+        gaugefs(&["umount", &at]).done();
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_not_mounted() {
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("trace"));
+    let replay = || gaugefs(&["mount", "--replay", &file, &at]);
+    replay().failed(&["trace: cannot read it"]);
+    fs::write(&file, "W: AA 00 01 00\n").expect("a file");
+    replay().failed(&["line 1", "only a file that --trace wrote"]);
+    fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
+    replay().failed(&["`bq99` is no gauge"]);
+    fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");
+    replay().failed(&["ends before every register was read"]);
+    assert!(!Path::new(&at).exists());
 }

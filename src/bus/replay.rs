@@ -1,0 +1,380 @@
+//! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge, to look at.
+//!
+//! What a gauge answers at an address depends on what was written before: a subcommand for Control(), a
+//! selection for the window, the seal state for both. So an answer is looked for among those that were
+//! recorded at the same address after the same writes; they are given in their order, and the last that
+//! was no failure again and again. Selections may be written, as they change nothing. Everything else is
+//! refused, and keys are taken whatever they are where the recorded gauge was opened.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use nix::errno::Errno;
+
+use super::{Bus, BusError};
+use crate::error::{Cause, Error, Result};
+
+/// Control(RESET), which seals as well.
+const RESET: u16 = 0x0041;
+
+/// A file as it was recorded.
+pub struct Recording {
+    /// The name of the chip, as on the command line.
+    pub chip: String,
+    events: Vec<Event>,
+}
+
+enum Event {
+    Transfer {
+        write: Vec<u8>,
+        read: usize,
+        answer: Answer,
+    },
+    /// A key word.
+    Hidden,
+}
+
+type Answer = Result<Vec<u8>, BusError>;
+
+/// What tells whether a gauge is sealed.
+#[derive(Clone, Copy, Debug)]
+pub struct Seals {
+    /// The subcommand that seals.
+    pub command: u16,
+    /// The register that shows the state, where that is not Control().
+    pub status: Option<u8>,
+}
+
+impl Recording {
+    /// Reads a file that `--trace` wrote.
+    pub fn open(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text =
+            std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        Self::parse(&text).map_err(|error| error.within(&name))
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let only = "only a file that --trace wrote can be replayed";
+        let refuse = |number: usize, why: &str| {
+            Error::new(format!("line {number}"), Cause::Invalid(format!("{why}; {only}")))
+        };
+        // A session that was cut short may leave half a line.
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut lines = (1..).zip(whole.lines());
+        let head = lines.next().and_then(|(_, line)| line.strip_prefix("; gaugefs: "));
+        let chip = head.and_then(|head| head.split(" on ").next());
+        let chip = chip.ok_or_else(|| refuse(1, "it does not name a gauge"))?.to_string();
+        let mut events = Vec::new();
+        let mut asked = None;
+        for (number, line) in lines {
+            if let Some(command) = command(line) {
+                if asked.is_some() {
+                    return Err(refuse(number - 1, "nothing says what came of it"));
+                }
+                asked = Some(command.ok_or_else(|| refuse(number, "not a transfer"))?);
+            } else if line == "; hidden" {
+                events.push(Event::Hidden);
+            } else if let Some((write, read)) = asked.take() {
+                let answer = outcome(line).filter(|outcome| match outcome {
+                    Ok(bytes) => bytes.len() == read,
+                    Err(_) => true,
+                });
+                let answer = answer.ok_or_else(|| refuse(number, "not what comes of that transfer"))?;
+                events.push(Event::Transfer { write, read, answer });
+            } else if !line.is_empty() && !line.starts_with(';') {
+                return Err(refuse(number, "neither a transfer nor a comment"));
+            }
+        }
+        Ok(Self { chip, events })
+    }
+}
+
+/// Bytes written and the number of bytes to read, where the line is a transfer; the inner `None` for one
+/// that is none after all.
+fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
+    let line = line.strip_prefix("; ").unwrap_or(line);
+    if let Some(rest) = line.strip_prefix("W:") {
+        let (bytes, count) = rest.split_once(" R:").unwrap_or((rest, "0"));
+        return Some(hex(bytes).zip(count.trim().parse().ok()).map(without_address));
+    }
+    let (bytes, count) = line.strip_prefix("R:")?.rsplit_once(' ')?;
+    Some(hex(bytes).zip(count.parse().ok()).map(without_address))
+}
+
+fn without_address((mut bytes, count): (Vec<u8>, usize)) -> (Vec<u8>, usize) {
+    bytes.drain(..bytes.len().min(1));
+    (bytes, count)
+}
+
+fn hex(text: &str) -> Option<Vec<u8>> {
+    text.split_ascii_whitespace().map(|byte| u8::from_str_radix(byte, 16).ok()).collect()
+}
+
+/// What came of a transfer, below it.
+fn outcome(line: &str) -> Option<Answer> {
+    let (time, rest) = line.strip_prefix(';')?.trim_start().split_once(' ')?;
+    time.parse::<f64>().ok()?;
+    if let Some(why) = rest.strip_prefix("failed: ") {
+        return Some(Err(BusError::by_text(why)));
+    }
+    match rest.strip_prefix("->") {
+        Some(bytes) => hex(bytes).map(Ok),
+        None => (rest == "ok").then(|| Ok(Vec::new())),
+    }
+}
+
+/// What the answers at an address depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Context {
+    /// Keys have been sent since it was last sealed.
+    open: bool,
+    /// Where the word was written that the answer is about, and the word.
+    about: Option<(u8, [u8; 2])>,
+}
+
+/// What has been written, as far as answers depend on it.
+#[derive(Clone, Copy)]
+struct Written {
+    seals: Seals,
+    open: bool,
+    control: [u8; 2],
+    selection: [u8; 2],
+    /// Which of the two was written last.
+    last: u8,
+}
+
+/// ManufacturerAccessControl(), or DataFlashClass() and DataFlashBlock(); the window follows.
+const SELECTION: u8 = 0x3e;
+/// BlockDataControl(), the end of the window.
+const WINDOW_END: u8 = 0x61;
+
+impl Written {
+    fn new(seals: Seals) -> Self {
+        Self { seals, open: false, control: [0; 2], selection: [0; 2], last: 0 }
+    }
+
+    fn note(&mut self, register: u8, data: &[u8]) {
+        for (at, &byte) in (register..=0x7f).zip(data) {
+            match at {
+                0x00 | 0x01 => (self.control[usize::from(at)], self.last) = (byte, 0),
+                SELECTION | 0x3f => {
+                    (self.selection[usize::from(at - SELECTION)], self.last) = (byte, SELECTION);
+                }
+                _ => {}
+            }
+            let word = u16::from_le_bytes(self.control);
+            if at == 0x01 && (word == self.seals.command || word == RESET) {
+                self.open = false;
+            }
+        }
+    }
+
+    fn context(&self, register: u8) -> Context {
+        let word = if self.last == SELECTION { self.selection } else { self.control };
+        match register {
+            0x00 | 0x01 => Context { open: self.open, about: Some((0, self.control)) },
+            SELECTION..=WINDOW_END => Context { open: self.open, about: Some((self.last, word)) },
+            _ => Context { open: self.open && self.seals.status == Some(register), about: None },
+        }
+    }
+}
+
+/// The answers to one question, in their order.
+#[derive(Default)]
+struct Series {
+    answers: Vec<Answer>,
+    next: usize,
+}
+
+impl Series {
+    fn next(&mut self) -> Option<Answer> {
+        if let Some(answer) = self.answers.get(self.next) {
+            self.next += 1;
+            return Some(answer.clone());
+        }
+        let good = self.answers.iter().rfind(|answer| answer.is_ok());
+        good.or(self.answers.last()).cloned()
+    }
+}
+
+/// A recorded gauge.
+pub struct Replay {
+    series: HashMap<(Context, u8, usize), Series>,
+    /// The last of each byte, for reads that were recorded in other pieces.
+    bytes: HashMap<(Context, u8), u8>,
+    /// Keys were recorded.
+    opened: bool,
+    written: Written,
+    secret: bool,
+}
+
+impl Replay {
+    /// The gauge of a recording.
+    pub fn new(recording: &Recording, seals: Seals) -> Self {
+        let mut written = Written::new(seals);
+        let mut replay =
+            Self { series: HashMap::new(), bytes: HashMap::new(), opened: false, written, secret: false };
+        for event in &recording.events {
+            let Event::Transfer { write, read, answer } = event else {
+                (written.open, replay.opened) = (true, true);
+                continue;
+            };
+            let Some((&register, data)) = write.split_first() else { continue };
+            written.note(register, data);
+            if *read == 0 {
+                continue;
+            }
+            let register = register.wrapping_add(data.len() as u8);
+            let key = (written.context(register), register, *read);
+            replay.series.entry(key).or_default().answers.push(answer.clone());
+            for (at, &byte) in (register..=0x7f).zip(answer.iter().flatten()) {
+                replay.bytes.insert((written.context(at), at), byte);
+            }
+        }
+        replay
+    }
+
+    /// Whether those bytes can be read without anything being written first.
+    pub fn covers(&self, register: u8, length: u8) -> bool {
+        (register..register + length).all(|at| self.bytes.contains_key(&(self.written.context(at), at)))
+    }
+
+    fn read(&mut self, register: u8, into: &mut [u8]) -> Result<(), BusError> {
+        let key = (self.written.context(register), register, into.len());
+        if let Some(answer) = self.series.get_mut(&key).and_then(Series::next) {
+            return answer.map(|bytes| into.copy_from_slice(&bytes));
+        }
+        let bytes = (register..=0x7f).map(|at| self.bytes.get(&(self.written.context(at), at)).copied());
+        let bytes: Option<Vec<u8>> = bytes.take(into.len()).collect();
+        let bytes = bytes.filter(|bytes| bytes.len() == into.len()).ok_or(BusError::NoAck)?;
+        into.copy_from_slice(&bytes);
+        Ok(())
+    }
+}
+
+impl Bus for Replay {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if self.secret {
+            self.written.open = self.opened;
+            return if self.opened { Ok(()) } else { Err(BusError::Other(Errno::ENODATA)) };
+        }
+        let Some((&register, data)) = write.split_first() else {
+            return if read.is_empty() { Ok(()) } else { Err(BusError::NoAck) };
+        };
+        // None of these changes a gauge: Control() does nothing here but choose the answer.
+        let selects =
+            (register..=0x7f).zip(data).all(|(at, _)| matches!(at, 0x00 | 0x01 | 0x3e | 0x3f | WINDOW_END));
+        if !selects {
+            return Err(BusError::Other(Errno::EROFS));
+        }
+        self.written.note(register, data);
+        if read.is_empty() {
+            return Ok(());
+        }
+        self.read(register.wrapping_add(data.len() as u8), read)
+    }
+
+    fn hush(&mut self, secret: bool) {
+        self.secret = secret;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEAD: &str = "; gaugefs: bq34z100-g1 on /dev/i2c-1 address 0x55, 2026-01-01T00:00:00Z\n\
+                        ; Below each transfer: seconds since the start, and what came of it.\n";
+
+    fn replay(lines: &str) -> Replay {
+        let recording = Recording::parse(&format!("{HEAD}{lines}")).expect("a recording");
+        assert_eq!(recording.chip, "bq34z100-g1");
+        Replay::new(&recording, Seals { command: 0x20, status: None })
+    }
+
+    fn ask(bus: &mut Replay, write: &[u8], count: usize) -> Answer {
+        let mut read = vec![0; count];
+        bus.transfer(write, &mut read).map(|()| read)
+    }
+
+    #[test]
+    fn answers_come_in_their_order_and_the_last_one_stays() {
+        let mut bus = replay(
+            "R: AA 08 2\n;     1.0 -> 01 02\nR: AA 08 2\n;     2.0 failed: not acknowledged; is the gauge \
+             powered and connected?\nR: AA 08 2\n;     3.0 -> 03 04\nR: AA 08 2\n;     4.0 failed: the bus \
+             timed out; a line is held low or the clock stretched too long\n",
+        );
+        assert_eq!(ask(&mut bus, &[8], 2), Ok(vec![1, 2]));
+        assert_eq!(ask(&mut bus, &[8], 2), Err(BusError::NoAck));
+        assert_eq!(ask(&mut bus, &[8], 2), Ok(vec![3, 4]));
+        assert_eq!(ask(&mut bus, &[8], 2), Err(BusError::Timeout));
+        assert_eq!(ask(&mut bus, &[8], 2), Ok(vec![3, 4]));
+        assert_eq!(ask(&mut bus, &[9], 1), Ok(vec![4]));
+        assert_eq!(ask(&mut bus, &[9], 2), Err(BusError::NoAck));
+        assert!(bus.covers(8, 2) && !bus.covers(8, 3));
+    }
+
+    #[test]
+    fn an_answer_belongs_to_what_was_written_before_it() {
+        let mut bus = replay(
+            "W: AA 00 01 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 -> 00 01\nW: AA 00 00 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 \
+             -> 00 60\n; hidden\n; hidden\nW: AA 00 00 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 -> 00 40\nW: AA 3E 30 \
+             00\n; 1.0 ok\nR: AA 3E 3\n; 1.0 -> 30 00 07\nW: AA 00 20 00\n; 1.0 ok\n",
+        );
+        for _ in 0..2 {
+            assert_eq!(ask(&mut bus, &[0, 0, 0], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0], 2), Ok(vec![0x00, 0x60]));
+            assert_eq!(ask(&mut bus, &[0, 1, 0], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0], 2), Ok(vec![0x00, 0x01]));
+            assert_eq!(ask(&mut bus, &[0, 2, 0], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0], 2), Err(BusError::NoAck));
+            // Sealed, the window shows nothing.
+            assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x00], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0x3e], 3), Err(BusError::NoAck));
+            bus.hush(true);
+            assert_eq!(ask(&mut bus, &[0, 0x34, 0x12], 0), Ok(vec![]));
+            bus.hush(false);
+            // One byte a transfer is as good.
+            assert_eq!(ask(&mut bus, &[0, 0], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[1, 0], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0], 2), Ok(vec![0x00, 0x40]));
+            assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x00], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0x3e], 3), Ok(vec![0x30, 0x00, 0x07]));
+            assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x01], 0), Ok(vec![]));
+            assert_eq!(ask(&mut bus, &[0x3e], 3), Err(BusError::NoAck));
+            assert_eq!(ask(&mut bus, &[0, 0x20, 0x00], 0), Ok(vec![]));
+        }
+    }
+
+    #[test]
+    fn nothing_is_written_and_no_key_fits_a_gauge_that_was_never_opened() {
+        let mut bus = replay("R: AA 08 2\n;     1.0 -> 01 02\n");
+        for write in [&[0x40, 1][..], &[0x3e, 0x30, 0x00, 0x55], &[0x60, 0xff], &[0x02, 1, 2]] {
+            assert_eq!(ask(&mut bus, write, 0), Err(BusError::Other(Errno::EROFS)));
+        }
+        bus.hush(true);
+        assert_eq!(ask(&mut bus, &[0, 0x14, 0x04], 0), Err(BusError::Other(Errno::ENODATA)));
+    }
+
+    #[test]
+    fn other_files_are_refused_with_their_line() {
+        let error = |text: &str| {
+            let error = Recording::parse(text).err().expect("not a recording");
+            assert_eq!(error.errno(), Errno::EINVAL);
+            error.to_string()
+        };
+        assert!(error("").starts_with("line 1: it does not name a gauge; only a file that --trace"));
+        assert!(error("W: AA 00 01 00\n").starts_with("line 1: "));
+        let in_line_3 = |line: &str| error(&format!("{HEAD}{line}\n"));
+        assert!(in_line_3("X: 100").starts_with("line 3: neither a transfer"));
+        assert!(in_line_3("R: AA zz 2").starts_with("line 3: not a transfer"));
+        assert!(in_line_3("R: AA 08 2\n; 1.0 -> 01").starts_with("line 4: not what comes"));
+        assert!(in_line_3("R: AA 08 2\n; hello").starts_with("line 4: not what comes"));
+        assert!(in_line_3("W: AA 00 00 00\nR: AA 08 2").starts_with("line 3: nothing says"));
+        // Where a session was cut short it ends.
+        let mut cut = replay("R: AA 08 2\n; 1.0 -> 01 02\nR: AA 0A 2\n; 1.0 -> 0");
+        assert_eq!(ask(&mut cut, &[8], 2), Ok(vec![1, 2]));
+        assert_eq!(ask(&mut cut, &[10], 2), Err(BusError::NoAck));
+    }
+}
