@@ -119,6 +119,10 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     gauge.wait(gauge.chip.access.select);
     gauge.write(AUTHENTICATE_DATA, sent)?;
     gauge.wait(waits.challenge);
+    // A challenge that arrived otherwise than it was sent starts nothing and stays where it is: what stands
+    // there now is no digest, whatever it is.
+    let mut standing = [0; LENGTH];
+    gauge.read(AUTHENTICATE_DATA, &mut standing)?;
     // Sent once: a second one would be about the digest.
     let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
     started.map_err(|bus| Error::new("AuthenticateChecksum()", Cause::Bus(bus)))?;
@@ -129,7 +133,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
         gauge.wait(waits.digest);
         let mut digest = [0; LENGTH];
         gauge.read(AUTHENTICATE_DATA, &mut digest)?;
-        if digest != *sent && before == Some(digest) {
+        if digest != standing && before == Some(digest) {
             return Ok(digest);
         }
         before = Some(digest);

@@ -91,15 +91,15 @@ fn order(gauge: &Path) -> Result<Order> {
 /// Writes the challenge and reads the digest.
 fn exchange(gauge: &Path, challenge: &str) -> Result<String> {
     let path = gauge.join("gauge/authenticate");
-    let failed = |error: std::io::Error| {
-        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        let what = match told.trim() {
-            "" => "cannot ask the gauge".to_string(),
-            told => format!("cannot ask the gauge ({told})"),
-        };
-        Error::io(path.display().to_string(), &what, &error)
-    };
-    let mut file = std::fs::File::options().write(true).open(&path).map_err(failed)?;
-    file.write_all(challenge.as_bytes()).map_err(failed)?;
-    std::fs::read_to_string(&path).map_err(failed)
+    let name = path.display().to_string();
+    let mut file = std::fs::File::options()
+        .write(true)
+        .open(&path)
+        .map_err(|error| Error::io(&name, "cannot write a challenge", &error))?;
+    file.write_all(challenge.as_bytes()).map_err(|error| {
+        let why = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+        let what = format!("the gauge does not answer ({})", why.trim());
+        Error::io(&name, &what, &error)
+    })?;
+    std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the digest", &error))
 }

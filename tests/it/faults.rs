@@ -158,3 +158,44 @@ fn one_fault_at_every_transfer_never_lies() {
          {rolled_back} rolled back, {unknown} unknown and said so"
     );
 }
+
+/// A challenge is answered rightly or not at all, nothing is programmed, and the seal stays.
+#[test]
+fn one_fault_at_every_transfer_of_a_challenge_makes_no_false_answer() {
+    use gaugefs::authentication::{Order, answer, ask};
+
+    let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";
+    let challenge = *b"a challenge of 20 by";
+    for found in [Seal::Sealed, Seal::Unsealed, Seal::FullAccess] {
+        let rig = || Case { chip: "bq34z100-g1", at: (0, 0), text: "", found }.rig();
+        let mut plain = rig();
+        let before = plain.cost().0;
+        let genuine = ask(&mut plain.gauge, &challenge, Order::LsbFirst, Duration::ZERO).expect("no fault");
+        assert_eq!(genuine, answer(&key, &challenge));
+        let transfers = plain.cost().0 - before;
+        let old = plain.sim.flash();
+        let (mut right, mut wrong) = (0, Vec::new());
+        for fault in (1..=transfers).flat_map(faults) {
+            let mut rig = rig();
+            rig.sim.set("fault", &fault).expect("a fault");
+            let asked = rig.clock.now();
+            let outcome = ask(&mut rig.gauge, &challenge, Order::LsbFirst, Duration::ZERO);
+            assert!(rig.clock.now() - asked < Duration::from_secs(30), "`{fault}` takes too long");
+            match outcome {
+                Ok(digest) if digest == genuine => right += 1,
+                Ok(_) => wrong.push(fault.clone()),
+                Err(_) => {}
+            }
+            assert!(rig.sim.flash() == old, "`{fault}` found {found:?}: data flash has changed");
+            rig.sim.set("fault", "none").expect("a knob");
+            rig.sim.set("power", "on").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(3));
+            if !fault.starts_with("power") {
+                assert_eq!(rig.seal(), found, "`{fault}`");
+                rig.read(80, 53).expect("data flash can be read");
+            }
+        }
+        assert!(wrong.is_empty(), "found {found:?}, false answers after {wrong:?}");
+        println!("found {found:?}: {right} right answers, the others refused");
+    }
+}
