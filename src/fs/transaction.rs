@@ -116,8 +116,9 @@ fn take(
         }
         Some(Open { staged, .. }) => {
             let change = change(chip, allow_unproven, line)?;
-            // What is staged twice has the later value.
-            staged.retain(|other| !std::ptr::eq(other.parameter, change.parameter));
+            // What is staged twice has the later value. Subclasses may share their rows.
+            let place = |one: &Change| (one.subclass.id, one.parameter.offset);
+            staged.retain(|other| place(other) != place(&change));
             staged.push(change);
             Ok(None)
         }
@@ -166,4 +167,21 @@ pub(super) fn busy() -> Error {
 
 fn invalid(why: &str) -> Error {
     Error::new("", Cause::Invalid(why.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The tables of the bq27520-G3's two packs are the same rows; one used to take the other's place.
+    #[test]
+    fn regression_rows_that_subclasses_share_are_staged_apart() {
+        let chip = Chip::by_name("bq27520-g3").expect("it has a table");
+        let transaction = Transaction::default();
+        let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
+        assert!(transaction.write(chip, true, Duration::ZERO, lines).expect("lines").is_none());
+        let staged = transaction.staged(Duration::ZERO).expect("open");
+        let staged: Vec<_> = staged.iter().map(|change| (change.subclass.id, change.bytes[0])).collect();
+        assert_eq!(staged, [(91, 0x55), (92, 0x00)]);
+    }
 }
