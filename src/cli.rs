@@ -9,7 +9,6 @@ use std::time::Duration;
 
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
-use nix::errno::Errno;
 
 use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
@@ -19,7 +18,7 @@ use crate::clock::{Clock, RealClock};
 use crate::daemon::{self, Keyring, Source, background, mountpoint};
 use crate::error::{Error, Result};
 use crate::fs::Scales;
-use crate::image::{Format, Image};
+use crate::image::{self, Format, Group, Image};
 use crate::probe::{self, ROM_ADDRESS, Reading};
 use crate::{json, keys};
 
@@ -62,6 +61,14 @@ Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml
   gaugefs export /run/gauges/BAT0 --format flashstream -o pack.gm.fs";
 
+const IMPORT: &str = "\
+What differs is written through df/transaction and shown. Keys are left out, and so are rows
+whose address or range is not sure.
+
+Examples:
+  gaugefs import --dry-run /run/gauges/BAT0 pack.toml
+  gaugefs import --exclude calibration,serial /run/gauges/BAT0 golden.gm.fs";
+
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, told apart by what is in them. A file need not hold
 all parameters: those that both have are compared. Exit code 0: no difference, 1: some,
@@ -94,6 +101,7 @@ enum Command {
     Probe(Probe),
     Chips(Chips),
     Export(Export),
+    Import(Import),
     Diff(Diff),
     Lint(Lint),
     Auth(auth::Auth),
@@ -244,6 +252,33 @@ enum FormatName {
     Flashstream,
 }
 
+/// Give a mounted gauge the configuration of a file, all of it or nothing
+#[derive(Args, Debug)]
+#[command(after_help = IMPORT)]
+struct Import {
+    /// A mounted gauge's folder, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// A file of any format
+    file: PathBuf,
+    /// Only show what would change
+    #[arg(long)]
+    dry_run: bool,
+    /// Leave these as they are
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUPS")]
+    exclude: Vec<GroupName>,
+}
+
+/// The groups of parameters that an import can leave alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum GroupName {
+    /// The classes Calibration: measured for each circuit
+    Calibration,
+    /// Serial number, date and lots
+    Serial,
+    /// What the gauge has learned of its pack
+    Learned,
+}
+
 /// Compare two configurations, parameter by parameter
 #[derive(Args, Debug)]
 #[command(after_help = DIFF)]
@@ -308,6 +343,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             Ok(ExitCode::SUCCESS)
         }
         Command::Export(export) => export.run(),
+        Command::Import(import) => import.run(),
         Command::Diff(diff) => diff.run(),
         Command::Lint(lint) => lint.run(),
         Command::Auth(auth) => auth.run().map(|told| {
@@ -379,11 +415,7 @@ impl Mount {
 
 impl Export {
     fn run(self) -> Result<ExitCode> {
-        if !self.gauge.is_dir() {
-            let name = self.gauge.display().to_string();
-            return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
-        }
-        let image = Image::open(&self.gauge, None)?;
+        let image = Image::of_mounted(&self.gauge)?;
         let text = image.write(self.format.into(), &self.gauge)?;
         match self.output {
             None => print(&text),
@@ -391,6 +423,31 @@ impl Export {
                 .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
         }
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl Import {
+    fn run(self) -> Result<ExitCode> {
+        let gauge = Image::of_mounted(&self.gauge)?;
+        let file = Image::open(&self.file, Some(gauge.chip))?;
+        let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
+        let changes =
+            gauge.changes(&file, &groups).map_err(|error| error.within(&self.file.display().to_string()))?;
+        if !self.dry_run {
+            image::apply(&self.gauge, &changes)?;
+        }
+        print(&changes.iter().map(|change| format!("{change}\n")).collect::<String>());
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl From<GroupName> for Group {
+    fn from(name: GroupName) -> Self {
+        match name {
+            GroupName::Calibration => Group::Calibration,
+            GroupName::Serial => Group::Serial,
+            GroupName::Learned => Group::Learned,
+        }
     }
 }
 

@@ -4,6 +4,8 @@
 //! shown, not written, whatever a file holds.
 
 use std::fmt;
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 
 use nix::errno::Errno;
@@ -40,6 +42,28 @@ pub struct Image {
     pub entries: Vec<Entry>,
     /// What a reader should know beside the values, a line each.
     pub notes: Vec<String>,
+}
+
+/// Parameters that an import can leave as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// The classes of calibration: measured for each circuit.
+    Calibration,
+    /// What tells one pack from the next: serial number, date and lots.
+    Serial,
+    /// What the gauge itself rewrites.
+    Learned,
+}
+
+impl Group {
+    fn has(self, entry: &Entry) -> bool {
+        let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
+        match self {
+            Group::Calibration => entry.subclass.class == "Calibration",
+            Group::Serial => of_one_pack.contains(&entry.parameter.name),
+            Group::Learned => entry.parameter.learned,
+        }
+    }
 }
 
 /// One value of an image.
@@ -124,6 +148,14 @@ impl Image {
         read.map_err(|error| error.within(&path.display().to_string()))
     }
 
+    /// Reads a mounted gauge's folder and nothing else.
+    pub fn of_mounted(path: &Path) -> Result<Self> {
+        if path.is_dir() {
+            return Self::open(path, None);
+        }
+        Err(Error::host(path.display().to_string(), Errno::ENOTDIR, "not a mounted gauge's folder"))
+    }
+
     fn of_file(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|error| Error::io("", "cannot be read", &error))?;
         // Tools have left other encodings in comments and units, which nothing here depends on.
@@ -176,7 +208,7 @@ impl Image {
             let [id, offset, .., text] = fields.as_slice() else {
                 return Err(at_line(number, "not a line of df/index"));
             };
-            let row = locate(chip, id, offset);
+            let row = chip.row(id, offset);
             let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
             if *text == "-" || subclass.kind == Kind::Security {
                 continue;
@@ -184,7 +216,30 @@ impl Image {
             let value = text::parse_stored(parameter, text.as_bytes())?;
             image.entries.push(Entry { subclass, parameter, value, line: 0 });
         }
+        if image.entries.is_empty() {
+            let why = "its data flash cannot be read: it is sealed and no key works; mount with --key-file";
+            return Err(Error::new("", Cause::NotPermitted(why.into())));
+        }
         Ok(image)
+    }
+
+    /// What has to be written to the gauge that this image is of, so that it has the values of a file. Rows
+    /// that are not imported are passed over; a value that may not be written is an error.
+    pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Vec<Difference<'a>>> {
+        if let (Some(here), Some(there)) = (self.firmware, file.firmware)
+            && here != there
+        {
+            let why = format!("it is for firmware 0x{there:04x}, and the gauge has 0x{here:04x}");
+            return Err(Error::new("", Cause::Invalid(why)));
+        }
+        let mut changes = Vec::new();
+        for difference in self.compare(file)?.differences {
+            let excluded = exclude.iter().any(|group| group.has(difference.new));
+            if !excluded && difference.new.is_imported()? {
+                changes.push(difference);
+            }
+        }
+        Ok(changes)
     }
 
     /// The image in a format. A FlashStream needs the bytes between parameters as well, for which the
@@ -235,6 +290,40 @@ impl Image {
     }
 }
 
+/// Writes changes to a mounted gauge, all of them or none, as one transaction.
+pub fn apply(gauge: &Path, changes: &[Difference<'_>]) -> Result<()> {
+    if changes.is_empty() {
+        return Ok(());
+    }
+    let mut lines = String::from("begin\n");
+    for Difference { new, .. } in changes {
+        let (id, offset) = (new.subclass.id, new.parameter.offset);
+        lines += &match id {
+            FLAT => format!("flash/0x{offset:04x} {}\n", new.text()),
+            id => format!("{id}/{offset} {}\n", new.text()),
+        };
+    }
+    lines += "commit\n";
+    let name = gauge.display().to_string();
+    let file = File::options().write(true).open(gauge.join("df/transaction"));
+    let mut file = file.map_err(|error| Error::io(&name, "df/transaction cannot be opened", &error))?;
+    // One write: what is refused of it is refused as a whole, and leaves no transaction open.
+    let outcome = match file.write(lines.as_bytes()) {
+        Ok(length) => file.write_all(&lines.as_bytes()[length..]).inspect_err(|_| {
+            // The first piece has opened it; a commit that failed has ended it already.
+            let _ = file.write(b"abort\n");
+        }),
+        Err(error) => Err(error),
+    };
+    outcome.map_err(|error| {
+        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+        match (told.trim(), error.raw_os_error().map(Errno::from_raw)) {
+            ("", _) | (_, None) => Error::io(&name, "df/transaction", &error),
+            (told, Some(errno)) => Error::host(&name, errno, told),
+        }
+    })
+}
+
 /// The format of a text, by its first line that is not blank and no comment of all formats' kind.
 fn format_of(text: &str) -> Format {
     let first = text.split(['\r', '\n']).map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
@@ -244,16 +333,6 @@ fn format_of(text: &str) -> Format {
         (Some(';' | ':'), _) | (Some('A'..='Z' | 'a'..='z'), Some(':')) => Format::FlashStream,
         _ => Format::Toml,
     }
-}
-
-/// The row of a subclass and an offset as `df` names them.
-fn locate(chip: &'static Chip, id: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
-    let (id, offset) = match (id, offset.strip_prefix("0x")) {
-        ("flash", Some(digits)) => (FLAT, u16::from_str_radix(digits, 16).ok()?),
-        (id, _) => (id.parse().ok()?, offset.parse().ok()?),
-    };
-    let mut alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
-    alike.find_map(|subclass| Some((subclass, subclass.parameter(offset)?)))
 }
 
 fn fits(known: &[u16], code: u16) -> bool {

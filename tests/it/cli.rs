@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::chip::{Kind, kebab_case};
+use gaugefs::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
@@ -129,6 +129,8 @@ fn misuse_is_told_apart() {
             "umount",
             "probe",
             "export",
+            "import /tmp/x",
+            "import /tmp/x /tmp/y --exclude keys",
             "export --format hex /tmp/x",
             "diff /tmp/x",
             "lint",
@@ -219,6 +221,98 @@ fn a_difference_to_a_gauge_is_told() {
     let diff = gaugefs(&["diff", &file, &gauge]);
     assert_eq!((diff.code, diff.out.as_str()), (Some(1), "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n"));
     gaugefs(&["export", &at]).failed(&["model_name", "not a mounted gauge's folder"]);
+    gaugefs(&["umount", &at]).done();
+}
+
+/// Gives some proven rows, of many classes, values that are neither defaults nor limits.
+fn change_some(gauge: &str, chip: &'static Chip) {
+    let mut lines = String::from("begin\n");
+    for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
+        let may = |row: &&Parameter| !row.unproven && !row.learned && row.safe.is_none();
+        for parameter in subclass.parameters.iter().filter(may).take(2) {
+            let Range::Int { min, max, .. } = parameter.range else { continue };
+            let (offset, value) = (parameter.offset, min + (max - min) / 3);
+            match subclass.id {
+                FLAT => writeln!(lines, "flash/0x{offset:04x} {value}"),
+                id => writeln!(lines, "{id}/{offset} {value}"),
+            }
+            .expect("a string");
+        }
+    }
+    let wrote = fs::write(format!("{gauge}/df/transaction"), lines + "commit\n");
+    let why = fs::read_to_string(format!("{gauge}/gauge/last_error"));
+    wrote.unwrap_or_else(|error| panic!("{}: {error}: {why:?}", chip.name));
+}
+
+/// All bytes of data flash that may be read, as text.
+fn all_of(gauge: &str) -> String {
+    fs::read_to_string(format!("{gauge}/df/index")).expect("df/index")
+}
+
+#[test]
+fn an_import_makes_one_gauge_like_another() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (one, other) = (folder.file("m"), folder.file("n"));
+    for name in ["bq34z100-g1", "bq27441-g1", "bq34110"] {
+        let chip = Chip::by_name(name).expect("a chip");
+        gaugefs(&["mount", "--sim", name, &one]).done();
+        gaugefs(&["mount", "--sim", name, &other]).done();
+        let (from, to) = (format!("{one}/BAT0"), format!("{other}/BAT0"));
+        change_some(&from, chip);
+        for format in ["toml", "gg.csv", "flashstream"] {
+            let file = folder.file(format);
+            gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
+        }
+        let before = all_of(&to);
+        let dry = gaugefs(&["import", "--dry-run", &to, &folder.file("toml")]).done();
+        assert!(dry.lines().count() > 5, "{name}: {dry}");
+        assert_eq!(all_of(&to), before);
+        for format in ["gg.csv", "flashstream"] {
+            let same = gaugefs(&["import", "--dry-run", &to, &folder.file(format)]).done();
+            assert_eq!(same, dry, "{name} {format}");
+        }
+        assert_eq!(gaugefs(&["import", &to, &folder.file("flashstream")]).done(), dry);
+        assert_eq!(all_of(&to), all_of(&from), "{name}");
+        assert_eq!(gaugefs(&["import", &to, &folder.file("toml")]).done(), "");
+        gaugefs(&["umount", &one]).done();
+        gaugefs(&["umount", &other]).done();
+    }
+}
+
+#[test]
+fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("pack.toml"));
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let write = |values: &str| fs::write(&file, format!("chip = \"{CHIP}\"\n{values}")).expect("a file");
+    write(
+        "[it-cfg]\ncell-terminate-voltage = 3100\n[calibration-data]\ncc-offset = -1\n\
+         [configuration-data]\nserial-number = 7\n",
+    );
+    let before = all_of(&gauge);
+    let all = "configuration-data/serial-number: 0x0001 -> 0x0007 hex\n\
+               it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n";
+    let some = gaugefs(&["import", &gauge, &file, "--dry-run", "--exclude", "calibration"]).done();
+    assert_eq!(some, all);
+    write("[it-cfg]\ncell-terminate-voltage = 3100\nra-filter = 2000\n");
+    gaugefs(&["import", &gauge, &file]).failed(&[&file, "line "]);
+    // The reserved bits are known to the gauge's owner only.
+    write("[it-cfg]\ncell-terminate-voltage = 3100\n[registers]\npack-configuration = 0xffff\n");
+    gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "Pack Configuration"]);
+    gaugefs(&["import", &gauge, "tests/it/images/pack.toml"]).failed(&["pack.toml", "bq27441-G1"]);
+    assert_eq!(all_of(&gauge), before);
+    write("[it-cfg]\ncell-terminate-voltage = 3100\n[configuration-data]\nserial-number = 7\n");
+    let some = gaugefs(&["import", &gauge, &file, "--exclude", "calibration,serial"]).done();
+    assert_eq!(some, "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n");
+    assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
+    assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
     gaugefs(&["umount", &at]).done();
 }
 
