@@ -142,9 +142,9 @@ fn quiet(chip: &str) -> Option<Mount> {
     Mount::new(chip, Duration::from_secs(3600), Keys::default())
 }
 
-/// Waits for what a poll and a notification bring about.
+/// Waits for what a poll and a notification bring about; so long only where the machine is busy.
 fn until(what: &str, mut holds: impl FnMut() -> bool) {
-    let end = Instant::now() + Duration::from_secs(20);
+    let end = Instant::now() + Duration::from_secs(60);
     while !holds() {
         assert!(Instant::now() < end, "{what} does not come");
         std::thread::sleep(Duration::from_millis(20));
