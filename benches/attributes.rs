@@ -55,6 +55,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
         allow_unproven: false,
         auth_order: Order::default(),
         restore: Vec::new(),
+        journal: None,
     };
     let handle = poll::spawn(chip, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
     (sim, handle, signal)

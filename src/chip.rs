@@ -84,8 +84,19 @@ pub struct Chip {
     pub signature: &'static [Signature],
     /// The flag that tells that data memory has its defaults again, where it is RAM: `[ITPOR]`.
     pub volatile: Option<u16>,
+    /// Where a part tells its serial number, if it does.
+    pub serial_number: Option<SerialNumber>,
     /// What is wrong with some parts as they leave the factory, and what helps.
     pub quirks: &'static [Quirk],
+}
+
+/// What tells one part from another of its kind.
+#[derive(Clone, Copy, Debug)]
+pub struct SerialNumber {
+    /// The command that reads it.
+    pub register: u8,
+    /// Subclass and offset of the two bytes that it shows.
+    pub parameter: (u8, u16),
 }
 
 /// How far anyone has checked a table or a row.

@@ -193,6 +193,10 @@ struct Mount {
     /// Log to this file [default: syslog, in the foreground standard error]
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     log: Option<PathBuf>,
+    /// Folder for the journal, which lets a write survive a power cut [default: /var/lib/gaugefs; without
+    /// root, ~/.local/state/gaugefs]
+    #[arg(long, value_name = "DIR", help_heading = "Running")]
+    state_dir: Option<PathBuf>,
     /// Write every transfer to this file; keys are left out
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     trace: Option<PathBuf>,
@@ -409,6 +413,7 @@ impl Mount {
             foreground: self.foreground,
             log: self.log,
             trace: self.trace,
+            state_dir: self.state_dir,
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 use nix::sys::signal::{SigSet, Signal as Unix};
-use nix::unistd::{getegid, geteuid};
+use nix::unistd::{User, getegid, geteuid};
 
 use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
@@ -20,8 +20,9 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Entry, Fs, Knobs, Scales};
 use crate::fuse;
 use crate::gauge::bursts;
+use crate::journal::Journal;
 use crate::keys::Keys;
-use crate::lock::{Holder, Lock};
+use crate::lock::{self, Holder, Lock};
 use crate::poll::{self, Handle, Request, Settings, Signal};
 use crate::probe;
 use crate::saved;
@@ -103,6 +104,8 @@ pub struct Options {
     pub log: Option<PathBuf>,
     /// File to write transfers to.
     pub trace: Option<PathBuf>,
+    /// Folder for journals; without one, the system's or the user's own.
+    pub state_dir: Option<PathBuf>,
 }
 
 /// A gauge that is reached and locked, and nothing more.
@@ -116,6 +119,8 @@ struct Opened {
     subject: String,
     sim: Option<Sim>,
     lock: Option<Lock>,
+    /// A name for its place, which lasts; `None` for what ends with this process.
+    key: Option<String>,
 }
 
 /// Mounts a gauge and serves it until it is unmounted.
@@ -135,7 +140,7 @@ pub fn run(options: Options) -> Result<()> {
     let mountpoint = mountpoint::prepare(&options.mountpoint)?;
     let keys = options.keyring.open()?;
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-    let Opened { chip, mut bus, clock_hz, address, subject, sim, lock } =
+    let Opened { chip, mut bus, clock_hz, address, subject, sim, lock, key } =
         options.source.open(&mountpoint, &clock)?;
     if let Some(path) = &options.trace {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
@@ -149,6 +154,7 @@ pub fn run(options: Options) -> Result<()> {
         allow_unproven: options.allow_unproven,
         auth_order: options.auth_order,
         restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
+        journal: if options.read_only { None } else { journal(options.state_dir.as_deref(), key, &subject)? },
     };
     let signal = Arc::new(Signal::default());
     let handle =
@@ -182,6 +188,41 @@ pub fn run(options: Options) -> Result<()> {
     ::log::info!("{place} unmounted");
     drop(lock);
     Ok(())
+}
+
+/// Where it is put down what a write is about to do, so that a power cut of the host leaves nothing half
+/// done. What ends with this process has nothing to come back to, and a journal only on demand.
+fn journal(folder: Option<&Path>, key: Option<String>, subject: &str) -> Result<Option<Journal>> {
+    let key = match (key, folder) {
+        (Some(key), _) => key,
+        (None, Some(_)) => {
+            let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
+            format!("sim-{}-{now}", std::process::id())
+        }
+        (None, None) => return Ok(None),
+    };
+    let folder = folder.map_or_else(state_dir, |path| Ok(path.to_path_buf()))?;
+    // The daemon leaves this folder when it goes to the background.
+    let folder = std::path::absolute(&folder)
+        .map_err(|error| Error::io(folder.display().to_string(), "no such path", &error))?;
+    Ok(Some(Journal::new(folder, key, subject.into())))
+}
+
+/// The system's folder for state, or the user's own. It is made when something is written to it.
+fn state_dir() -> Result<PathBuf> {
+    if geteuid().is_root() {
+        return Ok(PathBuf::from("/var/lib/gaugefs"));
+    }
+    let named = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.dir);
+    let home = || named("HOME").or_else(account).map(|home| home.join(".local/state"));
+    match named("XDG_STATE_HOME").or_else(home) {
+        Some(state) => Ok(state.join("gaugefs")),
+        None => {
+            let why = "this account has no folder for journals; name one";
+            Err(Error::host("--state-dir", Errno::ENOENT, why))
+        }
+    }
 }
 
 fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
@@ -239,24 +280,28 @@ impl Source {
         // A daemon whose mount is gone is about to end; one that is mounted is not.
         let ending = |holder: &Holder| !mountpoint::is_ours(&holder.mountpoint);
         match self {
-            Self::Sim { chip, state, key } => {
-                let lock = match state {
-                    None => None,
+            Self::Sim { chip, state, key: unseal_key } => {
+                let (lock, key) = match state {
+                    None => (None, None),
                     Some(path) => {
                         let path = std::path::absolute(path)
                             .map_err(|error| Error::io(path.display().to_string(), "no such path", &error))?;
-                        Some(Lock::state(&path, mountpoint, &**clock, ending)?)
+                        let lock = Lock::state(&path, mountpoint, &**clock, ending)?;
+                        (Some(lock), Some(lock::key_of_state(&path)))
                     }
                 };
                 let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
-                let options = sim::Options { state: state.clone(), unseal_key: *key, seed };
+                let options = sim::Options { state: state.clone(), unseal_key: *unseal_key, seed };
                 let sim = Sim::new(chip.name, &options, clock.clone())?;
                 let mut bus = sim.bus();
                 let start = clock.now();
                 while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
                     clock.sleep(Duration::from_millis(20));
                 }
-                let subject = "simulated gauge".to_string();
+                let subject = match state {
+                    Some(state) => format!("simulated gauge kept in {}", state.display()),
+                    None => "simulated gauge".into(),
+                };
                 let bus = Box::new(bus);
                 Ok(Opened {
                     chip,
@@ -266,6 +311,7 @@ impl Source {
                     subject,
                     sim: Some(sim),
                     lock,
+                    key,
                 })
             }
             Self::Recorded(path) => {
@@ -278,6 +324,7 @@ impl Source {
                     subject: format!("recording {}", path.display()),
                     sim: None,
                     lock: None,
+                    key: None,
                 })
             }
             Self::Bus { bus, address, chip } => {
@@ -290,6 +337,7 @@ impl Source {
                 };
                 let chip = probe::find(&subject, *chip, &open, clock)?;
                 let clock_hz = adapter.clock_hz();
+                let key = Some(lock::key_of_gauge(&adapter, *address));
                 Ok(Opened {
                     chip,
                     bus: open()?,
@@ -298,6 +346,7 @@ impl Source {
                     subject,
                     sim: None,
                     lock: Some(lock),
+                    key,
                 })
             }
         }

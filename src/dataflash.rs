@@ -15,11 +15,13 @@ use crate::chip::{FLAT, Kind, Parameter, Role, Safe, Scheme, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics};
+use crate::journal::{Identity, Journal, Open};
 use crate::value::Value;
 
 mod block;
 mod cfgupdate;
 mod mac;
+mod settle;
 
 /// A write(2) answers within 30 s: so much for the way forward ...
 const FORWARD: Duration = Duration::from_secs(16);
@@ -109,12 +111,27 @@ pub struct DataFlash {
     gate: Option<(u16, u16)>,
     /// The rows that tell whether the table's addresses are this firmware's have been compared.
     signed: bool,
+    /// Where it is put down what a write is about to do.
+    journal: Option<Journal>,
+    /// Whose journal that is; `None` until it is asked for.
+    identity: Option<Identity>,
 }
 
 impl DataFlash {
-    /// Nothing known: after a gauge's return, or when somebody asks for everything anew.
+    /// With a journal, writes survive a power cut of the host.
+    pub fn with(journal: Option<Journal>) -> Self {
+        Self { journal, ..Self::default() }
+    }
+
+    /// What may have changed behind the gauge's own back is not known: somebody asks for everything anew.
     pub fn forget(&mut self) {
         (self.gate, self.signed) = (None, false);
+    }
+
+    /// Nothing is known: a gauge has come, or come back.
+    pub fn arrived(&mut self) {
+        self.forget();
+        self.identity = None;
     }
 
     /// Reads whole subclasses in one go, and leaves the gauge sealed as it was. `waited` is how long ago
@@ -156,11 +173,20 @@ impl DataFlash {
             let why = "keys cannot be changed like other parameters";
             return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
         }
+        let asked = gauge.clock.now();
+        if let Some(told) = self.settle(gauge, waited)? {
+            log::warn!("{}: {told}", gauge.chip.name);
+        }
+        let waited = waited + (gauge.clock.now() - asked);
         let outcome = in_time(gauge, waited, |gauge| {
             gauge.claim()?;
             gauge.confirm_identity()?;
             let voltage_mv = voltage(gauge)?;
             let mut visit = Visit::new(gauge.seal()?);
+            if let Some(journal) = self.journal.clone() {
+                let identity = self.identity(gauge)?;
+                visit.journal = Some(journal.begin(identity, visit.found, blocks(changes))?);
+            }
             let outcome =
                 visit.open(gauge).and_then(|()| self.change(gauge, changes, voltage_mv, &mut visit));
             visit.close(gauge, outcome)
@@ -194,6 +220,11 @@ impl DataFlash {
         let reset = changes.iter().any(|change| change.subclass.kind == Kind::Reset);
         if changes.iter().any(|change| is_gate(gauge, change)) {
             self.gate = None;
+        }
+        if let Some(journal) = &mut visit.journal {
+            let plan = settle::plan(gauge, reset, &dirty);
+            journal.plan(&plan)?;
+            self.identity = self.identity.filter(|_| plan.serial.is_none());
         }
         visit.begin(gauge)?;
         let (mut touched, mut finished) = (0, false);
@@ -451,6 +482,12 @@ fn kept_bits(change: &Change, number: usize) -> u8 {
     (mask >> (8 * behind)) as u8
 }
 
+/// How many blocks the changes touch.
+fn blocks(changes: &[Change]) -> usize {
+    let places: Vec<Place> = changes.iter().flat_map(Change::places).map(|(place, _)| place).collect();
+    (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()
+}
+
 fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
     let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
     change.places().filter_map(byte).collect()
@@ -500,11 +537,21 @@ struct Visit {
     now: Option<Seal>,
     /// A mode was begun that has to be finished on every way out.
     begun: bool,
+    /// What is done is put down there first, and removed when the visit has ended as it should.
+    journal: Option<Open>,
 }
 
 impl Visit {
     fn new(found: Seal) -> Self {
-        Self { found, now: Some(found), begun: false }
+        Self { found, now: Some(found), begun: false, journal: None }
+    }
+
+    /// The visit has ended as it should; there is nothing to settle any more.
+    fn over(&mut self) {
+        // What stays is settled before the next write, or at the next start: nothing is lost by it.
+        if let Some(Err(error)) = self.journal.take().map(Open::over) {
+            log::warn!("{error}");
+        }
     }
 
     /// Makes data flash readable.
@@ -580,7 +627,12 @@ impl Visit {
         };
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {
-            (outcome, Ok(())) => outcome,
+            (outcome, Ok(())) => {
+                if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Unknown(_))) {
+                    self.over();
+                }
+                outcome
+            }
             (Ok(_), Err(error)) => {
                 let why = format!("done, but the gauge could not be left {found} as it was: {error}");
                 Err(Error::new("", Cause::Unknown(why)))

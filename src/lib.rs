@@ -13,6 +13,7 @@ pub mod fs;
 pub mod fuse;
 pub mod gauge;
 pub mod image;
+pub mod journal;
 pub mod json;
 pub mod keys;
 pub mod lock;

@@ -52,8 +52,13 @@ impl Lock {
         clock: &dyn Clock,
         ending: impl Fn(&Holder) -> bool,
     ) -> Result<Self> {
-        let key = format!("i2c-{}-{address:02x}", adapter.number());
-        Self::take(&key, &format!("{adapter} address 0x{address:02x}"), mountpoint, clock, ending)
+        Self::take(
+            &key_of_gauge(adapter, address),
+            &format!("{adapter} address 0x{address:02x}"),
+            mountpoint,
+            clock,
+            ending,
+        )
     }
 
     /// Takes the state file of a simulated gauge.
@@ -63,11 +68,7 @@ impl Lock {
         clock: &dyn Clock,
         ending: impl Fn(&Holder) -> bool,
     ) -> Result<Self> {
-        // A file name cannot hold a slash, nor be as long as a path.
-        let hash = state.as_os_str().as_bytes().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-        Self::take(&format!("sim-{hash:016x}"), &state.display().to_string(), mountpoint, clock, ending)
+        Self::take(&key_of_state(state), &state.display().to_string(), mountpoint, clock, ending)
     }
 
     fn take(
@@ -133,6 +134,20 @@ impl Lock {
             Err((_, errno)) => Err(failed(errno.into())),
         }
     }
+}
+
+/// A name for the gauge at an address of an adapter that no other one has at the same time.
+pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
+    format!("i2c-{}-{address:02x}", adapter.number())
+}
+
+/// The same for the simulated gauge that keeps its flash in that file, given by its absolute path.
+pub fn key_of_state(state: &Path) -> String {
+    // A file name cannot hold a slash, nor be as long as a path.
+    let hash = state.as_os_str().as_bytes().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    format!("sim-{hash:016x}")
 }
 
 fn holder(file: &mut File) -> Option<Holder> {

@@ -17,6 +17,7 @@ use crate::dataflash::{Change, DataFlash, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
 use crate::gauge::{Gauge, Statistics, bursts};
+use crate::journal::Journal;
 use crate::keys::Keys;
 use crate::value::Value;
 
@@ -243,6 +244,8 @@ pub struct Settings {
     pub auth_order: Order,
     /// What a gauge whose data memory is RAM is given again when it has lost its power.
     pub restore: Vec<Change>,
+    /// What makes writes survive a power cut of the host.
+    pub journal: Option<Journal>,
 }
 
 /// Opens a gauge: identifies it, polls it once, and starts the thread that owns it from then on.
@@ -334,7 +337,7 @@ impl Owner {
         });
         let mut owner = Self {
             gauge,
-            dataflash: DataFlash::default(),
+            dataflash: DataFlash::with(settings.journal),
             shared: shared.clone(),
             other: Registers::NONE,
             statics: false,
@@ -389,7 +392,7 @@ impl Owner {
             }
         };
         self.gauge.forget_refusal();
-        self.dataflash.forget();
+        self.dataflash.arrived();
         self.drop_kept();
         self.other = Registers::NONE;
         self.polls = self.polls.next_multiple_of(SLOW_EVERY);
@@ -397,7 +400,30 @@ impl Owner {
         self.shared.publish(|published| {
             (published.answers, published.sibling, published.digest) = (answers, sibling, None);
         });
+        if sibling.is_none() {
+            self.settle();
+        }
         Ok(())
+    }
+
+    /// Brings a write that was cut off to its end, before anybody sees what the gauge holds.
+    fn settle(&mut self) {
+        match self.dataflash.journals_of_others(&mut self.gauge) {
+            Ok(others) => {
+                for other in others {
+                    log::warn!("{}: the journal of another gauge; left alone", other.display());
+                }
+            }
+            Err(error) => return self.say(&error),
+        }
+        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
+            Ok(Some(told)) => {
+                self.drop_kept();
+                self.say(&Error::new(self.gauge.chip.name, Cause::RolledBack(told)));
+            }
+            Ok(None) => {}
+            Err(error) => self.say(&error),
+        }
     }
 
     /// After each poll: a RAM gauge that has lost its power gets its configuration back, once.

@@ -46,6 +46,7 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: &[],
     volatile: Some(ITPOR),
+    serial_number: None,
     quirks: &[],
 };
 

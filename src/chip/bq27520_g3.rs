@@ -79,6 +79,7 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: SIGNATURE,
     volatile: None,
+    serial_number: None,
     quirks: &[],
 };
 

@@ -88,6 +88,7 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x41C5, kind: I2, min: -12324, max: -12324 },
     ],
     volatile: None,
+    serial_number: None,
     quirks: &[],
 };
 

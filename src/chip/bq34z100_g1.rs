@@ -11,7 +11,7 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role,
-    Safe, Scheme, SealStatus, Security, Subclass, Subcommand,
+    Safe, Scheme, SealStatus, Security, SerialNumber, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -80,6 +80,7 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: None,
     signature: &[],
     volatile: None,
+    serial_number: Some(SerialNumber { register: 0x28, parameter: (48, 4) }),
     quirks: &[],
 };
 

@@ -92,6 +92,7 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x425E, kind: U2, min: 1, max: 20000 },
     ],
     volatile: None,
+    serial_number: None,
     quirks: &[],
 };
 

@@ -533,7 +533,8 @@ fn one_state_file_has_one_daemon_and_outlives_it() {
     }
     let folder = Folder::new();
     let (at, other, state) = (folder.file("m"), folder.file("n"), folder.file("state"));
-    let daemon = Foreground::new(&at, &["--sim-state", &state]);
+    let journal = folder.file("journal");
+    let daemon = Foreground::new(&at, &["--sim-state", &state, "--state-dir", &journal]);
     fs::write(Path::new(&at).join("BAT0/df/48/11"), "3400\n").expect("a write");
     let who = format!("process {}", daemon.0.id());
     gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).failed(&[
@@ -730,4 +731,83 @@ fn what_is_no_recording_is_not_mounted() {
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");
     replay().failed(&["ends before every register was read"]);
     assert!(!Path::new(&at).exists());
+}
+
+#[test]
+fn a_write_that_a_killed_daemon_has_begun_is_settled_by_the_next() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, state, journal) = (folder.file("m"), folder.file("state"), folder.file("journal"));
+    let kept = ["--sim-state", &state, "--state-dir", &journal];
+    let mut daemon = Foreground::new(&at, &kept);
+    let parameter = Path::new(&at).join("BAT0/df/80/53");
+    let write = std::thread::spawn(move || fs::write(parameter, "3100\n"));
+    let files = || fs::read_dir(&journal).into_iter().flatten().flatten().map(|entry| entry.path());
+    let planned = |path: PathBuf| fs::read_to_string(path).is_ok_and(|text| text.contains("\nend "));
+    within(Duration::from_secs(20), "planned", || files().any(planned));
+    for path in files() {
+        assert_eq!(fs::metadata(&path).expect("a file").permissions().mode() & 0o777, 0o600);
+    }
+    daemon.send(Signal::SIGKILL);
+    daemon.ends();
+    write.join().expect("the thread ends").expect_err("the daemon was killed");
+    // What the kernel has kept of a dead mount would be taken for the next one.
+    gaugefs(&["umount", &at]).done();
+    // Another pack's journal, at the same place.
+    let path = files().next().expect("the journal");
+    let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+    let foreign = name.replace("-0001.journal", "-0002.journal");
+    assert_ne!(name, foreign);
+    fs::copy(&path, path.with_file_name(&foreign)).expect("a copy");
+    let log = folder.file("log");
+    let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
+    let told = read(&at, "BAT0/gauge/last_error");
+    assert!(told.contains("a write was cut off"), "{told}");
+    let log = fs::read_to_string(log).expect("the log");
+    assert!(log.contains("a write was cut off"), "{log}");
+    assert!(log.contains(&foreign) && log.contains("journal of another gauge"), "{log}");
+    let left: Vec<_> = files().map(|path| path.file_name().expect("a name").to_owned()).collect();
+    assert_eq!(left, [&*foreign]);
+    assert!(["3000", "3100"].contains(&&*read(&at, "BAT0/df/80/53")));
+    assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
+    fs::write(Path::new(&at).join("BAT0/df/80/53"), "3200\n").expect("writes work again");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn without_room_for_the_journal_the_gauge_is_not_touched() {
+    use nix::mount::{MsFlags, mount, umount};
+
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, journal) = (folder.file("m"), folder.file("journal"));
+    fs::create_dir(&journal).expect("a folder");
+    let options = Some("size=4k");
+    if let Err(errno) = mount(Some("full"), &*journal, Some("tmpfs"), MsFlags::empty(), options) {
+        eprintln!("SKIPPED: no small file system can be mounted here ({errno}); a full disk was not tried");
+        return;
+    }
+    let full = fs::write(Path::new(&journal).join("filler"), [0; 4096]);
+    let daemon = Foreground::new(&at, &["--state-dir", &journal]);
+    let parameter = Path::new(&at).join("BAT0/df/80/53");
+    let commits = || read(&at, "BAT0/gauge/statistics/flash_writes");
+    let refused = fs::write(&parameter, "3100\n").map_err(|error| error.raw_os_error());
+    let told = read(&at, "BAT0/gauge/last_error");
+    let flags = MsFlags::MS_REMOUNT | MsFlags::MS_RDONLY;
+    let remounted = mount(None::<&str>, &*journal, None::<&str>, flags, None::<&str>);
+    let read_only = fs::write(&parameter, "3100\n").map_err(|error| error.raw_os_error());
+    let (written, value) = (commits(), read(&at, "BAT0/df/80/53"));
+    drop(daemon);
+    let ended = gaugefs(&["umount", &at]);
+    umount(&*journal).expect("it is unmounted");
+    full.and(remounted.map_err(Into::into)).expect("the disk is full, then read-only");
+    assert_eq!(refused, Err(Some(nix::libc::ENOSPC)), "{told}");
+    assert!(told.contains(&journal) && told.contains("--state-dir"), "{told}");
+    assert_eq!(read_only, Err(Some(nix::libc::EROFS)));
+    assert_eq!((&*written, &*value), ("0", "3000"));
+    ended.done();
 }

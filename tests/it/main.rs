@@ -4,6 +4,7 @@ mod cli;
 mod faults;
 mod gauge;
 mod input;
+mod journal;
 mod mount;
 mod rig;
 mod sim;

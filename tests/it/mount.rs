@@ -90,6 +90,7 @@ impl Mount {
             allow_unproven: false,
             auth_order: Order::default(),
             restore,
+            journal: None,
         };
         let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = Entry {

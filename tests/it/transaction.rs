@@ -33,6 +33,7 @@ impl Tree {
             allow_unproven: false,
             auth_order: Order::default(),
             restore: Vec::new(),
+            journal: None,
         };
         let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
         let handle = handle.expect("a gauge");

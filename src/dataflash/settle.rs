@@ -1,0 +1,204 @@
+//! What a write has left behind that was cut off, by the host's loss of power or a gauge that did not
+//! come back in time: the journal says how the gauge was found and what its blocks held.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::{DataFlash, Dirty, Place, Visit, in_time, locate, sequence, verify_written};
+use crate::chip::{FLAT, Kind, Role};
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Answers, Gauge, Seal};
+use crate::journal::{self, Identity, Open, Plan};
+
+/// What one block holds.
+enum Held {
+    Old,
+    New,
+    /// Some of both, or neither.
+    Torn,
+}
+
+impl DataFlash {
+    /// Whose journal it is, for the first time since the gauge came.
+    pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
+        if let Some(identity) = self.identity {
+            return Ok(identity);
+        }
+        let Answers { device_type, firmware_version: firmware, .. } = gauge.identify()?;
+        let identity =
+            Identity { chip: gauge.chip.name, device_type, firmware, serial: serial_number(gauge)? };
+        self.identity = Some(identity);
+        Ok(identity)
+    }
+
+    /// Settles a write that was cut off: data flash is then as it was before that write, or as it should
+    /// be after it, and the gauge no more open than that write had found it. Returns what was found, for
+    /// the log; `None` where there was nothing to settle.
+    pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
+        let Some(journal) = self.journal.clone() else { return Ok(None) };
+        let identity = self.identity(gauge)?;
+        let Some((path, entry)) = journal.pending(identity)? else { return Ok(None) };
+        let told = in_time(gauge, waited, |gauge| {
+            gauge.claim()?;
+            gauge.confirm_identity()?;
+            let now = gauge.seal()?;
+            // What was found open and has closed since is left closed.
+            let mut visit = Visit::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
+            visit.now = None;
+            visit.journal = Some(Open::again(path)?);
+            let outcome = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
+            let outcome = outcome
+                .and_then(|()| sequence(gauge).enable(gauge))
+                .and_then(|()| settle(gauge, &mut visit, entry.plan.as_ref()));
+            visit.close(gauge, outcome)
+        });
+        // It may be the serial number that was settled.
+        self.identity = None;
+        told.map(Some).map_err(|error| error.within("a write that was cut off cannot be settled"))
+    }
+
+    /// Journals of other gauges that have been at this one's place; they are left alone.
+    pub fn journals_of_others(&mut self, gauge: &mut Gauge) -> Result<Vec<PathBuf>> {
+        let Some(journal) = self.journal.clone() else { return Ok(Vec::new()) };
+        Ok(journal.others(self.identity(gauge)?))
+    }
+}
+
+/// What the next start has to know of a write. Keys are left out.
+pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
+    let blocks = dirty.iter().map(|block| {
+        let (mut old, mut new) = (block.old, block.new);
+        for at in (0..WINDOW).filter(|&at| is_secret(gauge, block.place, at)) {
+            (old[at], new[at]) = (0, 0);
+        }
+        let Place { subclass, base } = block.place;
+        journal::Block { subclass, base, written: (block.written.start, block.written.end), old, new }
+    });
+    let serial = gauge.chip.serial_number.and_then(|serial| {
+        let (place, at) = locate(serial.parameter.0, 0, serial.parameter.1);
+        let block = dirty.iter().find(|block| block.place == place)?;
+        Some(u16::from_be_bytes([block.new[at], block.new[at + 1]]))
+    });
+    Plan { reset, serial, blocks: blocks.collect() }
+}
+
+/// The serial number that the gauge shows; read until two agree, as I2C has no check of its own.
+fn serial_number(gauge: &mut Gauge) -> Result<u16> {
+    let Some(serial) = gauge.chip.serial_number else { return Ok(0) };
+    let mut read = || {
+        let mut word = [0; 2];
+        gauge.read(serial.register, &mut word).map(|()| u16::from_le_bytes(word))
+    };
+    let mut last = read()?;
+    for _ in 0..3 {
+        let next = read()?;
+        if next == last {
+            return Ok(next);
+        }
+        last = next;
+    }
+    let why = "the serial number reads differently each time: check the bus".to_string();
+    Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
+}
+
+fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<String> {
+    let Some(plan) = plan else {
+        return Ok("a write was cut off before anything was written".into());
+    };
+    if has_lost_memory(gauge)? {
+        return Ok("a write was cut off, and the gauge has lost its data memory with its power since".into());
+    }
+    let (mut torn, mut old, mut new) = (Vec::new(), Vec::new(), Vec::new());
+    for block in &plan.blocks {
+        let place = Place { subclass: block.subclass, base: block.base };
+        let stored = sequence(gauge).load(gauge, place)?;
+        let mut block =
+            Dirty { place, old: block.old, new: block.new, written: block.written.0..block.written.1 };
+        for at in (0..WINDOW).filter(|&at| is_secret(gauge, place, at)) {
+            (block.old[at], block.new[at]) = (stored[at], stored[at]);
+        }
+        match look(gauge, &block, &stored) {
+            Held::Old => old.push(block),
+            Held::New => new.push(block),
+            Held::Torn => torn.push(block),
+        }
+    }
+    // The mode that a write begins may still be on; to begin it again is to find it.
+    if sequence(gauge).always_finishes() {
+        visit.begin(gauge)?;
+    }
+    let finishes = plan.reset || sequence(gauge).always_finishes();
+    if torn.is_empty() && new.is_empty() {
+        return Ok("a write was cut off; data flash holds the old values".into());
+    }
+    if torn.is_empty() && old.is_empty() {
+        if finishes {
+            visit.finish(gauge)?;
+            new.iter().try_for_each(|block| verify_written(gauge, block))?;
+        }
+        return Ok("a write was cut off when all was written; it has been finished and verified".into());
+    }
+    let unknown =
+        |error: Error| Error::new("", Cause::Unknown(format!("{error}: what data flash holds is not known")));
+    // Whole where a block is torn; else what was written and nothing more, so that what the gauge has
+    // learned since stays.
+    visit.restore(gauge, &torn, false).map_err(unknown)?;
+    visit.restore(gauge, &new, true).map_err(unknown)?;
+    if finishes {
+        visit.finish(gauge).map_err(unknown)?;
+    }
+    for block in torn.into_iter().chain(new).chain(old) {
+        let back = Dirty { new: block.old, ..block };
+        verify_written(gauge, &back).map_err(|error| unknown(error.at(Step::Restore)))?;
+    }
+    Ok("a write was cut off half way; the old values were put back and verified".into())
+}
+
+fn look(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
+    let Dirty { place, old, new, .. } = block;
+    let (mut all_old, mut all_new) = (true, true);
+    for at in 0..WINDOW {
+        if old[at] != new[at] {
+            all_old &= stored[at] == old[at];
+            all_new &= stored[at] == new[at];
+        } else if stored[at] != old[at] && !is_learned(gauge, *place, at) {
+            return Held::Torn;
+        }
+    }
+    match (all_old, all_new) {
+        (true, _) => Held::Old,
+        (_, true) => Held::New,
+        _ => Held::Torn,
+    }
+}
+
+/// Whether the gauge's data memory is RAM and is not what it was.
+fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
+    let chip = gauge.chip;
+    let Some((lost, flags)) = chip.volatile.zip(chip.register(Role::Flags)) else { return Ok(false) };
+    let mut word = [0; 2];
+    gauge.read(flags.code, &mut word)?;
+    Ok(u16::from_le_bytes(word) & lost != 0)
+}
+
+/// Whether a byte of a window is a key's. Only a flat window can reach beyond its own subclass.
+fn is_secret(gauge: &Gauge, place: Place, at: usize) -> bool {
+    let address = usize::from(place.base) + at;
+    gauge.chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(
+        |row| {
+            let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
+            (start..start + usize::from(row.length)).contains(&address)
+        },
+    )
+}
+
+/// Whether the gauge itself rewrites a byte of a window.
+fn is_learned(gauge: &Gauge, place: Place, at: usize) -> bool {
+    let offset = usize::from(place.base) + at;
+    let rows = gauge.chip.subclasses.iter().filter(|row| row.id == place.subclass);
+    rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned).any(|parameter| {
+        let start = usize::from(parameter.offset);
+        (start..start + parameter.kind.size()).contains(&offset)
+    })
+}

@@ -1,0 +1,311 @@
+//! The journal: what a write is about to do to a gauge, on disk before it does it.
+//!
+//! A host that loses its power in the middle of a write leaves the gauge open, or with data flash half
+//! written. With the journal the next start knows how the gauge was found and what its blocks held, and
+//! settles it. Keys are never in it.
+//!
+//! A file is begun, as a whole, before the gauge is touched; what is about to be written is added to it
+//! before the first block is. A power cut in between leaves a plan without its last line, which is no
+//! plan: nothing had been written.
+
+use std::borrow::Cow;
+use std::fs::{self, DirBuilder, File};
+use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use nix::errno::Errno;
+use nix::fcntl::{FallocateFlags, fallocate};
+use nix::libc;
+use sha1::{Digest as _, Sha1};
+
+use crate::codec::WINDOW;
+use crate::error::{Error, Result};
+use crate::gauge::Seal;
+
+const HEAD: &str = "gaugefs journal 1";
+/// No more bytes than this stand in a line for a block, and around those lines.
+const LINE: usize = 160;
+
+/// Where a gauge's journal is kept.
+#[derive(Clone, Debug)]
+pub struct Journal {
+    folder: PathBuf,
+    /// The gauge's place; begins the file's name.
+    key: String,
+    /// What to call the gauge in the file.
+    gauge: String,
+}
+
+/// One part at one firmware, and which one of them as far as the gauge can tell. A journal of another
+/// one is none of ours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Identity {
+    pub(crate) chip: &'static str,
+    pub(crate) device_type: u16,
+    pub(crate) firmware: u16,
+    /// 0 where the part has no register for it.
+    pub(crate) serial: u16,
+}
+
+/// A write that was begun.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Entry {
+    /// How the gauge was found.
+    pub(crate) found: Seal,
+    /// `None` where the first block was not yet touched.
+    pub(crate) plan: Option<Plan>,
+}
+
+/// What was about to be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Plan {
+    /// Whether the gauge needs a reset to work with the new values.
+    pub(crate) reset: bool,
+    /// The serial number that the gauge has afterwards, where that is written.
+    pub(crate) serial: Option<u16>,
+    pub(crate) blocks: Vec<Block>,
+}
+
+/// A block before and after.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Block {
+    pub(crate) subclass: u8,
+    pub(crate) base: u16,
+    /// From and to where the changed parameters stand.
+    pub(crate) written: (usize, usize),
+    pub(crate) old: [u8; WINDOW],
+    pub(crate) new: [u8; WINDOW],
+}
+
+/// The journal of a write that is under way.
+#[derive(Debug)]
+pub(crate) struct Open {
+    file: File,
+    path: PathBuf,
+}
+
+impl Journal {
+    /// In that folder, for the gauge at the place of that key, which no other gauge has. `gauge` is what
+    /// to call it in the file.
+    pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
+        Self { folder, key, gauge }
+    }
+
+    fn path(&self, identity: Identity) -> PathBuf {
+        self.folder.join(format!("{}{:04x}.journal", self.alike(identity), identity.serial))
+    }
+
+    /// What the names of all journals of such parts at this place begin with.
+    fn alike(&self, Identity { chip, device_type, firmware, .. }: Identity) -> String {
+        format!("{}.{chip}-{device_type:04x}-{firmware:04x}-", self.key)
+    }
+
+    /// Begins an entry, in place of the one before, and keeps room for a plan of so many blocks. When this
+    /// returns, a loss of power does not undo it.
+    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<Open> {
+        let path = self.path(identity);
+        let text = format!("{HEAD}\ngauge {}\nfound {}\n", self.gauge, found.as_str());
+        match self.store(&path, &text, LINE * (blocks + 2)) {
+            Ok(file) => Ok(Open { file, path }),
+            Err(error) => Err(refused(&path, &error)),
+        }
+    }
+
+    fn store(&self, path: &Path, text: &str, room: usize) -> io::Result<File> {
+        DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
+        let temporary = path.with_extension("new");
+        let mut options = File::options();
+        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
+        let mut file = options.open(&temporary)?;
+        let stored = file.write_all(text.as_bytes()).and_then(|()| {
+            // File systems that cannot keep room find out later that there is none: before the first block.
+            match fallocate(&file, FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, (text.len() + room) as i64) {
+                Ok(()) | Err(Errno::EOPNOTSUPP | Errno::ENOSYS) => Ok(()),
+                Err(errno) => Err(io::Error::from(errno)),
+            }
+        });
+        let stored = stored.and_then(|()| file.sync_all()).and_then(|()| fs::rename(&temporary, path));
+        if let Err(error) = stored {
+            // What is left of it would only take up room where there is none.
+            let _ = fs::remove_file(&temporary);
+            return Err(error);
+        }
+        sync(&self.folder)?;
+        Ok(file)
+    }
+
+    /// The entry that is left, where there is one, and its file's path.
+    pub(crate) fn pending(&self, identity: Identity) -> Result<Option<(PathBuf, Entry)>> {
+        let own = self.path(identity);
+        if let Some(entry) = read(&own)? {
+            return Ok(Some((own, entry)));
+        }
+        // A write of the serial number that got so far has made another gauge of it.
+        let alike = self.alike(identity);
+        Ok(self.others(identity).into_iter().filter(|path| name(path).starts_with(&alike)).find_map(|path| {
+            let entry = read(&path).ok()??;
+            let serial = entry.plan.as_ref()?.serial?;
+            (serial == identity.serial).then_some((path, entry))
+        }))
+    }
+
+    /// Journals of other gauges that have been in this one's place.
+    pub(crate) fn others(&self, identity: Identity) -> Vec<PathBuf> {
+        let (own, begins) = (self.path(identity), format!("{}.", self.key));
+        let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        let others = entries.filter(|path| {
+            let name = name(path);
+            *path != own && name.starts_with(&begins) && name.ends_with(".journal")
+        });
+        others.collect()
+    }
+}
+
+impl Open {
+    /// Goes on with an entry that was left behind.
+    pub(crate) fn again(path: PathBuf) -> Result<Self> {
+        match File::options().append(true).custom_flags(libc::O_NOFOLLOW).open(&path) {
+            Ok(file) => Ok(Self { file, path }),
+            Err(error) => Err(refused(&path, &error)),
+        }
+    }
+
+    /// Adds what is about to be written. When this returns, a loss of power does not undo it.
+    pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
+        let text = render(plan);
+        let stored = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_all());
+        stored.map_err(|error| refused(&self.path, &error))
+    }
+
+    /// Removes the entry: what it tells of is over.
+    pub(crate) fn over(self) -> Result<()> {
+        let removed = fs::remove_file(&self.path);
+        removed
+            .and_then(|()| self.path.parent().map_or(Ok(()), sync))
+            .map_err(|error| Error::io(self.path.display().to_string(), "cannot remove the journal", &error))
+    }
+}
+
+fn name(path: &Path) -> Cow<'_, str> {
+    path.file_name().unwrap_or_default().to_string_lossy()
+}
+
+fn sync(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}
+
+fn refused(path: &Path, error: &io::Error) -> Error {
+    let what = "nothing is written without a journal, and it cannot be kept here (--state-dir names another \
+                folder)";
+    Error::io(path.display().to_string(), what, error)
+}
+
+fn read(path: &Path) -> Result<Option<Entry>> {
+    let name = path.display().to_string();
+    let text = match fs::read_to_string(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
+    };
+    let why = "this is no journal of this version of gaugefs; see what it is and move it away";
+    parse(&text).map(Some).ok_or_else(|| Error::host(name, Errno::EBADMSG, why))
+}
+
+fn render(plan: &Plan) -> String {
+    let Plan { reset, serial, blocks } = plan;
+    let mut text = format!("reset {reset}\n");
+    if let Some(serial) = serial {
+        text += &format!("serial {serial:04x}\n");
+    }
+    for Block { subclass, base, written: (from, to), old, new } in blocks {
+        text += &format!("block {subclass} {base} {from} {to} {} {}\n", hex(old), hex(new));
+    }
+    let sum = sum(&text);
+    text + &format!("end {sum}\n")
+}
+
+/// Tells a plan that is whole from one whose pages reached the disk in part.
+fn sum(text: &str) -> String {
+    hex(&Sha1::digest(text))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn parse(text: &str) -> Option<Entry> {
+    let (head, rest) = text.split_once('\n')?;
+    let (gauge, rest) = rest.split_once('\n')?;
+    let (found, plan) = rest.split_once('\n')?;
+    if head != HEAD || !gauge.starts_with("gauge ") {
+        return None;
+    }
+    let word = found.strip_prefix("found ")?;
+    let found =
+        [Seal::Sealed, Seal::Unsealed, Seal::FullAccess].into_iter().find(|seal| seal.as_str() == word)?;
+    let Some((plan, end)) = plan.strip_suffix('\n').and_then(|plan| plan.rsplit_once("\nend ")) else {
+        return Some(Entry { found, plan: None });
+    };
+    let plan = format!("{plan}\n");
+    if end != sum(&plan) {
+        return Some(Entry { found, plan: None });
+    }
+    Some(Entry { found, plan: Some(parse_plan(&plan)?) })
+}
+
+fn parse_plan(text: &str) -> Option<Plan> {
+    let mut lines = text.lines().peekable();
+    let reset = lines.next()?.strip_prefix("reset ")?.parse().ok()?;
+    let serial = match lines.peek()?.strip_prefix("serial ") {
+        Some(digits) => {
+            lines.next();
+            Some(u16::from_str_radix(digits, 16).ok()?)
+        }
+        None => None,
+    };
+    let blocks = lines.map(|line| parse_block(line.strip_prefix("block ")?)).collect::<Option<_>>()?;
+    Some(Plan { reset, serial, blocks })
+}
+
+fn parse_block(line: &str) -> Option<Block> {
+    let mut words = line.split(' ');
+    let subclass = words.next()?.parse().ok()?;
+    let base = words.next()?.parse().ok()?;
+    let written: (usize, usize) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
+    let (old, new) = (parse_bytes(words.next()?)?, parse_bytes(words.next()?)?);
+    let fits = written.0 < written.1 && written.1 <= WINDOW && words.next().is_none();
+    fits.then_some(Block { subclass, base, written, old, new })
+}
+
+fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
+    if digits.len() != 2 * WINDOW || !digits.is_ascii() {
+        return None;
+    }
+    let mut bytes = [0; WINDOW];
+    for (at, byte) in bytes.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).ok()?;
+    }
+    Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plan_counts_when_it_is_whole() {
+        let block = Block { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
+        let plan = Plan { reset: true, serial: Some(7), blocks: vec![block.clone(), block] };
+        let head = format!("{HEAD}\ngauge i2c-1 address 0x55\nfound sealed\n");
+        let text = head.clone() + &render(&plan);
+        assert!(text.len() < LINE * 4, "room for two blocks: {}", text.len());
+        assert_eq!(parse(&text), Some(Entry { found: Seal::Sealed, plan: Some(plan) }));
+        for length in 0..text.len() {
+            let nothing = (length >= head.len()).then_some(Entry { found: Seal::Sealed, plan: None });
+            assert_eq!(parse(&text[..length]), nothing, "{length} bytes of it");
+            // A page that never reached the disk reads as zeros.
+            let holed = text[..length].to_string() + &"\0".repeat(text.len() - length);
+            assert_eq!(parse(&holed), nothing, "zeros behind {length} bytes");
+        }
+    }
+}
