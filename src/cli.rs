@@ -38,6 +38,7 @@ Examples:
   gaugefs mount --sim bq34z100-g1 /tmp/gauges
   gaugefs mount --bus /dev/i2c-1 /run/gauges
   gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys /run/gauges
+  gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     beside the kernel's own supplies
 
 The gauge appears in MOUNTPOINT as the kernel shows a power supply: BAT0/voltage_now,
 BAT0/capacity and so on; its data flash in BAT0/df, all else in BAT0/gauge.";
@@ -142,7 +143,7 @@ struct Mount {
     #[arg(long, value_name = "FILE", conflicts_with = "replay", help_heading = "Gauge")]
     restore: Option<PathBuf>,
 
-    /// Name of the gauge's folder [default: BAT0]
+    /// Name of the gauge's folder [default: BAT0, or the first BATn that the kernel does not have]
     #[arg(long, value_name = "NAME", value_parser = name, help_heading = "What is shown")]
     name: Option<String>,
     /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim and --replay]

@@ -17,7 +17,7 @@ use crate::chip::{Chip, SealStatus, Tier};
 use crate::clock::{Clock, RealClock};
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Entry, Fs, Knobs, Scales};
+use crate::fs::{Access, Entry, Fs, Knobs, Scales, free_name};
 use crate::fuse;
 use crate::gauge::bursts;
 use crate::journal::Journal;
@@ -160,8 +160,11 @@ pub fn run(options: Options) -> Result<()> {
     let handle =
         poll::spawn(chip, bus, clock, settings, signal.clone()).map_err(|error| error.within(&subject))?;
 
+    let covered = mountpoint::covered(&mountpoint)?;
     let entry = Entry {
-        name: options.name.unwrap_or_else(|| "BAT0".into()),
+        name: options.name.unwrap_or_else(|| {
+            free_name(&covered.as_ref().map(|covered| covered.names()).unwrap_or_default())
+        }),
         handle: handle.clone(),
         scales: options.scales,
         knobs: sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
@@ -174,7 +177,8 @@ pub fn run(options: Options) -> Result<()> {
     };
     mountpoint::make(&mountpoint)?;
     let how = fuse::Options { private: options.private, read_only: options.read_only };
-    let mounted = fuse::mount(Arc::new(Fs::new(vec![entry], access)), &mountpoint, how, signal)?;
+    let fs = Arc::new(Fs::new(vec![entry], access).over(covered));
+    let mounted = fuse::mount(fs, &mountpoint, how, signal)?;
     end.mounted(&mountpoint, &handle);
     ::log::info!("{} ({subject}) mounted at {place}", chip.model);
     if options.foreground {

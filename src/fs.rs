@@ -3,6 +3,7 @@
 //! A [`Node`] names one file, folder or link for ever; what it holds is asked for anew each time. Nothing
 //! here blocks or touches a bus: what needs the gauge goes to its owner with a `Done`.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,10 +20,12 @@ use crate::poll::{Done, Handle, Published, Request, Seal, Snapshot};
 use crate::text;
 
 mod attribute;
+mod covered;
 mod transaction;
 
 pub use attribute::Attribute;
 use attribute::Source;
+pub use covered::Covered;
 use transaction::Transaction;
 
 /// What a data-flash file shows as its size before it has been read: as sysfs does.
@@ -90,6 +93,7 @@ pub struct Fs {
     /// One for each gauge.
     transactions: Vec<Transaction>,
     access: Access,
+    covered: Option<Covered>,
 }
 
 /// One file, folder or link.
@@ -99,6 +103,8 @@ pub enum Node {
     Root,
     /// Something of the gauge of that index.
     Of(u16, Item),
+    /// The link of that number, shown through from the folder underneath.
+    Covered(u32),
 }
 
 /// What a gauge's folder holds. Numbers are indices into its chip's table.
@@ -250,7 +256,18 @@ impl Fs {
     /// A tree of these gauges.
     pub fn new(gauges: Vec<Entry>, access: Access) -> Self {
         let transactions = gauges.iter().map(|_| Transaction::default()).collect();
-        Self { gauges, transactions, access }
+        Self { gauges, transactions, access, covered: None }
+    }
+
+    /// The same tree, beside what the folder that it covers holds.
+    #[must_use]
+    pub fn over(self, covered: Option<Covered>) -> Self {
+        Self { covered, ..self }
+    }
+
+    /// Whether names come and go without a poll, so that no listing of the root may be kept.
+    pub fn is_over(&self) -> bool {
+        self.covered.is_some()
     }
 
     fn entry(&self, gauge: u16) -> &Entry {
@@ -298,7 +315,11 @@ impl Fs {
 
     /// Folder, link or file.
     pub fn shape(&self, node: Node) -> Shape {
-        let Node::Of(_, item) = node else { return Shape::Folder };
+        let item = match node {
+            Node::Root => return Shape::Folder,
+            Node::Covered(_) => return Shape::Link,
+            Node::Of(_, item) => item,
+        };
         match item {
             Item::Folder
             | Item::Df
@@ -334,7 +355,11 @@ impl Fs {
     /// and its group where one was named.
     pub fn mode(&self, node: Node) -> u16 {
         let kept = |bits: u16| if self.access.group { bits * 0o110 } else { bits * 0o100 };
-        let Node::Of(gauge, item) = node else { return 0o555 };
+        let (gauge, item) = match node {
+            Node::Root => return 0o555,
+            Node::Covered(_) => return 0o777,
+            Node::Of(gauge, item) => (gauge, item),
+        };
         match item {
             Item::Parameter(subclass, parameter) => {
                 let unproven = self.row(gauge, subclass, parameter).1.unproven;
@@ -367,6 +392,7 @@ impl Fs {
     pub fn may_be_cached(&self, node: Node) -> bool {
         match node {
             Node::Root => true,
+            Node::Covered(_) => false,
             Node::Of(_, item) => {
                 matches!(item, Item::Attribute(_) | Item::Uevent) || self.shape(node) != Shape::File
             }
@@ -380,11 +406,10 @@ impl Fs {
 
     /// What a folder holds now.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
-        let Node::Of(gauge, item) = folder else {
-            return (0..)
-                .zip(&self.gauges)
-                .map(|(at, entry)| (entry.name.clone(), Node::Of(at, Item::Folder)))
-                .collect();
+        let (gauge, item) = match folder {
+            Node::Root => return self.list_root(),
+            Node::Covered(_) => return Vec::new(),
+            Node::Of(gauge, item) => (gauge, item),
         };
         let chip = self.chip(gauge);
         let of = |name: &str, item: Item| (name.to_string(), Node::Of(gauge, item));
@@ -477,15 +502,40 @@ impl Fs {
         }
     }
 
+    /// Gauges first: where the kernel has a supply of the same name, the gauge is what is found.
+    fn list_root(&self) -> Vec<(String, Node)> {
+        let mut list = self.own();
+        let Some(covered) = &self.covered else { return list };
+        let taken: BTreeSet<String> = list.iter().map(|(name, _)| name.clone()).collect();
+        let (hidden, shown): (BTreeSet<_>, BTreeSet<_>) =
+            covered.names().into_iter().partition(|name| taken.contains(name));
+        covered.hides(hidden);
+        list.extend(shown.into_iter().map(|name| (name.clone(), Node::Covered(covered.number(&name)))));
+        list
+    }
+
+    /// What the root holds of the mount's own.
+    fn own(&self) -> Vec<(String, Node)> {
+        let gauges = (0..).zip(&self.gauges);
+        gauges.map(|(at, entry)| (entry.name.clone(), Node::Of(at, Item::Folder))).collect()
+    }
+
     /// The node of that name in a folder.
     pub fn lookup(&self, folder: Node, name: &str) -> Option<Node> {
-        self.list(folder).into_iter().find(|(found, _)| found == name).map(|(_, node)| node)
+        let list = if folder == Node::Root { self.own() } else { self.list(folder) };
+        let found = list.into_iter().find(|(found, _)| found == name).map(|(_, node)| node);
+        found.or_else(|| {
+            let covered = self.covered.as_ref().filter(|_| folder == Node::Root)?;
+            covered.target(name).map(|_| Node::Covered(covered.number(name)))
+        })
     }
 
     /// The folders whose names come and go with values.
     pub fn changing_folders(&self) -> Vec<Node> {
         let items = [Item::Folder, Item::Gauge, Item::Registers];
-        (0..self.gauges.len() as u16).flat_map(|gauge| items.map(|item| Node::Of(gauge, item))).collect()
+        let gauges = 0..self.gauges.len() as u16;
+        let folders = gauges.flat_map(|gauge| items.map(|item| Node::Of(gauge, item)));
+        folders.chain(self.is_over().then_some(Node::Root)).collect()
     }
 
     /// The name of a file in its folder, whether it is there now or not.
@@ -792,7 +842,14 @@ impl Fs {
 
     /// Where a symbolic link leads.
     pub fn target(&self, node: Node) -> Option<String> {
-        let Node::Of(gauge, item) = node else { return None };
+        let (gauge, item) = match node {
+            Node::Root => return None,
+            Node::Covered(number) => {
+                let covered = self.covered.as_ref()?;
+                return covered.target(&covered.name(number)?);
+            }
+            Node::Of(gauge, item) => (gauge, item),
+        };
         match item {
             // Whoever follows it finds the folder that stands for /sys/class/power_supply.
             Item::Subsystem => Some("/sys/class/power_supply".into()),
@@ -821,6 +878,12 @@ impl Fs {
         list.extend(names.into_iter().zip(bounds).filter_map(|(name, bound)| Some((name, bound?))));
         list
     }
+}
+
+/// The first of BAT0, BAT1 ... that is not taken: monitors look for BAT*.
+pub fn free_name(taken: &[String]) -> String {
+    let names = (0..).map(|number| format!("BAT{number}"));
+    names.into_iter().find(|name| !taken.contains(name)).expect("numbers do not run out")
 }
 
 /// The registers that have a file now: all that have been read but Control() and the block-access window.

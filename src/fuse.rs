@@ -3,7 +3,8 @@
 //! One nodeid is one immutable value. LOOKUP gives a file's present text a nodeid of its own with its exact
 //! size; GETATTR and READ of that nodeid serve those bytes for ever; FORGET drops it. So a reader never
 //! sees the size of one value and the bytes of another, and what has not changed comes from the kernel's
-//! page cache without a message. `open` and `opendir` answer ENOSYS once and are never asked again.
+//! page cache without a message. `open` and `opendir` answer ENOSYS once and are never asked again. Only over the
+//! kernel's own supplies `opendir` is answered, so that the root's listing is not kept.
 //!
 //! A new value is a new nodeid: it becomes the current one under the lock, the lock is let go, and then
 //! the kernel is told that the name means something else. No handler blocks, and none notifies: the
@@ -20,10 +21,10 @@ use std::time::{Duration, Instant, SystemTime};
 
 use fuser::{
     AccessFlags, BsdFileFlags, Config, CopyFileRangeFlags, Errno, FileAttr, FileHandle, FileType, Filesystem,
-    Generation, INodeNo, IoctlFlags, LockOwner, MountOption, Notifier, OpenFlags, PollEvents, PollFlags,
-    PollNotifier, RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty, ReplyEntry,
-    ReplyIoctl, ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request, Session,
-    SessionACL, TimeOrNow, WriteFlags,
+    FopenFlags, Generation, INodeNo, IoctlFlags, LockOwner, MountOption, Notifier, OpenFlags, PollEvents,
+    PollFlags, PollNotifier, RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty,
+    ReplyEntry, ReplyIoctl, ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request,
+    Session, SessionACL, TimeOrNow, WriteFlags,
 };
 
 use crate::error::{Error, Result};
@@ -486,8 +487,12 @@ impl Filesystem for Adapter {
         reply.error(Errno::ENOSYS);
     }
 
-    fn opendir(&self, _: &Request, _: INodeNo, _: OpenFlags, reply: ReplyOpen) {
-        reply.error(Errno::ENOSYS);
+    fn opendir(&self, _: &Request, ino: INodeNo, _: OpenFlags, reply: ReplyOpen) {
+        if !self.fs.is_over() {
+            return reply.error(Errno::ENOSYS);
+        }
+        let kept = FopenFlags::FOPEN_KEEP_CACHE | FopenFlags::FOPEN_CACHE_DIR;
+        reply.opened(FileHandle(0), if ino == INodeNo::ROOT { FopenFlags::empty() } else { kept });
     }
 
     fn flush(&self, _: &Request, _: INodeNo, _: FileHandle, _: LockOwner, reply: ReplyEmpty) {

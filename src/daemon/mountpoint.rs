@@ -1,4 +1,5 @@
-//! Mount points: what is mounted where, making one, and taking a mount away, a dead one too.
+//! Mount points: what is mounted where, making one, what lies under it, and taking a mount away, a dead one
+//! too.
 //!
 //! Nothing here asks a mounted gaugefs for anything but its state, and that only after mountinfo has
 //! said that it is one: a look at somebody else's dead network mount could hang.
@@ -13,11 +14,13 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
+use nix::sys::statfs::{SYSFS_MAGIC, statfs};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 
 use crate::clock::{Clock, RealClock};
 use crate::error::{Cause, Error, Result};
+use crate::fs::Covered;
 
 /// The source of every mount of gaugefs, as mountinfo shows it.
 pub const SOURCE: &str = "gaugefs";
@@ -82,6 +85,13 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
 pub fn make(path: &Path) -> Result<()> {
     fs::create_dir_all(path)
         .map_err(|error| Error::io(path.display().to_string(), "cannot make the folder", &error))
+}
+
+/// The kernel's own supplies, where a mount at that path would hide them.
+pub fn covered(path: &Path) -> Result<Option<Covered>> {
+    let is_theirs = path.ends_with("class/power_supply")
+        && statfs(path).is_ok_and(|status| status.filesystem_type() == SYSFS_MAGIC);
+    is_theirs.then(|| Covered::open(path)).transpose()
 }
 
 /// Takes a gaugefs away.

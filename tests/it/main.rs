@@ -6,6 +6,7 @@ mod gauge;
 mod input;
 mod journal;
 mod mount;
+mod over;
 mod rig;
 mod sim;
 mod sim2;

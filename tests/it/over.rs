@@ -1,0 +1,228 @@
+//! A mount over the kernel's own supplies: a folder of links like theirs, and the real one where the machine
+//! lets it be mounted over.
+
+use std::fs::{self, OpenOptions};
+use std::io::ErrorKind;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use gaugefs::authentication::Order;
+use gaugefs::chip::Chip;
+use gaugefs::clock::RealClock;
+use gaugefs::fs::{Access, Covered, Entry, Fs, Node, Scales, free_name};
+use gaugefs::fuse::{self, Mounted};
+use gaugefs::keys::Keys;
+use gaugefs::poll::{self, Settings, Signal};
+use gaugefs::sim::{Options, Sim};
+
+/// A folder as `/sys`, with supplies of which each is a folder below `devices` and a link to it.
+struct Tree(PathBuf);
+
+impl Drop for Tree {
+    fn drop(&mut self) {
+        let _ = nix::mount::umount2(&self.supplies(), nix::mount::MntFlags::MNT_DETACH);
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+impl Tree {
+    fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("gaugefs-over-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let tree = Self(std::env::temp_dir().join(name));
+        fs::create_dir_all(tree.supplies()).expect("a temporary folder");
+        tree
+    }
+
+    fn supplies(&self) -> PathBuf {
+        self.0.join("class/power_supply")
+    }
+
+    fn device(&self, name: &str) -> PathBuf {
+        self.0.join("devices/bus").join(name)
+    }
+
+    /// As a driver that has found its device.
+    fn bind(&self, name: &str, capacity: &str) {
+        fs::create_dir_all(self.device(name)).expect("a folder");
+        fs::write(self.device(name).join("capacity"), capacity).expect("a file");
+        symlink(format!("../../devices/bus/{name}"), self.underneath(name)).expect("a link");
+    }
+
+    fn unbind(&self, name: &str) {
+        fs::remove_file(self.underneath(name)).expect("a link");
+    }
+
+    /// The folder of supplies past a mount over it: `.` is opened before there is one.
+    fn underneath(&self, name: &str) -> PathBuf {
+        self.0.join("underneath").join(name)
+    }
+
+    fn keep_underneath(&self) -> fs::File {
+        let folder = fs::File::open(self.supplies()).expect("the folder");
+        let way = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&folder));
+        symlink(way, self.0.join("underneath")).expect("a link");
+        folder
+    }
+}
+
+fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
+    let clock = Arc::new(RealClock::new());
+    let entries = names.iter().map(|name| {
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated chip");
+        std::thread::sleep(Duration::from_millis(1300));
+        let settings = Settings {
+            keys: Keys::default(),
+            interval: Duration::from_secs(3600),
+            byte_writes: false,
+            allow_unproven: false,
+            auth_order: Order::default(),
+            restore: Vec::new(),
+            journal: None,
+        };
+        let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
+        let handle = poll::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
+        let handle = handle.expect("a gauge");
+        Entry { name: (*name).into(), handle, scales: Scales::default(), knobs: None }
+    });
+    let access = Access { uid: 0, gid: 0, group: false };
+    Fs::new(entries.collect(), access).over(Some(covered))
+}
+
+/// One gauge, mounted over the supplies of a tree; `None` where this machine cannot mount FUSE at all.
+fn mount(tree: &Tree, name: &str) -> Option<Mounted> {
+    if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of a mount over the kernel's supplies ran");
+        return None;
+    }
+    let signal = Arc::new(Signal::default());
+    let covered = Covered::open(&tree.supplies()).expect("the folder");
+    let fs = Arc::new(tree_of(&[name], covered, &signal));
+    Some(fuse::mount(fs, &tree.supplies(), fuse::Options::default(), signal).expect("a mount"))
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("a folder");
+    let mut names: Vec<_> = entries
+        .map(|entry| {
+            let entry = entry.expect("an entry");
+            let status = fs::symlink_metadata(entry.path()).expect("what is listed is there");
+            assert_eq!(entry.file_type().expect("d_type is there"), status.file_type());
+            entry.file_name().into_string().expect("text")
+        })
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn the_kernels_supplies_show_through_as_they_are() {
+    let tree = Tree::new();
+    let _folder = tree.keep_underneath();
+    tree.bind("BAT0", "81\n");
+    fs::write(tree.supplies().join("no-link"), "").expect("a file");
+    let Some(_mounted) = mount(&tree, "BAT1") else { return };
+    assert_eq!(names(&tree.supplies()), ["BAT0", "BAT1"]);
+    let link = tree.supplies().join("BAT0");
+    let target = "../../devices/bus/BAT0";
+    assert_eq!(fs::read_link(&link).expect("a link").to_str(), Some(target));
+    assert_eq!(fs::symlink_metadata(&link).expect("a link").len(), target.len() as u64);
+    assert_eq!(fs::canonicalize(&link).expect("it leads somewhere"), tree.device("BAT0"));
+    assert_eq!(fs::read_to_string(link.join("capacity")).expect("a file"), "81\n");
+    assert_eq!(fs::read_to_string(tree.supplies().join("BAT1/present")).expect("a file"), "1\n");
+    assert_eq!(fs::remove_file(&link).expect_err("not from here").kind(), ErrorKind::PermissionDenied);
+}
+
+#[test]
+fn supplies_that_come_and_go_show_at_once() {
+    let tree = Tree::new();
+    let _folder = tree.keep_underneath();
+    let Some(_mounted) = mount(&tree, "BAT1") else { return };
+    let link = tree.supplies().join("AC");
+    // Each look comes right after the change, and after one that has filled whatever would be kept.
+    for round in 0..20 {
+        assert_eq!(names(&tree.supplies()), ["BAT1"]);
+        assert_eq!(fs::symlink_metadata(&link).expect_err("not there").kind(), ErrorKind::NotFound);
+        tree.bind("AC", &format!("{round}\n"));
+        assert_eq!(fs::read_to_string(link.join("capacity")).expect("a file"), format!("{round}\n"));
+        assert_eq!(names(&tree.supplies()), ["AC", "BAT1"]);
+        // The same name for another device.
+        tree.bind("other", "7\n");
+        tree.unbind("other");
+        tree.unbind("AC");
+        symlink("../../devices/bus/other", tree.underneath("AC")).expect("a link");
+        assert_eq!(fs::read_link(&link).expect("a link").to_str(), Some("../../devices/bus/other"));
+        assert_eq!(fs::read_to_string(link.join("capacity")).expect("a file"), "7\n");
+        tree.unbind("AC");
+    }
+}
+
+#[test]
+fn the_gauge_keeps_a_name_that_the_kernel_has_too() {
+    let tree = Tree::new();
+    symlink("../../devices/bus/BAT0", tree.supplies().join("BAT0")).expect("a link");
+    symlink("../../devices/bus/AC", tree.supplies().join("AC")).expect("a link");
+    let covered = Covered::open(&tree.supplies()).expect("the folder");
+    let mut found = covered.names();
+    found.sort();
+    assert_eq!(found, ["AC", "BAT0"]);
+    assert_eq!(free_name(&found), "BAT1");
+    assert_eq!(free_name(&[]), "BAT0");
+    let fs = tree_of(&["BAT0"], covered, &Arc::default());
+    let list = fs.list(Node::Root);
+    assert_eq!(list.len(), 2, "{list:?}");
+    assert!(matches!(fs.lookup(Node::Root, "BAT0"), Some(Node::Of(0, _))));
+    let kernels = fs.lookup(Node::Root, "AC").expect("it shows through");
+    assert!(list.contains(&("AC".into(), kernels)));
+    assert_eq!(fs.target(kernels).as_deref(), Some("../../devices/bus/AC"));
+    // A name that is gone has no node, and one that comes back has the one it had.
+    fs::remove_file(tree.supplies().join("AC")).expect("a link");
+    assert_eq!((fs.lookup(Node::Root, "AC"), fs.target(kernels)), (None, None));
+    symlink("../../devices/bus/other", tree.supplies().join("AC")).expect("a link");
+    assert_eq!(fs.lookup(Node::Root, "AC"), Some(kernels));
+}
+
+/// The whole way, in a mount namespace of its own, so that nobody else sees it.
+#[test]
+fn the_real_folder_can_be_mounted_over() {
+    let supplies = Path::new("/sys/class/power_supply");
+    let private = |script: &str| {
+        let gaugefs = env!("CARGO_BIN_EXE_gaugefs");
+        let mut command = Command::new("unshare");
+        command.args(["--mount", "sh", "-euc", script, "sh", gaugefs]).output()
+    };
+    let able = private("test -d /sys/class/power_supply && test -r /dev/fuse");
+    if !nix::unistd::geteuid().is_root() || !able.is_ok_and(|able| able.status.success()) {
+        eprintln!("SKIPPED: without root, unshare, FUSE and {supplies:?} nothing was mounted over it");
+        return;
+    }
+    let before = names_of_links(supplies);
+    let output = private(
+        "cd /
+        supplies=/sys/class/power_supply
+        $1 mount --sim bq34z100-g1 $supplies
+        trap '$1 umount $supplies' EXIT
+        ls $supplies
+        cat $supplies/BAT*/gauge/seal
+        cat $supplies/BAT*/subsystem/BAT*/gauge/seal",
+    );
+    let output = output.expect("unshare runs");
+    assert!(output.status.success(), "{output:?}");
+    let mut expected = before.clone();
+    expected.push(free_name(&before));
+    expected.sort();
+    let mut lines: Vec<_> = String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect();
+    assert_eq!(lines.split_off(lines.len() - 2), ["sealed", "sealed"]);
+    lines.sort();
+    assert_eq!(lines, expected);
+    assert_eq!(names_of_links(supplies), before);
+}
+
+fn names_of_links(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
+    entries.map(|entry| entry.file_name().into_string().expect("text")).collect()
+}
