@@ -146,6 +146,9 @@ struct Mount {
     /// Name of the gauge's folder [default: BAT0, or the first BATn that the kernel does not have]
     #[arg(long, value_name = "NAME", value_parser = name, help_heading = "What is shown")]
     name: Option<String>,
+    /// Show a Mains supply too [default NAME: AC]: `online` while no gauge is discharged
+    #[arg(long, value_name = "NAME", value_parser = name, require_equals = true, num_args = 0..=1, help_heading = "What is shown")]
+    ac: Option<Option<String>>,
     /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim and --replay]
     #[arg(long, value_name = "SECONDS", value_parser = interval, help_heading = "What is shown")]
     poll: Option<Duration>,
@@ -396,6 +399,7 @@ impl Mount {
             source,
             byte_writes: self.byte_writes,
             name: self.name,
+            ac: self.ac,
             interval: self.poll.unwrap_or(Duration::from_secs(if simulated || recorded { 3 } else { 30 })),
             scales: Scales {
                 current: self.current_scale,

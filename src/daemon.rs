@@ -17,7 +17,7 @@ use crate::chip::{Chip, SealStatus, Tier};
 use crate::clock::{Clock, RealClock};
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Entry, Fs, Knobs, Scales, free_name};
+use crate::fs::{Access, Covered, Entry, Fs, Knobs, Scales, free_name};
 use crate::fuse;
 use crate::gauge::bursts;
 use crate::journal::Journal;
@@ -80,6 +80,8 @@ pub struct Options {
     pub byte_writes: bool,
     /// Name of the gauge's folder.
     pub name: Option<String>,
+    /// Show a Mains supply too, of this name where one was chosen.
+    pub ac: Option<Option<String>>,
     /// Time between polls.
     pub interval: Duration,
     /// How figures are shown.
@@ -161,14 +163,18 @@ pub fn run(options: Options) -> Result<()> {
         poll::spawn(chip, bus, clock, settings, signal.clone()).map_err(|error| error.within(&subject))?;
 
     let covered = mountpoint::covered(&mountpoint)?;
+    let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let entry = Entry {
-        name: options.name.unwrap_or_else(|| {
-            free_name(&covered.as_ref().map(|covered| covered.names()).unwrap_or_default())
-        }),
+        name: options.name.unwrap_or_else(|| free_name("BAT", &taken)),
         handle: handle.clone(),
         scales: options.scales,
         knobs: sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
     };
+    let mains = options.ac.map(|name| mains_name(name, &taken));
+    if mains.as_ref() == Some(&entry.name) {
+        let why = "a gauge and the Mains supply cannot share a name; choose another --name or --ac";
+        return Err(Error::new(entry.name, Cause::Invalid(why.into())));
+    }
     let place = format!("{}/{}", mountpoint.display(), entry.name);
     let access = Access {
         uid: geteuid().as_raw(),
@@ -177,7 +183,7 @@ pub fn run(options: Options) -> Result<()> {
     };
     mountpoint::make(&mountpoint)?;
     let how = fuse::Options { private: options.private, read_only: options.read_only };
-    let fs = Arc::new(Fs::new(vec![entry], access).over(covered));
+    let fs = Arc::new(Fs::new(vec![entry], access).with_mains(mains).over(covered));
     let mounted = fuse::mount(fs, &mountpoint, how, signal)?;
     end.mounted(&mountpoint, &handle);
     ::log::info!("{} ({subject}) mounted at {place}", chip.model);
@@ -227,6 +233,14 @@ fn state_dir() -> Result<PathBuf> {
             Err(Error::host("--state-dir", Errno::ENOENT, why))
         }
     }
+}
+
+/// `AC`, unless another name was chosen or the kernel has one of that name.
+fn mains_name(chosen: Option<String>, taken: &[String]) -> String {
+    chosen.unwrap_or_else(|| {
+        let usual = "AC".to_string();
+        if taken.contains(&usual) { free_name(&usual, taken) } else { usual }
+    })
 }
 
 fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {

@@ -21,17 +21,21 @@ use crate::text;
 
 mod attribute;
 mod covered;
+mod mains;
 mod transaction;
 
 pub use attribute::Attribute;
 use attribute::Source;
 pub use covered::Covered;
+pub use mains::MainsItem;
 use transaction::Transaction;
 
 /// What a data-flash file shows as its size before it has been read: as sysfs does.
 const UNREAD: u64 = 4096;
 /// What `df/transaction` holds while none is open.
 const IDLE: &[u8] = b"idle\n";
+/// Whoever follows `subsystem` finds the folder that a mount stands for.
+const SUPPLIES: &str = "/sys/class/power_supply";
 
 /// The files of `sim/`, behind which stands a simulated gauge.
 pub trait Knobs: Send + Sync {
@@ -93,6 +97,8 @@ pub struct Fs {
     /// One for each gauge.
     transactions: Vec<Transaction>,
     access: Access,
+    /// Name of the Mains supply's folder.
+    mains: Option<String>,
     covered: Option<Covered>,
 }
 
@@ -103,6 +109,8 @@ pub enum Node {
     Root,
     /// Something of the gauge of that index.
     Of(u16, Item),
+    /// Something of the Mains supply.
+    Mains(MainsItem),
     /// The link of that number, shown through from the folder underneath.
     Covered(u32),
 }
@@ -256,7 +264,13 @@ impl Fs {
     /// A tree of these gauges.
     pub fn new(gauges: Vec<Entry>, access: Access) -> Self {
         let transactions = gauges.iter().map(|_| Transaction::default()).collect();
-        Self { gauges, transactions, access, covered: None }
+        Self { gauges, transactions, access, mains: None, covered: None }
+    }
+
+    /// The same tree with a folder of that name, which tells whether the mains feed the packs.
+    #[must_use]
+    pub fn with_mains(self, name: Option<String>) -> Self {
+        Self { mains: name, ..self }
     }
 
     /// The same tree, beside what the folder that it covers holds.
@@ -276,7 +290,11 @@ impl Fs {
 
     /// The folder that holds a node; the root holds itself.
     pub fn parent(&self, node: Node) -> Node {
-        let Node::Of(gauge, item) = node else { return Node::Root };
+        let (gauge, item) = match node {
+            Node::Root | Node::Covered(_) | Node::Mains(MainsItem::Folder) => return Node::Root,
+            Node::Mains(_) => return Node::Mains(MainsItem::Folder),
+            Node::Of(gauge, item) => (gauge, item),
+        };
         Node::Of(
             gauge,
             match item {
@@ -316,8 +334,9 @@ impl Fs {
     /// Folder, link or file.
     pub fn shape(&self, node: Node) -> Shape {
         let item = match node {
-            Node::Root => return Shape::Folder,
-            Node::Covered(_) => return Shape::Link,
+            Node::Root | Node::Mains(MainsItem::Folder) => return Shape::Folder,
+            Node::Covered(_) | Node::Mains(MainsItem::Subsystem) => return Shape::Link,
+            Node::Mains(_) => return Shape::File,
             Node::Of(_, item) => item,
         };
         match item {
@@ -356,8 +375,9 @@ impl Fs {
     pub fn mode(&self, node: Node) -> u16 {
         let kept = |bits: u16| if self.access.group { bits * 0o110 } else { bits * 0o100 };
         let (gauge, item) = match node {
-            Node::Root => return 0o555,
-            Node::Covered(_) => return 0o777,
+            Node::Root | Node::Mains(MainsItem::Folder) => return 0o555,
+            Node::Covered(_) | Node::Mains(MainsItem::Subsystem) => return 0o777,
+            Node::Mains(_) => return 0o444,
             Node::Of(gauge, item) => (gauge, item),
         };
         match item {
@@ -391,7 +411,7 @@ impl Fs {
     /// change with a poll and at no other time.
     pub fn may_be_cached(&self, node: Node) -> bool {
         match node {
-            Node::Root => true,
+            Node::Root | Node::Mains(_) => true,
             Node::Covered(_) => false,
             Node::Of(_, item) => {
                 matches!(item, Item::Attribute(_) | Item::Uevent) || self.shape(node) != Shape::File
@@ -408,7 +428,8 @@ impl Fs {
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
         let (gauge, item) = match folder {
             Node::Root => return self.list_root(),
-            Node::Covered(_) => return Vec::new(),
+            Node::Mains(MainsItem::Folder) => return self.list_mains(),
+            Node::Mains(_) | Node::Covered(_) => return Vec::new(),
             Node::Of(gauge, item) => (gauge, item),
         };
         let chip = self.chip(gauge);
@@ -517,7 +538,27 @@ impl Fs {
     /// What the root holds of the mount's own.
     fn own(&self) -> Vec<(String, Node)> {
         let gauges = (0..).zip(&self.gauges);
-        gauges.map(|(at, entry)| (entry.name.clone(), Node::Of(at, Item::Folder))).collect()
+        let gauges = gauges.map(|(at, entry)| (entry.name.clone(), Node::Of(at, Item::Folder)));
+        gauges.chain(self.mains.clone().map(|name| (name, Node::Mains(MainsItem::Folder)))).collect()
+    }
+
+    fn list_mains(&self) -> Vec<(String, Node)> {
+        let there = |item: &MainsItem| *item != MainsItem::Online || self.online().is_some();
+        let files = mains::FILES.into_iter().filter(there);
+        files.map(|item| (item.name().to_string(), Node::Mains(item))).collect()
+    }
+
+    /// Whether the mains feed the packs, as far as the gauges tell. One without a pack does not, nor one of
+    /// a primary cell, which nothing feeds.
+    fn online(&self) -> Option<bool> {
+        let told = (0..self.gauges.len() as u16).filter(|gauge| !self.chip(*gauge).condition.primary);
+        let told = told.filter_map(|gauge| {
+            let snapshot = self.fresh(gauge)?;
+            let source = self.source(gauge, Some(&snapshot));
+            let present = Attribute::Present.text(&source).is_some_and(|present| present == "1");
+            Attribute::Status.text(&source).filter(|_| present)
+        });
+        mains::online(&told.collect::<Vec<_>>())
     }
 
     /// The node of that name in a folder.
@@ -535,13 +576,15 @@ impl Fs {
         let items = [Item::Folder, Item::Gauge, Item::Registers];
         let gauges = 0..self.gauges.len() as u16;
         let folders = gauges.flat_map(|gauge| items.map(|item| Node::Of(gauge, item)));
-        folders.chain(self.is_over().then_some(Node::Root)).collect()
+        let mains = self.mains.is_some().then_some(Node::Mains(MainsItem::Folder));
+        folders.chain(mains).chain(self.is_over().then_some(Node::Root)).collect()
     }
 
     /// The name of a file in its folder, whether it is there now or not.
     pub fn file_name(&self, node: Node) -> Option<String> {
         match node {
             Node::Of(_, Item::Attribute(attribute)) => Some(attribute.name().to_string()),
+            Node::Mains(MainsItem::Online) => Some(MainsItem::Online.name().to_string()),
             _ => self
                 .list(self.parent(node))
                 .into_iter()
@@ -569,7 +612,13 @@ impl Fs {
 
     /// What a file holds now.
     pub fn content(&self, node: Node) -> Content {
-        let Node::Of(gauge, item) = node else { return Content::Absent };
+        let (gauge, item) = match node {
+            Node::Root | Node::Covered(_) => return Content::Absent,
+            Node::Mains(item) => {
+                return mains::content(item, self.mains.as_deref().unwrap_or_default(), self.online());
+            }
+            Node::Of(gauge, item) => (gauge, item),
+        };
         let entry = self.entry(gauge);
         let line = |text: Option<String>| match text {
             Some(text) => Content::Bytes((text + "\n").into_bytes()),
@@ -843,7 +892,8 @@ impl Fs {
     /// Where a symbolic link leads.
     pub fn target(&self, node: Node) -> Option<String> {
         let (gauge, item) = match node {
-            Node::Root => return None,
+            Node::Mains(MainsItem::Subsystem) => return Some(SUPPLIES.into()),
+            Node::Root | Node::Mains(_) => return None,
             Node::Covered(number) => {
                 let covered = self.covered.as_ref()?;
                 return covered.target(&covered.name(number)?);
@@ -851,8 +901,7 @@ impl Fs {
             Node::Of(gauge, item) => (gauge, item),
         };
         match item {
-            // Whoever follows it finds the folder that stands for /sys/class/power_supply.
-            Item::Subsystem => Some("/sys/class/power_supply".into()),
+            Item::Subsystem => Some(SUPPLIES.into()),
             Item::ByNameLink(subclass, parameter) => {
                 let (subclass, parameter) = self.row(gauge, subclass, parameter);
                 Some(match subclass.id {
@@ -880,9 +929,9 @@ impl Fs {
     }
 }
 
-/// The first of BAT0, BAT1 ... that is not taken: monitors look for BAT*.
-pub fn free_name(taken: &[String]) -> String {
-    let names = (0..).map(|number| format!("BAT{number}"));
+/// The first of BAT0, BAT1 ... that is not taken (monitors look for BAT*), or the same of another stem.
+pub fn free_name(stem: &str, taken: &[String]) -> String {
+    let names = (0..).map(|number| format!("{stem}{number}"));
     names.into_iter().find(|name| !taken.contains(name)).expect("numbers do not run out")
 }
 

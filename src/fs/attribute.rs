@@ -230,7 +230,7 @@ pub(super) fn uevent(name: &str, source: &Source<'_>) -> String {
     lines
 }
 
-fn plain(text: &str) -> String {
+pub(super) fn plain(text: &str) -> String {
     let keep = |letter: char| letter.is_ascii_alphanumeric() || "._+-".contains(letter);
     text.chars().map(|letter| if keep(letter) { letter } else { '_' }).collect()
 }

@@ -118,6 +118,7 @@ fn misuse_is_told_apart() {
             "mount --sim bq34z100-g1 --bus /dev/i2c-1 /tmp/x",
             "mount --sim bq34z100-g1 --poll 0.1 /tmp/x",
             "mount --sim bq34z100-g1 --name a/b /tmp/x",
+            "mount --sim bq34z100-g1 --ac=a/b /tmp/x",
             "mount --sim bq34z100-g1 --sim-key 0414 /tmp/x",
             "mount --sim bq34z100-g1 --energy-scale 0 /tmp/x",
             "mount --sim bq34z100-g1 --group no-such-group /tmp/x",
@@ -523,6 +524,50 @@ fn regression_an_ending_daemon_leaves_the_next_mount_alone() {
     first.send(Signal::SIGCONT);
     assert_eq!(first.ends(), Some(0));
     assert_eq!(read(&at, "BAT0/present"), "1");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn a_mains_supply_follows_the_gauge() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let sim = |knob: &str, value: &str| {
+        fs::write(Path::new(&at).join("BAT0/sim").join(knob), value).expect("a knob");
+    };
+    let text = |name: &str| fs::read_to_string(Path::new(&at).join("AC").join(name)).unwrap_or_default();
+    let shows = |online: &str| {
+        within(Duration::from_secs(60), "AC/online", || text("online") == online);
+        let line = if online.is_empty() { String::new() } else { format!("POWER_SUPPLY_ONLINE={online}") };
+        let uevent = format!("POWER_SUPPLY_NAME=AC\nPOWER_SUPPLY_TYPE=Mains\n{line}");
+        within(Duration::from_secs(60), "AC/uevent", || text("uevent") == uevent);
+        let all = ["online", "subsystem", "type", "uevent"];
+        within(Duration::from_secs(60), "the list of AC", || {
+            let listed = fs::read_dir(Path::new(&at).join("AC")).expect("a folder");
+            let mut listed: Vec<_> = listed.map(|entry| entry.expect("an entry").file_name()).collect();
+            listed.sort();
+            listed == all[usize::from(online.is_empty())..]
+        });
+    };
+    let _daemon = Foreground::new(&at, &["--ac", "--poll", "0.5"]);
+    assert_eq!(text("type"), "Mains\n");
+    assert!(fs::read_link(Path::new(&at).join("AC/subsystem")).expect("a link").ends_with("power_supply"));
+    shows("1\n");
+    sim("load_ma", "500");
+    shows("0\n");
+    sim("load_ma", "-800");
+    shows("1\n");
+    sim("power", "off");
+    shows("");
+    sim("power", "on");
+    shows("1\n");
+    gaugefs(&["umount", &at]).done();
+    gaugefs(&["mount", "--sim", CHIP, "--name", "AC", "--ac", &at]).failed(&["AC", "--name", "--ac"]);
+    gaugefs(&["mount", "--sim", "bq35100", "--ac=ADP1", &at]).done();
+    // A primary cell tells nothing of the mains.
+    assert_eq!(read(&at, "ADP1/uevent"), "POWER_SUPPLY_NAME=ADP1\nPOWER_SUPPLY_TYPE=Mains");
     gaugefs(&["umount", &at]).done();
 }
 

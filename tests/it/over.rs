@@ -170,8 +170,8 @@ fn the_gauge_keeps_a_name_that_the_kernel_has_too() {
     let mut found = covered.names();
     found.sort();
     assert_eq!(found, ["AC", "BAT0"]);
-    assert_eq!(free_name(&found), "BAT1");
-    assert_eq!(free_name(&[]), "BAT0");
+    assert_eq!(free_name("BAT", &found), "BAT1");
+    assert_eq!(free_name("BAT", &[]), "BAT0");
     let fs = tree_of(&["BAT0"], covered, &Arc::default());
     let list = fs.list(Node::Root);
     assert_eq!(list.len(), 2, "{list:?}");
@@ -213,7 +213,7 @@ fn the_real_folder_can_be_mounted_over() {
     let output = output.expect("unshare runs");
     assert!(output.status.success(), "{output:?}");
     let mut expected = before.clone();
-    expected.push(free_name(&before));
+    expected.push(free_name("BAT", &before));
     expected.sort();
     let mut lines: Vec<_> = String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect();
     assert_eq!(lines.split_off(lines.len() - 2), ["sealed", "sealed"]);
