@@ -8,6 +8,7 @@ mod journal;
 mod mount;
 mod over;
 mod rig;
+mod semantics;
 mod sim;
 mod sim2;
 mod sim_mac;

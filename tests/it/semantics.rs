@@ -1,0 +1,292 @@
+//! docs/SEMANTICS.md held to what a mount does: every file of the tree has its row there and every row its
+//! file, attributes are what their row says, and each errno of the table comes from what the table says.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{Read, Seek};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use gaugefs::chip::{CHIPS, snake_case};
+use nix::errno::Errno;
+
+use crate::rig::Rig;
+
+const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
+
+/// The rows of the table below a heading, a cell each.
+fn table(heading: &str) -> Vec<Vec<&'static str>> {
+    let section = TEXT.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
+    let rows =
+        section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
+    rows.skip(2).map(|row| row.trim_matches('|').split('|').map(str::trim).collect()).collect()
+}
+
+/// What stands in backticks.
+fn quoted(cell: &str) -> impl Iterator<Item = &str> {
+    cell.split('`').skip(1).step_by(2)
+}
+
+/// A simulated gauge, mounted by the program as a user would.
+struct Mount {
+    folder: PathBuf,
+    daemon: Child,
+}
+
+impl Mount {
+    fn new(chip: &str, more: &[&str]) -> Option<Self> {
+        use std::sync::atomic::{AtomicU32, Ordering};
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
+            eprintln!("SKIPPED: /dev/fuse cannot be opened; the document was not compared with a mount");
+            return None;
+        }
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("gaugefs-semantics-{}-{number}", std::process::id()));
+        let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+        command.args(["mount", "-f", "--sim", chip]).args(more).arg(&folder);
+        let daemon = command.stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        let mount = Self { folder, daemon };
+        mount.until("mounted", |mount| mount.path("present").exists());
+        // The registers that no attribute needs come with the second poll.
+        mount.until("a second poll", |mount| mount.number("gauge/statistics/polls") >= 2);
+        Some(mount)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join("BAT0").join(name)
+    }
+
+    fn cat(&self, name: &str) -> String {
+        let text = fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        text.trim_end().to_string()
+    }
+
+    fn number(&self, name: &str) -> i64 {
+        let text = self.cat(name);
+        text.parse().unwrap_or_else(|_| panic!("{name}: `{text}` is no number"))
+    }
+
+    fn echo(&self, text: &str, name: &str) -> Result<(), Errno> {
+        fs::write(self.path(name), format!("{text}\n")).map_err(errno)
+    }
+
+    fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !holds(self) {
+            assert!(Instant::now() < end, "{what}: does not come");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Names and modes of the files of a folder of the gauge.
+    fn list(&self, name: &str) -> BTreeMap<String, u32> {
+        let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
+        let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
+        entries.map(|entry| (entry.file_name().to_string_lossy().into_owned(), mode(entry.path()))).collect()
+    }
+}
+
+impl Drop for Mount {
+    fn drop(&mut self) {
+        let _ = self.daemon.kill();
+        let _ = self.daemon.wait();
+        let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
+        let _ = Command::new("fusermount3").args(["-uzq", "--"]).arg(&self.folder).status();
+        let _ = fs::remove_dir(&self.folder);
+    }
+}
+
+fn errno(error: std::io::Error) -> Errno {
+    Errno::from_raw(error.raw_os_error().unwrap_or_default())
+}
+
+#[test]
+fn semantics_of_the_tree() {
+    let attributes: BTreeSet<_> = table("## Attributes").iter().flat_map(|row| quoted(row[0])).collect();
+    let rows = table("## gauge/");
+    let gauge: BTreeMap<_, _> =
+        rows.iter().flat_map(|row| quoted(row[0]).map(|name| (name, (row[1] != "", row[2] != "")))).collect();
+    let (mut seen, mut seen_in_gauge) = (BTreeSet::new(), BTreeSet::new());
+    for chip in CHIPS {
+        let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "0.5"]) else { return };
+        for load in ["500", "-500"] {
+            // A primary cell cannot be charged.
+            let set = mount.echo(load, "sim/load_ma");
+            assert!(set.is_ok() || chip.name == "bq35100" && load == "-500", "{}: {set:?}", chip.name);
+            let polls = mount.number("gauge/statistics/polls");
+            mount.until("a poll", |mount| mount.number("gauge/statistics/polls") >= polls + 2);
+            if chip.name == "bq34z100-g1" && load == "-500" {
+                // Its averages take their time.
+                mount.until("a time to full", |mount| mount.path("time_to_full_now").exists());
+            }
+            seen.extend(mount.list(".").into_keys());
+        }
+        for (name, mode) in mount.list("gauge") {
+            let flags = chip.registers.iter().any(|register| snake_case(register.name) == name);
+            let row = match &*name {
+                "registers" => "registers/NAME",
+                "statistics" => "statistics/NAME",
+                // Words of bits are files of their own, whatever the part calls them.
+                name if gauge.contains_key(name) => name,
+                _ if flags => "control_status",
+                name => name,
+            };
+            let Some((reads, writes)) = gauge.get(row) else { panic!("gauge/{name} has no row") };
+            if !row.ends_with("NAME") {
+                assert_eq!(
+                    (mode & 0o444 != 0, mode & 0o222 != 0),
+                    (*reads, *writes),
+                    "gauge/{name}: {mode:o}"
+                );
+            }
+            seen_in_gauge.insert(row.to_string());
+        }
+    }
+    let folders = ["df", "gauge", "sim", "subsystem"];
+    seen.retain(|name| !folders.contains(&&**name));
+    assert_eq!(seen.iter().map(|name| &**name).collect::<BTreeSet<_>>(), attributes, "attributes; rows");
+    assert_eq!(
+        seen_in_gauge.iter().map(|name| &**name).collect::<BTreeSet<_>>(),
+        gauge.into_keys().collect()
+    );
+}
+
+#[test]
+fn semantics_of_the_attributes() {
+    for chip in CHIPS {
+        let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "3600"]) else { return };
+        let mut compared = 0;
+        for row in table("## Attributes") {
+            let registers: Vec<_> =
+                row[1].split([' ', ',']).filter_map(|word| word.strip_suffix("()").map(snake_case)).collect();
+            for (file, register) in quoted(row[0]).zip(&registers) {
+                let path = format!("gauge/registers/{register}");
+                if !mount.path(file).exists() || !mount.path(&path).exists() {
+                    continue;
+                }
+                let raw = mount.number(&path);
+                let shown = match file {
+                    "temp" => raw - 2731,
+                    "capacity" | "capacity_error_margin" | "cycle_count" | "state_of_health" => raw,
+                    // mV, mA, mAh in µV, µA, µAh.
+                    _ => raw * 1000,
+                };
+                assert_eq!(mount.number(file), shown, "{}: {file} and {register}", chip.name);
+                compared += 1;
+            }
+        }
+        assert!(compared > 1, "{}: {compared} files compared", chip.name);
+        let uevent = mount.cat("uevent");
+        assert!(uevent.starts_with("POWER_SUPPLY_NAME=BAT0\n"));
+        let plain = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
+        for line in uevent.lines() {
+            let (key, value) = line.split_once('=').expect("KEY=VALUE");
+            assert!(value.chars().all(plain), "{line}");
+            let name = key.strip_prefix("POWER_SUPPLY_").expect("the kernel's prefix").to_lowercase();
+            if name != "name" {
+                assert_eq!(mount.cat(&name).replace(' ', "_"), value, "{name}");
+            }
+        }
+    }
+}
+
+/// What the engine answers when some transfer and the four after it, retries included, meet the same of
+/// these faults: the errno that is looked for, if any of them leads to it.
+fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
+    let tries = faults.iter().flat_map(|fault| (1..40).map(move |first| (fault, first)));
+    for (fault, first) in tries {
+        let mut rig = Rig::new("bq34z100-g1");
+        let faults: Vec<_> = (first..first + 5).map(|n: u64| fault.replace('N', &n.to_string())).collect();
+        rig.sim.set("fault", &faults.join("; ")).expect("faults");
+        if rig.write(80, 53, "3100").is_err_and(|error| error.errno() == wanted) {
+            return Err(wanted);
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn semantics_of_the_errnos() {
+    let rows = table("## Errnos");
+    let documented: BTreeSet<_> = rows.iter().flat_map(|row| row[0].split(", ")).collect();
+    let mut met = BTreeMap::new();
+    let mut meets = |what: &'static str, outcome: Result<(), Errno>| {
+        let errno = outcome.expect_err(what);
+        met.insert(format!("{errno:?}"), what);
+    };
+    let parameter = "df/80/53";
+    let Some(mount) = Mount::new("bq34z100-g1", &["--poll", "0.5"]) else { return };
+    meets("not a value of that type", mount.echo("abc", parameter));
+    meets("outside the range", mount.echo("9999", parameter));
+    meets("no transaction is open", mount.echo("commit", "df/transaction"));
+    mount.echo("begin", "df/transaction").expect("a transaction");
+    meets("a transaction is open", mount.echo("3100", parameter));
+    mount.echo("abort", "df/transaction").expect("the end of it");
+    mount.echo("corrupt-commit", "sim/fault").expect("a fault");
+    meets("the old bytes are back", mount.echo("3100", parameter));
+    assert_eq!(mount.cat(parameter), "3000");
+    mount.echo("2700", "sim/voltage_mv").expect("a knob");
+    meets("below the flash-update voltage", mount.echo("3100", parameter));
+    mount.echo("3900", "sim/voltage_mv").expect("a knob");
+    mount.echo("torn-commit 1", "sim/fault").expect("a fault");
+    meets("data flash is unknown", mount.echo("3100", parameter));
+    mount.echo("none", "sim/fault").expect("a knob");
+    mount.echo("on", "sim/power").expect("a knob");
+    mount.until("the gauge is back", |mount| mount.echo("now", "gauge/refresh").is_ok());
+    let mut held = fs::File::open(mount.path("voltage_now")).expect("there");
+    mount.echo("off", "sim/power").expect("a knob");
+    meets("the address is not acknowledged", mount.echo("3100", parameter));
+    mount.until("it is gone", |mount| mount.cat("present") == "0");
+    let mut gone =
+        || held.rewind().and_then(|()| held.read_to_string(&mut String::new())).map(drop).map_err(errno);
+    mount.until("what is held open follows", |_| fs::metadata(mount.path("voltage_now")).is_err());
+    let end = Instant::now() + Duration::from_secs(60);
+    while gone().is_ok() && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    meets("gone", gone());
+    drop(mount);
+
+    let Some(mount) = Mount::new("bq34z100-g1", &["--no-default-keys"]) else { return };
+    meets("sealed and no key works", mount.echo("3100", parameter));
+    drop(mount);
+    let Some(mount) = Mount::new("bq34z100-g1", &["--read-only"]) else { return };
+    meets("mounted read-only", mount.echo("3100", parameter));
+    drop(mount);
+    let Some(mount) = Mount::new("bq34110", &[]) else { return };
+    let index = mount.cat("df/index");
+    let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");
+    let unproven = format!("df/flash/{}", row.split('\t').nth(1).expect("an address"));
+    meets("a row that is not proven", mount.echo(&mount.cat(&unproven), &unproven));
+    drop(mount);
+
+    // What takes a fault at one transfer is asked of the engine, whose errno write(2) answers with.
+    meets("bus or gauge too slow", engine(&["stretch N 60000"], Errno::ETIMEDOUT));
+    meets("the checksum is wrong", engine(&["flip N 20 3"], Errno::EBADMSG));
+    // The reply that names another block than the one that was asked for.
+    let echoes = ["flip N 2 0", "flip N 3 0", "flip N 4 0", "flip N 35 0", "flip N 36 0", "flip N 37 0"];
+    meets("the reply breaks the protocol", engine(&echoes, Errno::EPROTO));
+
+    // A full disk takes root to be had: `without_room_for_the_journal_the_gauge_is_not_touched`.
+    let elsewhere = "ENOSPC";
+    let met: BTreeSet<_> = met.keys().map(String::as_str).chain([elsewhere]).collect();
+    assert_eq!(met, documented, "met; documented");
+}
+
+#[test]
+fn semantics_of_data_flash_modes() {
+    let Some(mount) = Mount::new("bq34z100-g1", &[]) else { return };
+    for line in mount.cat("df/index").lines().skip(1) {
+        let cells: Vec<_> = line.split('\t').collect();
+        let mode = fs::metadata(mount.path(&format!("df/{}/{}", cells[0], cells[1]))).expect("there");
+        assert_eq!(mode.permissions().mode() & 0o777, 0o600, "{line}");
+        if cells[8].contains("security") {
+            let read = fs::read(mount.path(&format!("df/{}/{}", cells[0], cells[1]))).map_err(errno);
+            assert_eq!(read, Err(Errno::EPERM), "{line}");
+        }
+    }
+    assert!(Path::new(&mount.path("df/80/raw")).exists());
+}
