@@ -17,6 +17,7 @@ use std::time::{Duration, Instant};
 use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
+use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Entry, Fs, Scales};
 use gaugefs::fuse;
 use gaugefs::keys::Keys;
@@ -53,6 +54,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
         interval,
         byte_writes: false,
         allow_unproven: false,
+        limits: Limits::default(),
         auth_order: Order::default(),
         restore: Vec::new(),
         journal: None,

@@ -16,6 +16,7 @@ use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
 use crate::clock::{Clock, RealClock};
 use crate::daemon::{self, Keyring, Source, background, mountpoint};
+use crate::dataflash::Limits;
 use crate::error::{Error, Result};
 use crate::fs::Scales;
 use crate::image::{self, Format, Group, Image};
@@ -174,6 +175,9 @@ struct Mount {
     /// Write parameters too whose address or range is not sure
     #[arg(long, help_heading = "Access")]
     allow_unproven: bool,
+    /// Write in the middle of a learning cycle too; the reset that follows ends it
+    #[arg(long, help_heading = "Access")]
+    allow_learning: bool,
     /// Let no other user look at the mount (without root this is always so)
     #[arg(long, help_heading = "Access")]
     private: bool,
@@ -410,6 +414,7 @@ impl Mount {
             },
             read_only: self.read_only || recorded,
             allow_unproven: self.allow_unproven,
+            limits: Limits { allow_learning: self.allow_learning },
             auth_order: self.auth_order,
             restore: self.restore,
             private: self.private,

@@ -15,7 +15,7 @@ use crate::bus::trace::Trace;
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{Chip, SealStatus, Tier};
 use crate::clock::{Clock, RealClock};
-use crate::dataflash::Change;
+use crate::dataflash::{Change, Limits};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Covered, Entry, Fs, Knobs, Scales, free_name};
 use crate::fuse;
@@ -90,6 +90,8 @@ pub struct Options {
     pub read_only: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
+    /// What else may be overruled.
+    pub limits: Limits,
     /// The order of bytes in which challenges are sent.
     pub auth_order: Order,
     /// A copy of `df/index`, for gauges that lose their configuration with their power.
@@ -154,6 +156,7 @@ pub fn run(options: Options) -> Result<()> {
         interval: options.interval,
         byte_writes: options.byte_writes || too_fast(chip, clock_hz),
         allow_unproven: options.allow_unproven,
+        limits: options.limits,
         auth_order: options.auth_order,
         restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
         journal: if options.read_only { None } else { journal(options.state_dir.as_deref(), key, &subject)? },

@@ -1,9 +1,10 @@
 //! The transaction: the only way to read or write data flash.
 //!
-//! A change runs whole: identity, flash voltage, seal state, unseal and confirm, read each block with
-//! its checksum, stop if nothing changes, write, checksum, read back, reset where the table says so,
-//! unseal and verify once more, seal as found and confirm. Every way out passes through the close. The
-//! gauge rejects nothing that it is sent, so what is checked here is safety, not courtesy.
+//! A change runs whole: identity and state of the gauge (`preflight`), unseal and confirm, flash
+//! voltage, read each block with its checksum, stop if nothing changes, write, checksum, read back, reset
+//! where the table says so, unseal and verify once more, seal as found and confirm. Every way out passes
+//! through the close. The gauge rejects nothing that it is sent, so what is checked here is safety, not
+//! courtesy.
 //!
 //! Until the first block is committed an error means that nothing has changed. From then on the answer
 //! is success, [`Cause::RolledBack`] (the old bytes were put back and verified) or [`Cause::Unknown`].
@@ -11,7 +12,7 @@
 use std::ops::Range;
 use std::time::Duration;
 
-use crate::chip::{FLAT, Kind, Parameter, Role, Safe, Scheme, Subclass};
+use crate::chip::{FLAT, Kind, Parameter, Safe, Scheme, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics};
@@ -21,7 +22,10 @@ use crate::value::Value;
 mod block;
 mod cfgupdate;
 mod mac;
+mod preflight;
 mod settle;
+
+use preflight::{Found, Met};
 
 /// A write(2) answers within 30 s: so much for the way forward ...
 const FORWARD: Duration = Duration::from_secs(16);
@@ -104,9 +108,23 @@ fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
     }
 }
 
+/// What a careful person may overrule.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits {
+    /// Write in the middle of a learning cycle too, which ends it.
+    pub allow_learning: bool,
+}
+
 /// What has to be known about a gauge's data flash from one transaction to the next.
 #[derive(Debug, Default)]
 pub struct DataFlash {
+    limits: Limits,
+    /// The gauge whose values were read.
+    met: Option<Met>,
+    /// Another one has answered in its place.
+    doubts: bool,
+    /// A transaction of ours may have left its mode on: the next write ends it.
+    ours: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
     gate: Option<(u16, u16)>,
     /// The rows that tell whether the table's addresses are this firmware's have been compared.
@@ -118,20 +136,14 @@ pub struct DataFlash {
 }
 
 impl DataFlash {
-    /// With a journal, writes survive a power cut of the host.
-    pub fn with(journal: Option<Journal>) -> Self {
-        Self { journal, ..Self::default() }
+    /// Nothing known, and nothing written yet. With a journal, writes survive a power cut of the host.
+    pub fn new(limits: Limits, journal: Option<Journal>) -> Self {
+        Self { limits, journal, ..Self::default() }
     }
 
-    /// What may have changed behind the gauge's own back is not known: somebody asks for everything anew.
+    /// Nothing known of what it holds: after a gauge's return, or when somebody asks for everything anew.
     pub fn forget(&mut self) {
         (self.gate, self.signed) = (None, false);
-    }
-
-    /// Nothing is known: a gauge has come, or come back.
-    pub fn arrived(&mut self) {
-        self.forget();
-        self.identity = None;
     }
 
     /// Reads whole subclasses in one go, and leaves the gauge sealed as it was. `waited` is how long ago
@@ -180,17 +192,16 @@ impl DataFlash {
         let waited = waited + (gauge.clock.now() - asked);
         let outcome = in_time(gauge, waited, |gauge| {
             gauge.claim()?;
-            gauge.confirm_identity()?;
-            let voltage_mv = voltage(gauge)?;
-            let mut visit = Visit::new(gauge.seal()?);
+            let found = self.preflight(gauge, changes)?;
+            let mut visit = Visit::new(found.seal);
             if let Some(journal) = self.journal.clone() {
                 let identity = self.identity(gauge)?;
                 visit.journal = Some(journal.begin(identity, visit.found, blocks(changes))?);
             }
-            let outcome =
-                visit.open(gauge).and_then(|()| self.change(gauge, changes, voltage_mv, &mut visit));
+            let outcome = visit.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut visit));
             visit.close(gauge, outcome)
         });
+        self.learn_from(gauge, changes, &outcome);
         match changes {
             [change] => outcome.map_err(|error| error.within(&change.subject())),
             _ => outcome,
@@ -202,11 +213,14 @@ impl DataFlash {
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
-        voltage_mv: u16,
+        found: &Found,
         visit: &mut Visit,
     ) -> Result<Outcome> {
+        let voltage_mv = found.voltage_mv;
         self.check_signature(gauge)?;
         self.check_gate(gauge, voltage_mv)?;
+        preflight::check_unsealed(gauge)?;
+        let learning = self.learning(gauge, found.status, changes)?;
         let mut dirty = gather(gauge, changes)?;
         // The window holds the block that was read last; where there was only one, it is still there.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
@@ -216,6 +230,11 @@ impl DataFlash {
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
+        }
+        match learning {
+            Some(error) if !self.limits.allow_learning => return Err(error),
+            Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
+            None => {}
         }
         let reset = changes.iter().any(|change| change.subclass.kind == Kind::Reset);
         if changes.iter().any(|change| is_gate(gauge, change)) {
@@ -425,21 +444,20 @@ fn integer(parameter: &Parameter, bytes: &[u8]) -> i64 {
     }
 }
 
-/// Voltage() in mV, where the part's flash gate asks for it.
-fn voltage(gauge: &mut Gauge) -> Result<u16> {
-    let register = gauge.chip.register(Role::VoltageNow).filter(|_| gauge.chip.gate.is_some());
-    let Some(register) = register else { return Ok(u16::MAX) };
-    let mut word = [0; 2];
-    gauge.read(register.code, &mut word)?;
-    Ok(u16::from_le_bytes(word))
-}
-
 fn read_word(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u16> {
     let start = if subclass == FLAT { offset } else { 0 };
     let (place, at) = locate(subclass, start, offset);
     let mut word = [0; 2];
     sequence(gauge).read_part(gauge, place, at, &mut word)?;
     Ok(u16::from_be_bytes(word))
+}
+
+fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u8> {
+    let start = if subclass == FLAT { offset } else { 0 };
+    let (place, at) = locate(subclass, start, offset);
+    let mut byte = [0];
+    sequence(gauge).read_part(gauge, place, at, &mut byte)?;
+    Ok(byte[0])
 }
 
 fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {

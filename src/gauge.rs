@@ -28,6 +28,9 @@ const RESET: u16 = 0x0041;
 /// of CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
+/// So many bytes behind Control() are read along with it at most.
+pub const BEHIND: usize = 14;
+
 /// How often an idempotent transfer is tried, and the pause before each further try: the gauge
 /// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
 const TRIES: u32 = 4;
@@ -217,24 +220,33 @@ impl Gauge {
         self.command(code)?;
         // CONTROL_STATUS answers at Control() itself on every part.
         if code != CONTROL_STATUS {
-            return self.answer(code, self.chip.identity.answer);
+            return self.answer(code, self.chip.identity.answer, &mut []);
         }
-        match self.answer(code, CONTROL)? {
-            ANSWERED_ELSEWHERE if self.chip.identity.answer != CONTROL => self.answer(code, CONTROL),
+        self.status_word(&mut [])
+    }
+
+    /// CONTROL_STATUS, which has been asked for, and with it the registers behind Control().
+    fn status_word(&mut self, behind: &mut [u8]) -> Result<u16> {
+        match self.answer(CONTROL_STATUS, CONTROL, behind)? {
+            ANSWERED_ELSEWHERE if self.chip.identity.answer != CONTROL => {
+                self.answer(CONTROL_STATUS, CONTROL, behind)
+            }
             status => Ok(status),
         }
     }
 
-    /// Reads the word that a subcommand answers with.
-    fn answer(&mut self, code: u16, at: u8) -> Result<u16> {
+    /// Reads the word that a subcommand answers with, and what stands behind it.
+    fn answer(&mut self, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
         // MACData() shows the answer before this one until the gauge has put it there.
         if at != CONTROL {
             self.wait(self.chip.access.select);
         }
-        let mut word = [0; 2];
+        let mut bytes = [0; 2 + BEHIND];
         let subject = self.subcommand_name(code);
-        self.read(at, &mut word).map_err(|error| error.about(subject).at(Step::Control))?;
-        Ok(u16::from_le_bytes(word))
+        let wanted = &mut bytes[..2 + behind.len()];
+        self.read(at, wanted).map_err(|error| error.about(subject).at(Step::Control))?;
+        behind.copy_from_slice(&wanted[2..]);
+        Ok(u16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
     fn subcommand_name(&self, code: u16) -> String {
@@ -265,10 +277,22 @@ impl Gauge {
         known.map(|subcommand| self.ask(subcommand.code)).transpose()
     }
 
+    /// Control(FW_VERSION).
+    pub fn firmware_version(&mut self) -> Result<u16> {
+        self.ask(FW_VERSION).map_err(|error| error.at(Step::Identify))
+    }
+
     /// Makes sure that the part is still one of the table's.
     pub fn confirm_identity(&mut self) -> Result<()> {
-        let found = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
         let expected = self.chip.identity.device_type;
+        let mut found = expected;
+        // One lost bit makes no other part: an answer that is not the expected one is asked for again.
+        for _ in 0..2 {
+            found = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
+            if found == expected {
+                break;
+            }
+        }
         if found == expected {
             return Ok(());
         }
@@ -288,20 +312,26 @@ impl Gauge {
     /// I2C has no check of its own, and a gauge whose state was misread would be left in that state. So an
     /// answer that is not the expected one counts only when a second one agrees with it.
     pub fn control_status(&mut self) -> Result<(Seal, u16)> {
-        let (mut seal, mut status) = self.control_status_once()?;
+        self.control_status_and(&mut [])
+    }
+
+    /// The same, and in the same transfer the registers from 0x02 on, as many bytes as `behind` holds.
+    pub fn control_status_and(&mut self, behind: &mut [u8]) -> Result<(Seal, u16)> {
+        let (mut seal, mut status) = self.control_status_once(behind)?;
         for _ in 1..TRIES {
             if self.expected == Some(seal) {
                 break;
             }
             self.expected = Some(seal);
-            (seal, status) = self.control_status_once()?;
+            (seal, status) = self.control_status_once(behind)?;
         }
         self.expected = Some(seal);
         Ok((seal, status))
     }
 
-    fn control_status_once(&mut self) -> Result<(Seal, u16)> {
-        let status = self.ask(CONTROL_STATUS)?;
+    fn control_status_once(&mut self, behind: &mut [u8]) -> Result<(Seal, u16)> {
+        self.command(CONTROL_STATUS)?;
+        let status = self.status_word(behind)?;
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
             SealStatus::Bits { not_full_access, .. } => {

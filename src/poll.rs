@@ -13,7 +13,7 @@ use crate::bus::Bus;
 use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
 use crate::codec;
-use crate::dataflash::{Change, DataFlash, Outcome};
+use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
 use crate::gauge::{Gauge, Statistics, bursts};
@@ -240,6 +240,8 @@ pub struct Settings {
     pub byte_writes: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
+    /// What else may be overruled.
+    pub limits: Limits,
     /// The order of bytes in which challenges are sent.
     pub auth_order: Order,
     /// What a gauge whose data memory is RAM is given again when it has lost its power.
@@ -337,7 +339,7 @@ impl Owner {
         });
         let mut owner = Self {
             gauge,
-            dataflash: DataFlash::with(settings.journal),
+            dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
             other: Registers::NONE,
             statics: false,
@@ -392,7 +394,7 @@ impl Owner {
             }
         };
         self.gauge.forget_refusal();
-        self.dataflash.arrived();
+        self.dataflash.meet(chip, &answers);
         self.drop_kept();
         self.other = Registers::NONE;
         self.polls = self.polls.next_multiple_of(SLOW_EVERY);
@@ -510,7 +512,8 @@ impl Owner {
 
     fn poll_or_say(&mut self) {
         let back = self.failures >= FAILURES;
-        let outcome = if back { self.arrive().and_then(|()| self.poll()) } else { self.poll() };
+        let arrives = back || self.dataflash.doubts();
+        let outcome = if arrives { self.arrive().and_then(|()| self.poll()) } else { self.poll() };
         match outcome {
             Ok(()) => {
                 if back {
@@ -568,6 +571,16 @@ impl Owner {
         self.last_poll = taken;
         Statistics::count(&self.shared.statistics.polls);
         let snapshot = Snapshot { taken, number: self.polls, registers, control_status: self.control_status };
+        let chip = self.gauge.chip;
+        let word = |code| {
+            let register = chip.registers.iter().find(|register| register.code == code)?;
+            snapshot.value(register).map(|value| value as u16)
+        };
+        if self.dataflash.polled(chip, word) {
+            log::warn!("{}: another pack answers; its data flash is read anew", chip.name);
+            self.drop_kept();
+            self.hurry = true;
+        }
         self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
         Ok(())
     }
@@ -665,7 +678,8 @@ impl Owner {
                 self.drop_kept();
                 self.dataflash.forget();
                 self.polls = self.polls.next_multiple_of(SLOW_EVERY) + 1;
-                let outcome = if self.failures >= FAILURES { self.arrive() } else { Ok(()) };
+                let arrives = self.failures >= FAILURES || self.dataflash.doubts();
+                let outcome = if arrives { self.arrive() } else { Ok(()) };
                 let outcome = outcome.and_then(|()| self.poll());
                 if let Err(error) = &outcome {
                     self.poll_failed(error);

@@ -8,7 +8,7 @@
 use super::Kind::{Reset, Security as Keys};
 use super::bq27441_g1::{
     ACCESS, CAPACITY, CONDITION, CONTROL_STATUS, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG, OP_CONFIG_B,
-    REGISTERS, SECURITY, SUBCOMMANDS,
+    REGISTERS, SECURITY, SUBCOMMANDS, preflight,
 };
 use super::{Chip, Evidence, Identity, Parameter as P, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -40,8 +40,8 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: &[],
     volatile: Some(ITPOR),
-    serial_number: None,
     quirks: &[],
+    preflight: preflight(&[]),
 };
 
 /// Proven are the rows of the kernel's driver (82/10, 12 and 16), of Zephyr's bq274xx (82/27 as well)

@@ -12,7 +12,7 @@ use std::time::Duration;
 use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
-use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY};
+use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
     Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scheme, Subclass,
     Subcommand,
@@ -61,7 +61,6 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: &[],
     volatile: Some(ITPOR),
-    serial_number: None,
     quirks: &[Quirk {
         subclass: 105,
         offset: 5,
@@ -70,6 +69,8 @@ pub static CHIP: Chip = Chip {
         effect: "CC Gain is negative, as many parts have it in ROM: current has the wrong sign",
         remedy: "write CC Gain (105/4) again without its minus, and after each loss of power once more",
     }],
+    // OpConfigD [ChemID1], [ChemID0].
+    preflight: preflight(&[(64, 4)]),
 };
 
 /// Standard commands, chapter 5, and extended ones, chapter 6. The poll reads 0x02 to 0x11 and 0x18 to

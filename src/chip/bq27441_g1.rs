@@ -10,8 +10,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Identity, Parameter as P, Register, Role, Safe, Scheme,
-    SealStatus, Security, Subclass, Subcommand,
+    Access, Bit, Chip, Condition, Evidence, Identity, Learning, Mode, Pack, Parameter as P, Preflight,
+    Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -46,9 +46,49 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: &[],
     volatile: Some(ITPOR),
-    serial_number: None,
     quirks: &[],
+    preflight: preflight(&[]),
 };
+
+/// The same for the family; `rows` is where data memory chooses the chemistry.
+pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
+    Preflight {
+        pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows }),
+        modes: MODES,
+        // 6.4.2.3.2: both low bits of Update Status are set for a learning cycle only. Leaving CONFIG UPDATE
+        // takes a new OCV (4.1.17), whatever the cycle had come to.
+        learning: Some(Learning {
+            status: 0x0002,
+            row: (82, 2),
+            register: None,
+            mask: 0x03,
+            value: 0x03,
+            name: "CONTROL_STATUS [VOK], Update Status (82/2) 03",
+        }),
+        // SLUSBH1C 8.7 and 8.9.
+        voltage_mv: Some((2450, 4500)),
+    }
+}
+
+/// Table 4-3 and, for [CFGUPMODE], 2.4.3.
+static MODES: &[Mode] = &[
+    Mode {
+        word: Word::Register(0x06),
+        mask: 0x0010,
+        name: "Flags() [CFGUPMODE]",
+        what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
+        remedy: "the gauge leaves it by itself after 240 s; try again then",
+        ours: true,
+    },
+    Mode::calibration(
+        Word::ControlStatus,
+        0x1000,
+        "CONTROL_STATUS [CALMODE]",
+        "leave it with the tool that entered it",
+    ),
+    Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
+    Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board is being calibrated"),
+];
 
 /// Flags `[ITPOR]`: data memory has its defaults from ROM (2.4.2).
 pub(super) const ITPOR: u16 = 0x0020;

@@ -16,8 +16,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role, Safe, Scheme,
-    SealStatus, Security, Signature, Subclass, Subcommand,
+    Access, Bit, Chip, Condition, Evidence, Gate, Identity, Mode, Pack, Parameter as P, Preflight, Register,
+    Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
@@ -79,8 +79,18 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: Some(100_000),
     signature: SIGNATURE,
     volatile: None,
-    serial_number: None,
     quirks: &[],
+    preflight: Preflight {
+        pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
+        // No bit shows CAL_MODE.
+        modes: &[
+            Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
+            Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
+        ],
+        // [VOK] and [QEN] are set in finished products too, and where Update Status stands is not sure.
+        learning: None,
+        voltage_mv: None,
+    },
 };
 
 /// Values that a pack can have, at places that hold something else where offsets moved: Terminate

@@ -18,8 +18,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Parameter as P, Register, Role, Safe,
-    Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Mode, Parameter as P, Preflight, Register,
+    Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -88,8 +88,24 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x41C5, kind: I2, min: -12324, max: -12324 },
     ],
     volatile: None,
-    serial_number: None,
     quirks: &[],
+    preflight: Preflight {
+        // No driver knows a serial number or a chemistry of it that could be asked while SEALED.
+        pack: None,
+        modes: &[
+            Mode::calibration(
+                Word::Answer(0x0057),
+                0x8000,
+                "ManufacturingStatus() [CAL_EN]",
+                "leave it with the tool that entered it (CAL_TOGGLE, 0x002d)",
+            ),
+            Mode::measuring(0x0020, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
+            Mode::measuring(0x0010, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
+        ],
+        // CEDV: no cycle that a reset would end. What [LTEST] and its like do with one is not known.
+        learning: None,
+        voltage_mv: None,
+    },
 };
 
 /// Standard commands. The poll reads 0x06 to 0x19 and 0x2A to 0x2F whole. One driver has RawExtTemp at

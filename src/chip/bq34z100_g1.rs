@@ -10,8 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, Parameter as P, Register, Role,
-    Safe, Scheme, SealStatus, Security, SerialNumber, Subclass, Subcommand,
+    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, Learning, Mode, Pack,
+    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -80,8 +81,33 @@ pub static CHIP: Chip = Chip {
     byte_writes_above_hz: None,
     signature: &[],
     volatile: None,
-    serial_number: Some(SerialNumber { register: 0x28, parameter: (48, 4) }),
     quirks: &[],
+    preflight: Preflight {
+        pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
+        // Table 7-3.
+        modes: &[
+            Mode::calibration(
+                Word::ControlStatus,
+                0x1000,
+                "CONTROL_STATUS [CALEN]",
+                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+            ),
+            Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
+            Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
+        ],
+        // A reset builds RAM anew from data flash (7.3.16.1), and what a cycle has counted so far is in RAM.
+        // [QEN] stays set for good and [VOK] comes and goes in every pack; LearnedStatus(), Table 7-9, has
+        // [ITEN] and not yet [CF1] until Qmax and Ra are learned, like Update Status 04 and 05 of Table 7-16.
+        learning: Some(Learning {
+            status: 0x0003,
+            row: (82, 4),
+            register: Some(0x63),
+            mask: 0x06,
+            value: 0x04,
+            name: "CONTROL_STATUS [VOK] [QEN], LearnedStatus() [ITEN] without [CF1]",
+        }),
+        voltage_mv: None,
+    },
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The

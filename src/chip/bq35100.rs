@@ -17,8 +17,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Parameter as P, Register, Role, Safe,
-    Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Mode, Pack, Parameter as P, Preflight,
+    Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
@@ -92,8 +92,23 @@ pub static CHIP: Chip = Chip {
         Signature { subclass: FLAT, offset: 0x425E, kind: U2, min: 1, max: 20000 },
     ],
     volatile: None,
-    serial_number: None,
     quirks: &[],
+    preflight: Preflight {
+        pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
+        modes: &[
+            Mode::calibration(
+                Word::ControlStatus,
+                0x1000,
+                "CONTROL_STATUS [CALMODE]",
+                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+            ),
+            Mode::measuring(0x0400, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
+            Mode::measuring(0x0800, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
+        ],
+        // A primary cell learns nothing that a write could end: no row of it needs a reset.
+        learning: None,
+        voltage_mv: None,
+    },
 };
 
 /// Table 11-1. The poll reads 0x02 to 0x0D whole, and 0x2E. Reading BatteryAlert() takes the ALERT signal

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::{DataFlash, Dirty, Place, Visit, in_time, locate, sequence, verify_written};
-use crate::chip::{FLAT, Kind, Role};
+use crate::chip::{Chip, FLAT, Kind, Role, Word};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, Gauge, Seal};
+use crate::gauge::{Gauge, Seal};
 use crate::journal::{self, Identity, Open, Plan};
 
 /// What one block holds.
@@ -25,9 +25,17 @@ impl DataFlash {
         if let Some(identity) = self.identity {
             return Ok(identity);
         }
-        let Answers { device_type, firmware_version: firmware, .. } = gauge.identify()?;
-        let identity =
-            Identity { chip: gauge.chip.name, device_type, firmware, serial: serial_number(gauge)? };
+        let firmware = match self.met {
+            Some(met) => met.firmware_version,
+            None => gauge.firmware_version()?,
+        };
+        let chip = gauge.chip;
+        let identity = Identity {
+            chip: chip.name,
+            device_type: chip.identity.device_type,
+            firmware,
+            serial: serial_number(gauge)?,
+        };
         self.identity = Some(identity);
         Ok(identity)
     }
@@ -75,20 +83,29 @@ pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
         let Place { subclass, base } = block.place;
         journal::Block { subclass, base, written: (block.written.start, block.written.end), old, new }
     });
-    let serial = gauge.chip.serial_number.and_then(|serial| {
-        let (place, at) = locate(serial.parameter.0, 0, serial.parameter.1);
+    let serial = serial(gauge.chip).and_then(|(_, (subclass, offset))| {
+        let (place, at) = locate(subclass, 0, offset);
         let block = dirty.iter().find(|block| block.place == place)?;
         Some(u16::from_be_bytes([block.new[at], block.new[at + 1]]))
     });
     Plan { reset, serial, blocks: blocks.collect() }
 }
 
+/// The register that tells packs apart, and the row that it shows. A chemistry is no serial number.
+fn serial(chip: &Chip) -> Option<(u8, (u8, u16))> {
+    let pack = chip.preflight.pack.as_ref()?;
+    match pack.word {
+        Word::Register(code) => Some((code, *pack.rows.first()?)),
+        Word::ControlStatus | Word::Answer(_) => None,
+    }
+}
+
 /// The serial number that the gauge shows; read until two agree, as I2C has no check of its own.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some(serial) = gauge.chip.serial_number else { return Ok(0) };
+    let Some((register, _)) = serial(gauge.chip) else { return Ok(0) };
     let mut read = || {
         let mut word = [0; 2];
-        gauge.read(serial.register, &mut word).map(|()| u16::from_le_bytes(word))
+        gauge.read(register, &mut word).map(|()| u16::from_le_bytes(word))
     };
     let mut last = read()?;
     for _ in 0..3 {

@@ -185,6 +185,7 @@ fn settings(flash: &Flash) -> Settings {
         cells: u8(64, 7).max(1.0),
         qmax_mah: i16(82, 0).max(1.0),
         enabled: flash.u8(82, 4) & 0x04 != 0,
+        learned: flash.u8(82, 4) & 0x0B,
         lifetime_s: f64::from(u16(66, 3)),
         lifetime_step: [u8(66, 0), u8(66, 1), u8(66, 2)],
         lifetime: array::from_fn(|i| match i {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gaugefs::chip::FLAT;
 use gaugefs::clock::Clock;
-use gaugefs::dataflash::{DataFlash, Outcome};
+use gaugefs::dataflash::{DataFlash, Limits, Outcome};
 use gaugefs::error::Cause;
 use gaugefs::gauge::Seal;
 use nix::errno::Errno;
@@ -112,7 +112,7 @@ fn one_fault_at_every_transfer_never_lies() {
         for fault in faults {
             let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.at, case.found);
             let mut rig = case.rig();
-            rig.dataflash = DataFlash::with(Some(folder.journal()));
+            rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
             // As at the start of a mount.
             rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("nothing to settle");
             rig.sim.set("fault", &fault).expect("a fault");

@@ -12,7 +12,7 @@ use std::time::Duration;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::FLAT;
 use gaugefs::clock::Clock;
-use gaugefs::dataflash::{Change, DataFlash};
+use gaugefs::dataflash::{Change, DataFlash, Limits};
 use gaugefs::error::Result;
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::journal::Journal;
@@ -146,7 +146,7 @@ fn host<T>(
     let done = Arc::new(AtomicU64::new(0));
     let bus = Host { bus: rig.sim.bus(), done: done.clone(), cut };
     let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
-    let mut dataflash = DataFlash::with(Some(folder.journal()));
+    let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
     let said = match catch_unwind(AssertUnwindSafe(|| work(&mut dataflash, &mut gauge))) {
         Ok(said) => Some(said),
         Err(cut) if cut.is::<PowerCut>() => None,

@@ -7,6 +7,7 @@ mod input;
 mod journal;
 mod mount;
 mod over;
+mod preflight;
 mod rig;
 mod semantics;
 mod sim;

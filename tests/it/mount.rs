@@ -12,7 +12,7 @@ use gaugefs::authentication::Order;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::dataflash::Change;
+use gaugefs::dataflash::{Change, Limits};
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
 use gaugefs::fuse::{self, Mounted};
@@ -88,6 +88,7 @@ impl Mount {
             interval,
             byte_writes: false,
             allow_unproven: false,
+            limits: Limits::default(),
             auth_order: Order::default(),
             restore,
             journal: None,

@@ -13,6 +13,7 @@ use std::time::Duration;
 use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
+use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Covered, Entry, Fs, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::keys::Keys;
@@ -83,6 +84,7 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
             auth_order: Order::default(),
             restore: Vec::new(),
             journal: None,
+            limits: Limits::default(),
         };
         let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
         let handle = poll::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());

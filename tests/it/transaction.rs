@@ -6,6 +6,7 @@ use std::time::Duration;
 use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, SimClock};
+use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Entry, Fs, Node, Scales};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings};
@@ -31,6 +32,7 @@ impl Tree {
             interval,
             byte_writes: false,
             allow_unproven: false,
+            limits: Limits::default(),
             auth_order: Order::default(),
             restore: Vec::new(),
             journal: None,

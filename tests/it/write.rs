@@ -48,7 +48,7 @@ fn the_bytes_are_those_of_the_manuals_example() {
     assert_eq!(
         sent,
         [
-            "W 00 01 00", // DEVICE_TYPE
+            "W 00 02 00", // FW_VERSION
             "W 00 00 00", // CONTROL_STATUS: sealed
             "W 00 00 00", // and after the key words, which are hidden
             "W 61 00",

@@ -1,0 +1,316 @@
+//! What is looked at before a write unseals anything: is it still the gauge whose values were read, is it in
+//! nobody else's hands, and would the write end what the gauge is in the middle of?
+//!
+//! I2C has no check of its own, so nothing is refused for one answer: what speaks against a write is read a
+//! second time first.
+
+use super::{Change, DataFlash, Outcome, read_byte, sequence};
+use crate::chip::{Chip, Kind, Mode, Role, Word};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Answers, BEHIND, Gauge, Seal};
+
+/// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
+const ROM_MODE: u16 = 0x0F00;
+
+/// The gauge whose values were read.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Met {
+    pub(super) firmware_version: u16,
+    /// What the table says tells packs apart; `None` until it has been read.
+    pack: Option<u16>,
+    /// Whether it told of a loss of power then, where data memory is RAM.
+    lost: Option<bool>,
+}
+
+/// The gauge as a write finds it.
+pub(super) struct Found {
+    pub(super) seal: Seal,
+    /// CONTROL_STATUS.
+    pub(super) status: u16,
+    /// Voltage().
+    pub(super) voltage_mv: u16,
+    /// The registers from 0x02 on.
+    behind: [u8; BEHIND],
+}
+
+impl DataFlash {
+    /// A gauge has come, or has come back, and answers so: what it holds is read anew.
+    pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
+        self.forget();
+        (self.doubts, self.identity) = (false, None);
+        let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
+            // All subcommands that tell packs apart are called CHEM_ID.
+            Some(Word::Answer(_)) => answers.chem_id,
+            _ => None,
+        };
+        self.met = Some(Met { firmware_version: answers.firmware_version, pack, lost: None });
+    }
+
+    /// Whether another gauge has answered in the place of the one whose values were read.
+    pub fn doubts(&self) -> bool {
+        self.doubts
+    }
+
+    /// Takes note of a poll, whose registers `value` tells by their address. Whether another pack answers now.
+    pub fn polled(&mut self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
+        let flags = chip.register(Role::Flags).and_then(|flags| value(flags.code));
+        let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
+            Some(Word::Register(code)) => value(code),
+            _ => None,
+        };
+        let Some(met) = &mut self.met else { return false };
+        if let (Some(bit), Some(flags)) = (chip.volatile, flags) {
+            met.lost = Some(flags & bit != 0);
+        }
+        match (met.pack, pack) {
+            (Some(old), Some(new)) if old != new => self.doubts = true,
+            (None, Some(new)) => met.pack = Some(new),
+            _ => {}
+        }
+        self.doubts
+    }
+
+    /// All that can be looked at without unsealing.
+    pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+        self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
+        let found = look(gauge)?;
+        if self.check(gauge.chip, &found, changes).is_ok() {
+            return Ok(found);
+        }
+        let found = look(gauge)?;
+        self.check(gauge.chip, &found, changes).inspect_err(|error| self.doubt(error))?;
+        Ok(found)
+    }
+
+    /// Makes sure that the gauge is the one whose values were read: type, firmware, and what tells its pack from
+    /// others. Where that is a register the type needs no question of its own: a part of another type
+    /// would have to answer this firmware and hold this number at an address where it has something else.
+    fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let chip = gauge.chip;
+        let pack = chip.preflight.pack.as_ref();
+        if !pack.is_some_and(|pack| matches!(pack.word, Word::Register(_))) {
+            gauge.confirm_identity().inspect_err(|error| self.doubt(error))?;
+        }
+        let firmware_version = match self.met {
+            Some(met) => {
+                let other = differs(gauge, Gauge::firmware_version, met.firmware_version)?;
+                self.same(chip, "firmware", met.firmware_version, other)?;
+                met.firmware_version
+            }
+            None => {
+                let known =
+                    |version| chip.identity.firmware.is_empty() || chip.identity.firmware.contains(&version);
+                let mut version = gauge.firmware_version()?;
+                if !known(version) {
+                    version = gauge.firmware_version()?;
+                }
+                if !known(version) {
+                    let why =
+                        format!("firmware is 0x{version:04x}, which this table is not for; mount it anew");
+                    return Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify));
+                }
+                version
+            }
+        };
+        let met = self.met.get_or_insert(Met { firmware_version, pack: None, lost: None });
+        let Some(pack) = pack else { return Ok(()) };
+        let ask = |gauge: &mut Gauge| read_word(gauge, pack.word);
+        match met.pack {
+            None => met.pack = Some(ask(gauge)?),
+            Some(expected) => {
+                let other = differs(gauge, ask, expected)?;
+                self.same(chip, pack.name, expected, other)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn same(&mut self, chip: &Chip, what: &str, expected: u16, other: Option<u16>) -> Result<()> {
+        let Some(other) = other else { return Ok(()) };
+        let why = format!(
+            "{what} is 0x{other:04x} and was 0x{expected:04x} when its values were read: another pack answers; look \
+             at its values before you write"
+        );
+        let error = Error::new(chip.model, Cause::Gone(why)).at(Step::Identify);
+        self.doubt(&error);
+        Err(error)
+    }
+
+    fn doubt(&mut self, error: &Error) {
+        self.doubts |= matches!(error.cause(), Cause::Gone(_));
+    }
+
+    /// Whether anything that was found speaks against a write.
+    fn check(&self, chip: &Chip, found: &Found, changes: &[Change]) -> Result<()> {
+        let flags = chip.volatile.zip(chip.register(Role::Flags));
+        if let Some((bit, flags)) = flags
+            && found.register(flags.code) & bit != 0
+            && self.met.is_some_and(|met| met.lost == Some(false))
+        {
+            let why = "set, and was not when its values were read: the gauge has lost its power, and its data memory \
+                       with it; look at its values before you write";
+            return Err(Error::new("Flags() [ITPOR]", Cause::Gone(why.into())).at(Step::Check));
+        }
+        for mode in chip.preflight.modes {
+            let word = match mode.word {
+                Word::ControlStatus => found.status,
+                Word::Register(code) => found.register(code),
+                Word::Answer(_) => continue,
+            };
+            if !(mode.ours && self.ours) {
+                off(mode, word)?;
+            }
+        }
+        // What a gauge that was empty is given again does no harm to RAM.
+        let (voltage_mv, restored) = (found.voltage_mv, changes.iter().all(|change| change.saved));
+        match chip.preflight.voltage_mv {
+            Some((min, max)) if !(min..=max).contains(&voltage_mv) && !restored => {
+                let why = format!(
+                    "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or look how it is \
+                     connected"
+                );
+                Err(Error::new("Voltage()", Cause::NotNow(why)).at(Step::Check))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Why these changes, should they come to a reset, have to wait until the gauge has learned. Asked before
+    /// any block is read: Update Status may need the window.
+    pub(super) fn learning(
+        &self,
+        gauge: &mut Gauge,
+        status: u16,
+        changes: &[Change],
+    ) -> Result<Option<Error>> {
+        let resets = changes.iter().any(|change| change.subclass.kind == Kind::Reset)
+            || sequence(gauge).always_finishes();
+        let Some(learning) = gauge.chip.preflight.learning.as_ref().filter(|_| resets) else {
+            return Ok(None);
+        };
+        if status & learning.status != learning.status || matches!(changes, [one] if one.is_at(learning.row))
+        {
+            return Ok(None);
+        }
+        for _ in 0..2 {
+            let state = match learning.register {
+                None => read_byte(gauge, learning.row)?,
+                Some(code) => {
+                    let mut byte = [0];
+                    gauge.read(code, &mut byte)?;
+                    byte[0]
+                }
+            };
+            if state & learning.mask != learning.value {
+                return Ok(None);
+            }
+        }
+        let why = "a learning cycle is on, and the reset that this write needs ends it: wait until Qmax and Ra are \
+                   learned, or mount with --allow-learning";
+        Ok(Some(Error::new(learning.name, Cause::Busy(why.into())).at(Step::Check)))
+    }
+
+    /// What a write tells about the gauge from then on.
+    pub(super) fn learn_from(&mut self, gauge: &Gauge, changes: &[Change], outcome: &Result<Outcome>) {
+        let rows = gauge.chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
+        let touched = changes.iter().any(|change| rows.iter().any(|&row| change.is_at(row)));
+        let Some(met) = &mut self.met else { return };
+        match outcome {
+            Ok(Outcome::Unchanged) => {}
+            Ok(Outcome::Written { .. }) => {
+                self.ours = false;
+                // The end of CONFIG UPDATE clears it.
+                met.lost = gauge.chip.volatile.map(|_| false);
+            }
+            Err(error) => {
+                self.ours |= matches!(error.cause(), Cause::Unknown(_));
+                if matches!(error.cause(), Cause::Unknown(_) | Cause::RolledBack(_)) {
+                    met.lost = None;
+                }
+            }
+        }
+        if touched && !matches!(outcome, Ok(Outcome::Unchanged)) {
+            met.pack = None;
+        }
+    }
+}
+
+impl Change {
+    fn is_at(&self, row: (u8, u16)) -> bool {
+        (self.subclass.id, self.parameter.offset) == row
+    }
+}
+
+impl Found {
+    /// A register of two bytes that was read along with CONTROL_STATUS.
+    fn register(&self, code: u8) -> u16 {
+        let at = usize::from(code) - 2;
+        u16::from_le_bytes([self.behind[at], self.behind[at + 1]])
+    }
+}
+
+/// What an answer is, where it is not the expected one even when it is asked for again.
+fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected: u16) -> Result<Option<u16>> {
+    if ask(gauge)? == expected {
+        return Ok(None);
+    }
+    Ok(Some(ask(gauge)?).filter(|&again| again != expected))
+}
+
+fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
+    match word {
+        Word::ControlStatus => Ok(gauge.control_status()?.1),
+        Word::Answer(code) => gauge.ask(code),
+        Word::Register(code) => {
+            let mut bytes = [0; 2];
+            gauge.read(code, &mut bytes)?;
+            Ok(u16::from_le_bytes(bytes))
+        }
+    }
+}
+
+/// Seal, voltage and flags, in the one read that the seal needs.
+fn look(gauge: &mut Gauge) -> Result<Found> {
+    let chip = gauge.chip;
+    let voltage = chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code;
+    let modes = chip.preflight.modes.iter().filter_map(|mode| match mode.word {
+        Word::Register(code) => Some(code),
+        Word::ControlStatus | Word::Answer(_) => None,
+    });
+    let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
+    let last = modes.chain(flags).fold(voltage, u8::max);
+    let mut found = Found { seal: Seal::Sealed, status: 0, voltage_mv: 0, behind: [0; BEHIND] };
+    (found.seal, found.status) = gauge.control_status_and(&mut found.behind[..usize::from(last)])?;
+    found.voltage_mv = found.register(voltage);
+    Ok(found)
+}
+
+/// The modes that only an unsealed gauge tells of.
+pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
+    for mode in gauge.chip.preflight.modes {
+        let Word::Answer(code) = mode.word else { continue };
+        if gauge.ask(code)? & mode.mask != 0 {
+            off(mode, gauge.ask(code)?)?;
+        }
+    }
+    Ok(())
+}
+
+fn off(mode: &Mode, word: u16) -> Result<()> {
+    if word & mode.mask == 0 {
+        return Ok(());
+    }
+    let why = format!("set in 0x{word:04x}: {}; {}", mode.what, mode.remedy);
+    Err(Error::new(mode.name, Cause::Busy(why)).at(Step::Check))
+}
+
+/// A gauge that is not there may be where flash programmers have left it.
+fn in_rom(chip: &Chip, error: Error) -> Error {
+    let has_rom = chip.subcommands.iter().any(|subcommand| subcommand.code == ROM_MODE);
+    if !has_rom || *error.cause() != Cause::Bus(crate::bus::BusError::NoAck) {
+        return error;
+    }
+    let why = "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode \
+               answers at 0x0b only: finish the programming there";
+    Error::host(chip.model, nix::errno::Errno::ENXIO, why).at(Step::Identify)
+}

@@ -1,0 +1,570 @@
+//! What speaks against a write before anything is touched: each refusal with its errno and its remedy, and
+//! nothing changed on the gauge.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use gaugefs::authentication::Order;
+use gaugefs::bus::{Bus, BusError};
+use gaugefs::chip::{CHIPS, Chip, FLAT, Role, Word};
+use gaugefs::clock::{Clock, SimClock};
+use gaugefs::dataflash::{DataFlash, Limits, Outcome};
+use gaugefs::error::{Error, Result};
+use gaugefs::gauge::{Gauge, Seal};
+use gaugefs::keys::Keys;
+use gaugefs::poll::{self, Request, Settings};
+use gaugefs::sim::{Options, Sim};
+use gaugefs::value::Value;
+use nix::errno::Errno;
+
+use crate::rig::Rig;
+
+const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true });
+const STORED: Result<Outcome> = Ok(Outcome::Written { reset: false });
+
+/// A part, and a parameter of it with a value that it does not hold.
+const ROWS: &[(&str, (u8, u16), &str)] = &[
+    ("bq34z100-g1", (80, 53), "3100"),
+    ("bq27520-g3", (48, 10), "1200"),
+    ("bq27441-g1", (82, 10), "1200"),
+    ("bq27421-g1", (82, 10), "1200"),
+    ("bq27427", (82, 6), "1200"),
+    ("bq34110", (FLAT, 0x41F5), "6000"),
+    ("bq35100", (FLAT, 0x41FE), "6000"),
+];
+
+fn row(chip: &str) -> ((u8, u16), &'static str) {
+    let found = ROWS.iter().find(|(name, ..)| *name == chip).expect("a row for each part");
+    (found.1, found.2)
+}
+
+fn write(rig: &mut Rig) -> Result<Outcome> {
+    let (at, text) = row(rig.gauge.chip.name);
+    rig.write(at.0, at.1, text)
+}
+
+/// Writes, which has to be refused with nothing changed: no block programmed, no reset, the seal as it was.
+fn refused(rig: &mut Rig, errno: Errno, says: &[&str]) {
+    let name = rig.gauge.chip.name;
+    let (flash, seal) = (rig.sim.flash(), rig.seal());
+    let count = |rig: &Rig| (rig.sim.get("programmed"), rig.sim.get("resets"));
+    let before = count(rig);
+    let error = write(rig).expect_err("it is refused");
+    assert_eq!(error.errno(), errno, "{name}: {error}");
+    for says in says {
+        assert!(error.to_string().contains(says), "{name}: `{error}` does not say `{says}`");
+    }
+    assert!(rig.sim.flash() == flash, "{name}: {error}, but data flash has changed");
+    assert_eq!(count(rig), before, "{name}: {error}");
+    assert_eq!(rig.seal(), seal, "{name}: {error}");
+}
+
+/// What a read from a register becomes on its way, by the subcommand that was asked last.
+type Tamper = fn(asked: u16, register: u8, read: &mut [u8]);
+
+struct Tampered(Box<dyn Bus>, u16, Tamper);
+
+impl Bus for Tampered {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if let [0x00, low, high] = *write {
+            self.1 = u16::from_le_bytes([low, high]);
+        }
+        self.0.transfer(write, read)?;
+        if !read.is_empty() {
+            (self.2)(self.1, write[0], read);
+        }
+        Ok(())
+    }
+}
+
+impl Rig {
+    fn tampered(chip: &str, tamper: Tamper) -> Self {
+        let mut rig = Self::new(chip);
+        rig.tamper(tamper);
+        rig
+    }
+
+    fn tamper(&mut self, tamper: Tamper) {
+        let bus = Box::new(Tampered(Box::new(self.sim.bus()), 0, tamper));
+        self.gauge = Gauge::new(self.gauge.chip, bus, self.clock.clone(), Keys::default(), false);
+        self.gauge.seal().expect("the gauge answers");
+    }
+
+    /// As when a gauge arrives at the daemon.
+    fn meet(&mut self) {
+        let answers = self.gauge.identify().expect("the gauge answers");
+        self.dataflash.meet(self.gauge.chip, &answers);
+    }
+
+    /// Subcommands, sent by somebody else to an unsealed gauge, which is sealed again.
+    fn send(&mut self, codes: &[u16]) {
+        self.gauge.go_to(Seal::Unsealed).expect("the default key");
+        for &code in codes {
+            self.gauge.command(code).expect("the gauge answers");
+        }
+        self.clock.sleep(Duration::from_secs(2));
+    }
+}
+
+#[test]
+fn a_mode_that_somebody_left_on_is_not_written_into() {
+    let minute = Duration::from_secs(60);
+    // How it is begun, what the refusal says, and how it ends: by subcommands, and by itself after a while.
+    type Case = (&'static str, &'static [u16], [&'static str; 2], &'static [u16], Duration);
+    let cases: &[Case] = &[
+        ("bq34z100-g1", &[0x002D, 0x0081], ["[CALEN]", "EXIT_CAL"], &[0x0080, 0x002D], minute),
+        ("bq34z100-g1", &[0x000A], ["[CCA]", "ends by itself"], &[], minute),
+        ("bq34z100-g1", &[0x0009], ["[BCA]", "ends by itself"], &[], minute),
+        ("bq27520-g3", &[0x000A], ["[CCA]", "ends by itself"], &[], minute),
+        ("bq27520-g3", &[0x0009], ["[BCA]", "ends by itself"], &[], minute),
+        ("bq27441-g1", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
+        ("bq27421-g1", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
+        ("bq27427", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
+        ("bq34110", &[0x002D], ["[CAL_EN]", "CAL_TOGGLE"], &[0x002D], minute),
+        ("bq34110", &[0x000A], ["[CCA]", "ends by itself"], &[], minute),
+        ("bq34110", &[0x0009], ["0x0030", "ends by itself"], &[], minute),
+        ("bq35100", &[0x002D, 0x0081], ["[CALMODE]", "EXIT_CAL"], &[0x0080, 0x002D], minute),
+        ("bq35100", &[0x000A], ["[CCA]", "ends by itself"], &[], minute),
+        ("bq35100", &[0x0009], ["0x4c80", "ends by itself"], &[], minute),
+    ];
+    for &(chip, begin, says, end, lasts) in cases {
+        let mut rig = Rig::new(chip);
+        rig.send(begin);
+        refused(&mut rig, Errno::EBUSY, &says);
+        rig.send(end);
+        rig.clock.sleep(lasts);
+        let written = write(&mut rig);
+        assert!(matches!(written, Ok(Outcome::Written { .. })), "{chip} {begin:04x?}: {written:?}");
+    }
+}
+
+/// Bits that no simulated RAM gauge sets by itself.
+#[test]
+fn calibration_of_a_ram_gauge_is_not_written_into() {
+    let cases: [(Tamper, &str); 3] = [
+        (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x10 } else { 0 }, "[CALMODE]"),
+        (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x08 } else { 0 }, "[CCA]"),
+        (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x04 } else { 0 }, "[BCA]"),
+    ];
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+        for (tamper, says) in cases {
+            refused(&mut Rig::tampered(chip, tamper), Errno::EBUSY, &[says]);
+        }
+    }
+}
+
+/// What a transaction of ours left on is ours to end.
+#[test]
+fn a_mode_that_we_left_on_is_settled() {
+    let left_on = (1..60).find_map(|first: u64| {
+        let mut rig = Rig::new("bq27441-g1");
+        let faults: Vec<_> = (first..first + 2000).map(|n| format!("nack {n}")).collect();
+        rig.sim.set("fault", &faults.join("; ")).expect("faults");
+        let error = write(&mut rig).expect_err("the gauge falls silent");
+        rig.sim.set("fault", "none").expect("a knob");
+        let is_on = rig.sim.get("mode").is_some_and(|mode| mode != "normal");
+        (is_on && error.errno() == Errno::ENOTRECOVERABLE).then_some(rig)
+    });
+    let mut rig = left_on.expect("some silence leaves the mode on");
+    rig.gauge.forget_refusal();
+    assert_eq!(write(&mut rig), WRITTEN);
+    assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"));
+    rig.send(&[0x0013]);
+    assert_eq!(rig.write(82, 10, "1300").expect_err("somebody else's").errno(), Errno::EBUSY);
+}
+
+#[test]
+fn a_gauge_in_rom_mode_is_named() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.dataflash.go_to(&mut rig.gauge, Seal::FullAccess, Duration::ZERO).expect("the default keys");
+    rig.gauge.command(0x0F00).expect("it is sent");
+    assert_eq!(rig.sim.get("mode").as_deref(), Some("rom"));
+    let flash = rig.sim.flash();
+    let error = write(&mut rig).expect_err("nobody answers");
+    assert_eq!(error.errno(), Errno::ENXIO, "{error}");
+    assert!(error.to_string().contains("0x0b"), "{error}");
+    assert!(rig.sim.flash() == flash);
+}
+
+#[test]
+fn another_part_is_not_written_to() {
+    type Case = (&'static str, Tamper, [&'static str; 2]);
+    let cases: &[Case] = &[
+        (
+            "bq34z100-g1",
+            |asked, at, read| {
+                if (asked, at) == (2, 0) {
+                    read[1] = 2
+                }
+            },
+            ["0x0216", "0x0016"],
+        ),
+        (
+            "bq34z100-g1",
+            |_, at, read| {
+                if at == 0x28 {
+                    read[0] = 7
+                }
+            },
+            ["SerialNumber() is 0x0007", "0x0001"],
+        ),
+        (
+            "bq27520-g3",
+            |asked, at, read| {
+                if (asked, at) == (2, 0) {
+                    read[0] = 0x29
+                }
+            },
+            ["0x0329", "0x0324"],
+        ),
+        (
+            "bq27520-g3",
+            |asked, at, read| {
+                if (asked, at) == (1, 0) {
+                    read[0] = 0x41
+                }
+            },
+            ["0x0541", "0x0520"],
+        ),
+        (
+            "bq27441-g1",
+            |asked, at, read| {
+                if (asked, at) == (8, 0) {
+                    read[0] = 0x12
+                }
+            },
+            ["CHEM_ID", "0x0128"],
+        ),
+        (
+            "bq27441-g1",
+            |asked, at, read| {
+                if (asked, at) == (1, 0) {
+                    read[0] = 0x27
+                }
+            },
+            ["0x0427", "0x0421"],
+        ),
+        (
+            "bq27427",
+            |asked, at, read| {
+                if (asked, at) == (8, 0) {
+                    read[0] = 0x31
+                }
+            },
+            ["CHEM_ID", "0x3230"],
+        ),
+        (
+            "bq34110",
+            |asked, at, read| {
+                if (asked, at) == (2, 0x40) {
+                    read[0] = 9
+                }
+            },
+            ["firmware", "0x1009"],
+        ),
+        (
+            "bq34110",
+            |asked, at, read| {
+                if (asked, at) == (1, 0x40) {
+                    read[0] = 0
+                }
+            },
+            ["0x0100", "0x0110"],
+        ),
+        (
+            "bq35100",
+            |asked, at, read| {
+                if (asked, at) == (6, 0x40) {
+                    read[0] = 9
+                }
+            },
+            ["CHEM_ID", "0x0609"],
+        ),
+    ];
+    for &(chip, tamper, says) in cases {
+        let mut rig = Rig::new(chip);
+        rig.meet();
+        // Its serial number is known from a write, as the daemon knows it from a poll.
+        assert!(write(&mut rig).is_ok(), "{chip}");
+        rig.tamper(tamper);
+        assert!(!rig.dataflash.doubts());
+        refused(&mut rig, Errno::ENODEV, &says);
+        assert!(rig.dataflash.doubts(), "{chip}: it has to be asked anew who it is");
+        refused(&mut rig, Errno::ENODEV, &says);
+        rig.tamper(|_, _, _| ());
+        assert_eq!(write(&mut rig), Ok(Outcome::Unchanged), "{chip}");
+    }
+}
+
+/// A firmware that no table is for is not written to, whether or not the gauge was asked before.
+#[test]
+fn an_unknown_firmware_is_not_written_to() {
+    let mut rig = Rig::tampered("bq34z100-g1", |asked, at, read| {
+        if (asked, at) == (2, 0) {
+            read[1] = 2
+        }
+    });
+    refused(&mut rig, Errno::ENODEV, &["0x0216", "mount it anew"]);
+}
+
+/// I2C has no check of its own: one lost bit is neither another pack nor a mode.
+#[test]
+fn one_lost_bit_refuses_nothing() {
+    // The answers to FW_VERSION, SerialNumber() and CONTROL_STATUS, by the log of a write.
+    for fault in ["flip 2 0 4", "flip 3 0 2", "flip 5 1 4"] {
+        let mut rig = Rig::new("bq34z100-g1");
+        rig.meet();
+        assert_eq!(rig.write(80, 53, "3050"), WRITTEN);
+        rig.sim.set("fault", fault).expect("a fault");
+        assert_eq!(write(&mut rig), WRITTEN, "{fault}");
+        assert!(!rig.dataflash.doubts(), "{fault}");
+    }
+}
+
+/// The pack's own serial number is written like any other parameter.
+#[test]
+fn a_new_serial_number_makes_no_other_pack() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.meet();
+    assert_eq!(rig.write(48, 4, "0x0102"), WRITTEN);
+    assert_eq!(write(&mut rig), WRITTEN);
+    assert_eq!(rig.write(48, 4, "0x0103"), WRITTEN);
+    assert_eq!(rig.write(80, 53, "3200"), WRITTEN);
+}
+
+/// Between two polls a RAM gauge has lost its power, or is another one.
+#[test]
+fn a_lost_configuration_is_looked_at_before_it_is_written() {
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+        let mut rig = Rig::new(chip);
+        rig.meet();
+        assert_eq!(write(&mut rig), WRITTEN, "{chip}");
+        rig.sim.set("power", "off").expect("a knob");
+        rig.sim.set("power", "on").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(1));
+        refused(&mut rig, Errno::ENODEV, &["[ITPOR]", "lost its power"]);
+        rig.meet();
+        assert_eq!(write(&mut rig), WRITTEN, "{chip}");
+    }
+}
+
+#[test]
+fn a_ram_gauge_is_written_at_a_sane_voltage() {
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+        for mv in ["0", "2449", "4501"] {
+            let mut rig = Rig::new(chip);
+            rig.sim.set("voltage_mv", mv).expect("a knob");
+            refused(&mut rig, Errno::EAGAIN, &["Voltage()", mv, "charge the cell"]);
+            // A configuration that is given back does no harm.
+            let (at, text) = row(chip);
+            let mut change = rig.change(at.0, at.1, text);
+            change.saved = true;
+            assert_eq!(
+                rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO),
+                WRITTEN,
+                "{chip} {mv}"
+            );
+        }
+        for mv in ["2450", "4500"] {
+            let mut rig = Rig::new(chip);
+            rig.sim.set("voltage_mv", mv).expect("a knob");
+            assert_eq!(write(&mut rig), WRITTEN, "{chip} {mv}");
+        }
+    }
+}
+
+const SAYS: &[&str] = &["learning", "LearnedStatus()", "--allow-learning"];
+
+#[test]
+fn a_learning_cycle_is_not_ended_by_accident() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.send(&[0x0021, 0x0020]);
+    refused(&mut rig, Errno::EBUSY, SAYS);
+    // Nothing would be reset.
+    assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
+    assert_eq!(rig.write(58, 3, "0x5a"), STORED);
+    // Qmax is learned, Ra is not; then both are.
+    assert_eq!(rig.write(82, 4, "0x05"), WRITTEN);
+    refused(&mut rig, Errno::EBUSY, SAYS);
+    assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
+    assert_eq!(write(&mut rig), WRITTEN);
+}
+
+#[test]
+fn a_learning_cycle_is_ended_by_who_wants_to() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.send(&[0x0021, 0x0020]);
+    rig.dataflash = DataFlash::new(Limits { allow_learning: true }, None);
+    assert_eq!(write(&mut rig), WRITTEN);
+}
+
+/// Update Status among other parameters, as in a golden image, is no wish to end the cycle.
+#[test]
+fn a_golden_image_waits_for_the_cycle() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.send(&[0x0021, 0x0020]);
+    let before = rig.sim.flash();
+    let changes = [rig.change(82, 4, "0x02"), rig.change(80, 53, "3100")];
+    let error = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO).expect_err("it waits");
+    assert_eq!(error.errno(), Errno::EBUSY, "{error}");
+    assert!(rig.sim.flash() == before);
+}
+
+/// On a RAM gauge Update Status stands in data memory only, and the host begins and ends the cycle there.
+#[test]
+fn a_learning_cycle_of_a_ram_gauge() {
+    for chip in ["bq27441-g1", "bq27427"] {
+        // [VOK], which the simulated ones do not set. Bit 7 of Update Status seals the gauge.
+        let mut rig = Rig::tampered(chip, |asked, at, read| {
+            if (asked, at) == (0, 0) {
+                read[0] |= 0x02;
+            }
+        });
+        assert_eq!(rig.write(82, 2, "0x83"), WRITTEN, "{chip}");
+        refused(&mut rig, Errno::EBUSY, &["learning", "Update Status", "--allow-learning"]);
+        assert_eq!(rig.write(82, 2, "0x80"), WRITTEN, "{chip}");
+        assert_eq!(write(&mut rig), WRITTEN, "{chip}");
+    }
+}
+
+/// The promise of what a write costs holds for a pack in service too, where Impedance Track runs.
+#[test]
+fn a_write_to_a_pack_in_service_costs_no_more() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.send(&[0x0021, 0x0020]);
+    assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
+    // As after the mount.
+    rig.dataflash = DataFlash::default();
+    rig.meet();
+    rig.dataflash.polled(rig.gauge.chip, |code| (code == 0x28).then_some(1));
+    let before = rig.cost();
+    assert_eq!(write(&mut rig), WRITTEN);
+    let after = rig.cost();
+    let (transfers, bytes) = (after.0 - before.0, after.1 - before.1);
+    assert!(transfers <= 32 && bytes <= 222, "found SEALED: {transfers} transfers, {bytes} bytes");
+    rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO).expect("the default key");
+    let before = rig.cost();
+    assert_eq!(rig.write(80, 53, "3200"), WRITTEN);
+    let after = rig.cost();
+    let (transfers, bytes) = (after.0 - before.0, after.1 - before.1);
+    assert!(transfers <= 23 && bytes <= 184, "found UNSEALED: {transfers} transfers, {bytes} bytes");
+}
+
+/// What the engine takes for granted of the tables.
+#[test]
+fn the_tables_can_be_looked_at() {
+    for chip in CHIPS {
+        let name = chip.name;
+        let near =
+            |code: u8| assert!((0x02..=0x0E).contains(&code), "{name}: 0x{code:02x} is far from Control()");
+        near(chip.register(Role::VoltageNow).expect("every part measures a voltage").code);
+        if chip.volatile.is_some() {
+            near(chip.register(Role::Flags).expect("flags").code);
+        }
+        assert!(chip.gate.is_some() != chip.preflight.voltage_mv.is_some(), "{name}: one of them watches");
+        for mode in chip.preflight.modes {
+            match mode.word {
+                Word::Register(code) => near(code),
+                Word::ControlStatus => {
+                    let bit = chip.control_status.iter().find(|bit| bit.mask == mode.mask).expect("a bit");
+                    assert_eq!(mode.name, format!("CONTROL_STATUS [{}]", bit.name), "{name}");
+                }
+                Word::Answer(code) => {
+                    assert!(chip.subcommands.iter().any(|known| known.code == code), "{name}")
+                }
+            }
+        }
+        match chip.preflight.pack.as_ref().map(|pack| pack.word) {
+            Some(Word::Answer(code)) => {
+                let asked = chip.subcommands.iter().find(|known| known.code == code).expect("a subcommand");
+                assert_eq!((asked.name, asked.sealed), ("CHEM_ID", true), "{name}");
+            }
+            Some(Word::Register(code)) => {
+                let register = chip.registers.iter().find(|register| register.code == code);
+                assert_eq!(register.map(|register| register.size), Some(2), "{name}");
+            }
+            Some(Word::ControlStatus) => panic!("{name}: a seal tells no packs apart"),
+            None => {}
+        }
+        if let Some(learning) = &chip.preflight.learning {
+            let row = chip.parameter(learning.row.0, learning.row.1).expect("a row");
+            assert_eq!(row.name, "Update Status", "{name}");
+        }
+    }
+}
+
+/// Two packs at one address, of which the switch chooses one.
+struct Swap([Box<dyn Bus>; 2], Arc<AtomicUsize>);
+
+impl Bus for Swap {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        self.0[self.1.load(Ordering::SeqCst)].transfer(write, read)
+    }
+}
+
+/// A pack is exchanged for another one with the same part, between a look at its values and a write, and
+/// back again between two polls.
+#[test]
+fn a_swapped_pack_is_noticed() {
+    let mut other = Rig::new("bq34z100-g1");
+    assert_eq!(other.write(48, 4, "0x0007"), WRITTEN);
+    let clock: Arc<SimClock> = other.clock.clone();
+    let first = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated chip");
+    clock.sleep(Duration::from_secs(1));
+    let at = Arc::new(AtomicUsize::new(0));
+    let bus = Swap([Box::new(first.bus()), Box::new(other.sim.bus())], at.clone());
+    let chip = Chip::by_name("bq34z100-g1").expect("a table");
+    let interval = Duration::from_secs(3600);
+    let settings = Settings {
+        keys: Keys::default(),
+        interval,
+        byte_writes: false,
+        allow_unproven: false,
+        limits: Limits::default(),
+        auth_order: Order::default(),
+        restore: Vec::new(),
+        journal: None,
+    };
+    let handle = poll::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
+    let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
+    let parameter =
+        chip.subclasses[index(80)].parameters.iter().position(|row| row.offset == 53).expect("a row");
+    let serial = || {
+        let (done, is_done) = mpsc::channel();
+        let done = Box::new(move |read| done.send(read).expect("somebody waits"));
+        handle.submit(Request::ReadSubclass(index(48), done));
+        let bytes: Arc<[u8]> = is_done.recv().expect("an answer").expect("it is read");
+        u16::from_be_bytes([bytes[4], bytes[5]])
+    };
+    let run = |request: &dyn Fn(poll::Done<()>) -> Request| -> Result<(), Error> {
+        let (done, is_done) = mpsc::channel();
+        handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
+        is_done.recv().expect("an answer")
+    };
+    let write = |value| run(&move |done| Request::Write(index(80), parameter, Value::Int(value), done));
+    assert_eq!(serial(), 1);
+    let before = (first.flash(), other.sim.flash());
+
+    at.store(1, Ordering::SeqCst);
+    let error = write(3100).expect_err("another pack");
+    assert_eq!(error.errno(), Errno::ENODEV, "{error}");
+    assert!((first.flash(), other.sim.flash()) == before);
+    assert!(handle.published().last_error.contains("another pack"), "{}", handle.published().last_error);
+    assert_eq!(serial(), 7, "what was kept is dropped");
+    run(&Request::Refresh).expect("it answers");
+    write(3100).expect("it is known now");
+    assert!(first.flash() == before.0);
+    assert!(other.sim.flash() != before.1);
+
+    assert_eq!(serial(), 7);
+    at.store(0, Ordering::SeqCst);
+    clock.sleep(interval);
+    // Whatever it is asked, the owner polls then.
+    run(&|done| Request::Interval(interval, done)).expect("it is set");
+    let tries = (0..1000).find(|_| {
+        std::thread::sleep(Duration::from_millis(10));
+        serial() == 1
+    });
+    assert!(tries.is_some(), "the poll did not notice");
+}
