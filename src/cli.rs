@@ -16,7 +16,7 @@ use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
 use crate::clock::{Clock, RealClock};
 use crate::daemon::{self, Keyring, Source, background, mountpoint};
-use crate::dataflash::Limits;
+use crate::dataflash::{Limits, WRITES_PER_HOUR};
 use crate::error::{Error, Result};
 use crate::fs::Scales;
 use crate::image::{self, Format, Group, Image};
@@ -178,6 +178,9 @@ struct Mount {
     /// Write in the middle of a learning cycle too; the reset that follows ends it
     #[arg(long, help_heading = "Access")]
     allow_learning: bool,
+    /// Program at most so many blocks of flash an hour, 0 for any number [default: 300]
+    #[arg(long, value_name = "N", conflicts_with = "replay", help_heading = "Access")]
+    writes_per_hour: Option<u32>,
     /// Let no other user look at the mount (without root this is always so)
     #[arg(long, help_heading = "Access")]
     private: bool,
@@ -414,7 +417,10 @@ impl Mount {
             },
             read_only: self.read_only || recorded,
             allow_unproven: self.allow_unproven,
-            limits: Limits { allow_learning: self.allow_learning },
+            limits: Limits {
+                allow_learning: self.allow_learning,
+                writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
+            },
             auth_order: self.auth_order,
             restore: self.restore,
             private: self.private,

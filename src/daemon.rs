@@ -90,7 +90,7 @@ pub struct Options {
     pub read_only: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
-    /// What else may be overruled.
+    /// What else may be overruled, and how often flash may be programmed.
     pub limits: Limits,
     /// The order of bytes in which challenges are sent.
     pub auth_order: Order,

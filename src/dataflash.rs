@@ -1,6 +1,6 @@
 //! The transaction: the only way to read or write data flash.
 //!
-//! A change runs whole: identity and state of the gauge (`preflight`), unseal and confirm, flash
+//! A change runs whole: wear, identity and state of the gauge (`preflight`), unseal and confirm, flash
 //! voltage, read each block with its checksum, stop if nothing changes, write, checksum, read back, reset
 //! where the table says so, unseal and verify once more, seal as found and confirm. Every way out passes
 //! through the close. The gauge rejects nothing that it is sent, so what is checked here is safety, not
@@ -24,8 +24,10 @@ mod cfgupdate;
 mod mac;
 mod preflight;
 mod settle;
+mod wear;
 
 use preflight::{Found, Met};
+use wear::Wear;
 
 /// A write(2) answers within 30 s: so much for the way forward ...
 const FORWARD: Duration = Duration::from_secs(16);
@@ -109,16 +111,29 @@ fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
 }
 
 /// What a careful person may overrule.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Write in the middle of a learning cycle too, which ends it.
     pub allow_learning: bool,
+    /// So many blocks of flash may be programmed within an hour; 0 for any number.
+    pub writes_per_hour: u32,
+}
+
+/// A script that runs wild from Friday evening to Monday morning, 66 h, does not use up the 20,000 cycles of a
+/// block (SLUSBZ5D 6.12); and each parameter of the largest table can be written once.
+pub const WRITES_PER_HOUR: u32 = 300;
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { allow_learning: false, writes_per_hour: WRITES_PER_HOUR }
+    }
 }
 
 /// What has to be known about a gauge's data flash from one transaction to the next.
 #[derive(Debug, Default)]
 pub struct DataFlash {
     limits: Limits,
+    wear: Wear,
     /// The gauge whose values were read.
     met: Option<Met>,
     /// Another one has answered in its place.
@@ -185,12 +200,25 @@ impl DataFlash {
             let why = "keys cannot be changed like other parameters";
             return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
         }
+        let programmed = Statistics::read(&gauge.statistics.flash_writes);
+        let outcome = self.check_wear(gauge).and_then(|()| self.transact(gauge, changes, waited));
+        let blocks = Statistics::read(&gauge.statistics.flash_writes) - programmed;
+        self.wear.record(gauge.clock.now(), blocks);
+        self.learn_from(gauge, changes, &outcome);
+        match changes {
+            [change] => outcome.map_err(|error| error.within(&change.subject())),
+            _ => outcome,
+        }
+    }
+
+    /// One visit, after whatever an earlier one has left behind.
+    fn transact(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
         let asked = gauge.clock.now();
         if let Some(told) = self.settle(gauge, waited)? {
             log::warn!("{}: {told}", gauge.chip.name);
         }
         let waited = waited + (gauge.clock.now() - asked);
-        let outcome = in_time(gauge, waited, |gauge| {
+        in_time(gauge, waited, |gauge| {
             gauge.claim()?;
             let found = self.preflight(gauge, changes)?;
             let mut visit = Visit::new(found.seal);
@@ -200,12 +228,7 @@ impl DataFlash {
             }
             let outcome = visit.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut visit));
             visit.close(gauge, outcome)
-        });
-        self.learn_from(gauge, changes, &outcome);
-        match changes {
-            [change] => outcome.map_err(|error| error.within(&change.subject())),
-            _ => outcome,
-        }
+        })
     }
 
     /// The unsealed part of a write.

@@ -75,9 +75,16 @@ pub struct Statistics {
     pub flash_writes: AtomicU64,
     /// Resets that were sent.
     pub resets: AtomicU64,
+    /// Writes that found their values there already.
+    pub unchanged_writes: AtomicU64,
 }
 
 impl Statistics {
+    /// What it has come to.
+    pub fn read(counter: &AtomicU64) -> u64 {
+        counter.load(Ordering::Relaxed)
+    }
+
     /// One more.
     pub fn count(counter: &AtomicU64) {
         counter.fetch_add(1, Ordering::Relaxed);
@@ -85,7 +92,7 @@ impl Statistics {
 
     /// Names and values, in the order of `gauge/statistics`.
     pub fn list(&self) -> Vec<(&'static str, u64)> {
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let read = Self::read;
         vec![
             ("transfers", read(&self.transfers)),
             ("bytes", read(&self.bytes)),
@@ -94,6 +101,7 @@ impl Statistics {
             ("failed_polls", read(&self.failed_polls)),
             ("flash_writes", read(&self.flash_writes)),
             ("resets", read(&self.resets)),
+            ("unchanged_writes", read(&self.unchanged_writes)),
         ]
     }
 }

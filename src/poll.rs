@@ -240,7 +240,7 @@ pub struct Settings {
     pub byte_writes: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
-    /// What else may be overruled.
+    /// What may be overruled, and how often flash may be programmed.
     pub limits: Limits,
     /// The order of bytes in which challenges are sent.
     pub auth_order: Order,

@@ -7,7 +7,7 @@
 use super::{Change, DataFlash, Outcome, read_byte, sequence};
 use crate::chip::{Chip, Kind, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, BEHIND, Gauge, Seal};
+use crate::gauge::{Answers, BEHIND, Gauge, Seal, Statistics};
 
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
 const ROM_MODE: u16 = 0x0F00;
@@ -68,6 +68,15 @@ impl DataFlash {
             _ => {}
         }
         self.doubts
+    }
+
+    /// Refuses while flash has been programmed too often; RAM does not wear.
+    pub(super) fn check_wear(&mut self, gauge: &Gauge) -> Result<()> {
+        match self.limits.writes_per_hour {
+            0 => Ok(()),
+            _ if gauge.chip.volatile.is_some() => Ok(()),
+            limit => self.wear.check(gauge.clock.now(), limit),
+        }
     }
 
     /// All that can be looked at without unsealing.
@@ -216,7 +225,7 @@ impl DataFlash {
         let touched = changes.iter().any(|change| rows.iter().any(|&row| change.is_at(row)));
         let Some(met) = &mut self.met else { return };
         match outcome {
-            Ok(Outcome::Unchanged) => {}
+            Ok(Outcome::Unchanged) => Statistics::count(&gauge.statistics.unchanged_writes),
             Ok(Outcome::Written { .. }) => {
                 self.ours = false;
                 // The end of CONFIG UPDATE clears it.

@@ -395,7 +395,8 @@ fn a_learning_cycle_is_not_ended_by_accident() {
 fn a_learning_cycle_is_ended_by_who_wants_to() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
-    rig.dataflash = DataFlash::new(Limits { allow_learning: true }, None);
+    let limits = Limits { allow_learning: true, ..Limits::default() };
+    rig.dataflash = DataFlash::new(limits, None);
     assert_eq!(write(&mut rig), WRITTEN);
 }
 
@@ -491,6 +492,93 @@ fn the_tables_can_be_looked_at() {
             let row = chip.parameter(learning.row.0, learning.row.1).expect("a row");
             assert_eq!(row.name, "Update Status", "{name}");
         }
+    }
+}
+
+fn limited(chip: &str, writes_per_hour: u32) -> Rig {
+    let mut rig = Rig::new(chip);
+    rig.dataflash = DataFlash::new(Limits { writes_per_hour, ..Limits::default() }, None);
+    rig
+}
+
+fn count(rig: &Rig, wanted: &str) -> u64 {
+    rig.gauge.statistics.list().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
+}
+
+#[test]
+fn a_script_that_runs_wild_is_stopped_before_the_gauge_is_touched() {
+    let mut rig = limited("bq34z100-g1", 3);
+    for text in ["3001", "3002", "3003"] {
+        assert_eq!(rig.write(80, 53, text), WRITTEN);
+    }
+    rig.clock.sleep(Duration::from_secs(600));
+    let (sent, flash) = (rig.cost(), rig.sim.flash());
+    let error = rig.write(80, 53, "3004").expect_err("three an hour");
+    assert_eq!(error.errno(), Errno::EAGAIN, "{error}");
+    for says in [
+        "Cell Terminate Voltage (80/53)",
+        "3 blocks",
+        "the next write may come in 50 min 0 s",
+        "--writes-per-hour",
+    ] {
+        assert!(error.to_string().contains(says), "`{error}` does not say `{says}`");
+    }
+    assert_eq!(rig.cost(), sent, "the gauge was touched");
+    assert!(rig.sim.flash() == flash);
+    rig.clock.sleep(Duration::from_secs(3600));
+    assert_eq!(rig.write(80, 53, "3004"), WRITTEN);
+}
+
+#[test]
+fn what_is_there_already_does_not_wear() {
+    let mut rig = limited("bq34z100-g1", 1);
+    for _ in 0..5 {
+        assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
+    }
+    let both = [rig.change(80, 53, "3000"), rig.change(48, 11, "1000")];
+    let unchanged = rig.dataflash.write(&mut rig.gauge, &both, Duration::ZERO);
+    assert_eq!(unchanged, Ok(Outcome::Unchanged));
+    assert_eq!(rig.sim.get("programmed").as_deref(), Some("0"));
+    let counts = ["unchanged_writes", "flash_writes", "resets"].map(|name| count(&rig, name));
+    assert_eq!(counts, [6, 0, 0]);
+    assert_eq!(rig.write(80, 53, "3001"), WRITTEN);
+    assert_eq!(rig.write(80, 53, "3002").expect_err("one an hour").errno(), Errno::EAGAIN);
+}
+
+/// All or none: a golden image is not stopped half-way, and what it took is counted after it.
+#[test]
+fn a_transaction_passes_as_a_whole() {
+    let mut rig = limited("bq34z100-g1", 2);
+    let changes = [(80, 53, "3100"), (48, 11, "2200"), (36, 0, "110"), (58, 3, "0x5a")];
+    let changes = changes.map(|(subclass, offset, text)| rig.change(subclass, offset, text));
+    assert_eq!(rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO), WRITTEN);
+    assert_eq!(count(&rig, "flash_writes"), 4);
+    let error = rig.write(80, 53, "3200").expect_err("two an hour");
+    assert!(error.to_string().contains("4 blocks"), "{error}");
+}
+
+/// What is put back wears as well, and is never refused.
+#[test]
+fn a_rollback_counts_and_is_not_refused() {
+    let mut rig = limited("bq34z100-g1", 1);
+    rig.sim.set("fault", "corrupt-commit").expect("a fault");
+    let before = rig.sim.flash();
+    assert_eq!(rig.write(80, 53, "3100").expect_err("stored wrongly").errno(), Errno::EIO);
+    assert!(rig.sim.flash() == before);
+    assert_eq!(count(&rig, "flash_writes"), 2);
+    let error = rig.write(80, 53, "3100").expect_err("one an hour");
+    assert!(error.errno() == Errno::EAGAIN && error.to_string().contains("2 blocks"), "{error}");
+}
+
+#[test]
+fn ram_does_not_wear_and_0_is_no_limit() {
+    let mut rig = limited("bq27441-g1", 1);
+    for text in ["1001", "1002", "1003"] {
+        assert_eq!(rig.write(82, 10, text), WRITTEN);
+    }
+    let mut rig = limited("bq34z100-g1", 0);
+    for text in ["3001", "3002", "3003"] {
+        assert_eq!(rig.write(80, 53, text), WRITTEN);
     }
 }
 

@@ -1,0 +1,85 @@
+//! How often data flash is programmed. Its cells last for 20,000 cycles (SLUSBZ5D 6.12), and nothing in
+//! a gauge keeps a script that runs wild from using them up.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use crate::error::{Cause, Error, Result, Step};
+
+/// The span in which blocks are counted.
+const HOUR: Duration = Duration::from_secs(3600);
+
+/// The blocks that were programmed in the last hour, of this daemon's life.
+#[derive(Debug, Default)]
+pub(super) struct Wear {
+    /// When, and how many; oldest first.
+    spent: VecDeque<(Duration, u64)>,
+}
+
+impl Wear {
+    /// So many blocks have been programmed now.
+    pub(super) fn record(&mut self, now: Duration, blocks: u64) {
+        if blocks > 0 {
+            self.spent.push_back((now, blocks));
+        }
+    }
+
+    /// Refuses a transaction while as many blocks as the limit allows have been programmed within the last
+    /// hour. The limit is not asked again within a transaction, so that one of any size is possible as a
+    /// whole.
+    pub(super) fn check(&mut self, now: Duration, limit: u32) -> Result<()> {
+        while self.spent.front().is_some_and(|(at, _)| *at + HOUR <= now) {
+            self.spent.pop_front();
+        }
+        let spent: u64 = self.spent.iter().map(|(_, blocks)| blocks).sum();
+        let mut left = spent;
+        let frees = self.spent.iter().find(|(_, blocks)| {
+            left -= blocks;
+            left < u64::from(limit)
+        });
+        let Some((at, _)) = frees.filter(|_| spent >= u64::from(limit)) else { return Ok(()) };
+        let seconds = (*at + HOUR - now).as_secs() + 1;
+        let why = format!(
+            "{spent} blocks were programmed within the last hour, and {limit} are the limit, because flash wears \
+             out: the next write may come in {} min {} s; --writes-per-hour sets another limit",
+            seconds / 60,
+            seconds % 60
+        );
+        Err(Error::new("data flash", Cause::NotNow(why)).at(Step::Check))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MINUTE: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn the_window_slides() {
+        let mut wear = Wear::default();
+        for minute in 0..3 {
+            assert_eq!(wear.check(MINUTE * minute, 3), Ok(()));
+            wear.record(MINUTE * minute, 1);
+        }
+        let refused = wear.check(MINUTE * 10, 3).expect_err("three of three").to_string();
+        assert!(refused.contains("3 blocks") && refused.contains("in 50 min 1 s"), "{refused}");
+        assert!(wear.check(MINUTE * 60 - Duration::from_secs(1), 3).is_err());
+        assert_eq!(wear.check(MINUTE * 60, 3), Ok(()));
+        wear.record(MINUTE * 60, 1);
+        assert!(wear.check(MINUTE * 60, 3).is_err());
+        assert_eq!(wear.check(MINUTE * 61, 3), Ok(()));
+    }
+
+    /// After a large transaction it takes until enough of what was there is an hour old.
+    #[test]
+    fn a_large_transaction_is_waited_for() {
+        let mut wear = Wear::default();
+        wear.record(Duration::ZERO, 2);
+        wear.record(MINUTE, 40);
+        wear.record(MINUTE * 2, 2);
+        let refused = wear.check(MINUTE * 3, 10).expect_err("44 of 10").to_string();
+        assert!(refused.contains("44 blocks") && refused.contains("in 58 min 1 s"), "{refused}");
+        assert_eq!(wear.check(MINUTE * 61, 10), Ok(()));
+    }
+}
