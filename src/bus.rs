@@ -98,6 +98,9 @@ pub trait Bus: Send {
         Ok(())
     }
 
+    /// Lets go of an adapter that has gone. No transfer is needed for it.
+    fn look(&mut self) {}
+
     /// From now on transfers carry keys or security data (`true`), or no longer do (`false`).
     /// Whatever records transfers must hide those in between.
     fn hush(&mut self, _secret: bool) {}
@@ -110,6 +113,10 @@ impl<B: Bus + ?Sized> Bus for Box<B> {
 
     fn claim(&mut self) -> Result<(), BusError> {
         (**self).claim()
+    }
+
+    fn look(&mut self) {
+        (**self).look();
     }
 
     fn hush(&mut self, secret: bool) {

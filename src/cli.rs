@@ -5,23 +5,20 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::Duration;
 
-use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 
-use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
 use crate::clock::{Clock, RealClock};
-use crate::daemon::{self, Keyring, Source, background, mountpoint};
-use crate::dataflash::{Limits, WRITES_PER_HOUR};
+use crate::config::{self, GaugeOptions, MountOptions, address, chip_names};
+use crate::daemon::{self, Gauges, background, mountpoint};
 use crate::error::{Error, Result};
-use crate::fs::Scales;
+use crate::fs::Covered;
 use crate::image::{self, Format, Group, Image};
+use crate::json;
 use crate::probe::{self, ROM_ADDRESS, Reading};
-use crate::{json, keys};
 
 mod auth;
 
@@ -40,8 +37,9 @@ Examples:
   gaugefs mount --bus /dev/i2c-1 /run/gauges
   gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys /run/gauges
   gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     beside the kernel's own supplies
+  gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
 
-The gauge appears in MOUNTPOINT as the kernel shows a power supply: BAT0/voltage_now,
+A gauge appears in MOUNTPOINT as the kernel shows a power supply: BAT0/voltage_now,
 BAT0/capacity and so on; its data flash in BAT0/df, all else in BAT0/gauge.";
 
 const UMOUNT: &str = "A mount whose daemon has died is taken away too.";
@@ -109,108 +107,23 @@ enum Command {
     Auth(auth::Auth),
 }
 
-/// Mount a gauge; returns once it is mounted and has been read
+/// Mount gauges; returns once they are mounted and have been read
 #[derive(Args, Debug)]
-#[command(after_help = MOUNT, group = ArgGroup::new("gauge").required(true).args(["sim", "bus", "replay"]))]
+#[command(after_help = MOUNT, group = ArgGroup::new("gauges").required(true).multiple(true).args(["sim", "bus", "replay", "config"]))]
 struct Mount {
-    /// Folder to mount at; made if it is missing
-    mountpoint: PathBuf,
-
-    /// A simulated gauge of this kind; `gaugefs chips` lists them
-    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true, help_heading = "Gauge")]
-    sim: Option<String>,
-    /// Keep the simulated gauge's flash in this file; made if it is missing
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "replay"], help_heading = "Gauge")]
-    sim_state: Option<PathBuf>,
-    /// Unseal key of a new simulated gauge [default: the manual's]
-    #[arg(long, value_name = "WORDS", value_parser = key_words, conflicts_with_all = ["bus", "replay"], help_heading = "Gauge")]
-    sim_key: Option<Key>,
-    /// The I2C bus that the gauge is on, such as /dev/i2c-1
-    #[arg(long, value_name = "DEVICE", help_heading = "Gauge")]
-    bus: Option<PathBuf>,
-    /// The gauge's 7-bit address
-    #[arg(long, value_name = "ADDRESS", default_value = "0x55", value_parser = address, conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
-    address: u8,
-    /// What the gauge is [default: it is asked]
-    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
-    chip: Option<String>,
-    /// A recorded gauge, read-only: the file that --trace wrote
-    #[arg(long, value_name = "FILE", conflicts_with = "trace", help_heading = "Gauge")]
-    replay: Option<PathBuf>,
-    /// Write one byte a transfer, as some gauges want above 100 kHz
-    #[arg(long, help_heading = "Gauge")]
-    byte_writes: bool,
-    /// A copy of df/index to write again when a gauge without flash has lost its power
-    #[arg(long, value_name = "FILE", conflicts_with = "replay", help_heading = "Gauge")]
-    restore: Option<PathBuf>,
-
-    /// Name of the gauge's folder [default: BAT0, or the first BATn that the kernel does not have]
-    #[arg(long, value_name = "NAME", value_parser = name, help_heading = "What is shown")]
-    name: Option<String>,
-    /// Show a Mains supply too [default NAME: AC]: `online` while no gauge is discharged
-    #[arg(long, value_name = "NAME", value_parser = name, require_equals = true, num_args = 0..=1, help_heading = "What is shown")]
-    ac: Option<Option<String>>,
-    /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim and --replay]
-    #[arg(long, value_name = "SECONDS", value_parser = interval, help_heading = "What is shown")]
-    poll: Option<Duration>,
-    /// Show energy_now and power_avg too; beside charge_now they mislead some monitors
-    #[arg(long, help_heading = "What is shown")]
-    energy: bool,
-    /// Show currents without their sign, for monitors that cannot bear it
-    #[arg(long, help_heading = "What is shown")]
-    absolute_current: bool,
-    /// Multiply currents and charges by this factor
-    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = factor, help_heading = "What is shown")]
-    current_scale: f64,
-    /// Multiply voltages by this factor
-    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = factor, help_heading = "What is shown")]
-    voltage_scale: f64,
-    /// Multiply energies and powers by this factor
-    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = factor, help_heading = "What is shown")]
-    energy_scale: f64,
-
-    /// Refuse every write
-    #[arg(long, help_heading = "Access")]
-    read_only: bool,
-    /// Write parameters too whose address or range is not sure
-    #[arg(long, help_heading = "Access")]
-    allow_unproven: bool,
-    /// Write in the middle of a learning cycle too; the reset that follows ends it
-    #[arg(long, help_heading = "Access")]
-    allow_learning: bool,
-    /// Program at most so many blocks of flash an hour, 0 for any number [default: 300]
-    #[arg(long, value_name = "N", conflicts_with = "replay", help_heading = "Access")]
-    writes_per_hour: Option<u32>,
-    /// Let no other user look at the mount (without root this is always so)
-    #[arg(long, help_heading = "Access")]
-    private: bool,
-    /// Let this group read and write data flash, besides the owner
-    #[arg(long, value_name = "GROUP", value_parser = group, help_heading = "Access")]
-    group: Option<u32>,
-    /// File with the gauge's keys: lines such as `unseal = 0414 3672`; nobody else may read it
-    #[arg(long, value_name = "FILE", help_heading = "Access")]
-    key_file: Option<PathBuf>,
-    /// Never try the manual's default key
-    #[arg(long, help_heading = "Access")]
-    no_default_keys: bool,
-    /// In which order the gauge takes the bytes of a challenge, lsb-first or as-sent; `gaugefs auth`
-    /// tells which one fits
-    #[arg(long, value_name = "ORDER", default_value = "lsb-first", value_parser = order, help_heading = "Access")]
-    auth_order: Order,
-
+    /// Any number of gauges, as this file in TOML names them; with --bus, where those are that name none
+    #[arg(long, value_name = "FILE", help_heading = "Gauge")]
+    config: Option<PathBuf>,
+    /// Only read the configuration and say what it would mount
+    #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
+    check: bool,
+    #[command(flatten)]
+    gauge: GaugeOptions,
+    #[command(flatten)]
+    mount: MountOptions,
     /// Stay in the foreground and log to standard error
     #[arg(short, long, help_heading = "Running")]
     foreground: bool,
-    /// Log to this file [default: syslog, in the foreground standard error]
-    #[arg(long, value_name = "FILE", help_heading = "Running")]
-    log: Option<PathBuf>,
-    /// Folder for the journal, which lets a write survive a power cut [default: /var/lib/gaugefs; without
-    /// root, ~/.local/state/gaugefs]
-    #[arg(long, value_name = "DIR", help_heading = "Running")]
-    state_dir: Option<PathBuf>,
-    /// Write every transfer to this file; keys are left out
-    #[arg(long, value_name = "FILE", help_heading = "Running")]
-    trace: Option<PathBuf>,
 }
 
 /// Unmount; the gauge is let go
@@ -324,16 +237,6 @@ struct Lint {
     json: bool,
 }
 
-/// Key words from the command line, which are not shown again.
-#[derive(Clone)]
-struct Key([u16; 2]);
-
-impl std::fmt::Debug for Key {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("hidden")
-    }
-}
-
 /// Does what the arguments say; the exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(arguments) {
@@ -380,58 +283,38 @@ fn print(text: &str) {
 
 impl Mount {
     fn run(self) -> Result<ExitCode> {
+        if self.check {
+            print(&plan(self.options()?)?);
+            return Ok(ExitCode::SUCCESS);
+        }
         if !self.foreground && !background::is_child() {
             return background::start();
         }
-        daemon::run(self.options()).map(|()| ExitCode::SUCCESS)
+        daemon::run(self.options()?).map(|()| ExitCode::SUCCESS)
     }
 
-    fn options(self) -> daemon::Options {
-        let known = |name: &str| Chip::by_name(name).expect("clap took only names of chips");
-        let source = match (self.sim, self.replay, self.bus) {
-            (Some(chip), _, _) => {
-                Source::Sim { chip: known(&chip), state: self.sim_state, key: self.sim_key.map(|key| key.0) }
-            }
-            (None, Some(file), _) => Source::Recorded(file),
-            (None, None, bus) => Source::Bus {
-                bus: bus.expect("clap wants --sim, --bus or --replay"),
-                address: self.address,
-                chip: self.chip.as_deref().map(known),
-            },
+    fn options(self) -> Result<daemon::Options> {
+        let Self { config, gauge, mount, foreground, .. } = self;
+        let Some(file) = config else {
+            let gauge = gauge.gauge().expect("clap wants --sim, --bus, --replay or --config");
+            return Ok(mount.with(Gauges::One(Box::new(gauge)), foreground));
         };
-        let recorded = matches!(source, Source::Recorded(_));
-        let simulated = matches!(source, Source::Sim { .. });
-        daemon::Options {
-            mountpoint: self.mountpoint,
-            source,
-            byte_writes: self.byte_writes,
-            name: self.name,
-            ac: self.ac,
-            interval: self.poll.unwrap_or(Duration::from_secs(if simulated || recorded { 3 } else { 30 })),
-            scales: Scales {
-                current: self.current_scale,
-                voltage: self.voltage_scale,
-                energy: self.energy_scale,
-                absolute_current: self.absolute_current,
-                energy_shown: self.energy,
-            },
-            read_only: self.read_only || recorded,
-            allow_unproven: self.allow_unproven,
-            limits: Limits {
-                allow_learning: self.allow_learning,
-                writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
-            },
-            auth_order: self.auth_order,
-            restore: self.restore,
-            private: self.private,
-            group: self.group,
-            keyring: Keyring { file: self.key_file, no_default: self.no_default_keys },
-            foreground: self.foreground,
-            log: self.log,
-            trace: self.trace,
-            state_dir: self.state_dir,
-        }
+        let (mount, gauges) = config::read(&file, mount, gauge.bus())?;
+        Ok(mount.with(Gauges::Many(gauges), foreground))
     }
+}
+
+/// What a configuration would mount.
+fn plan(options: daemon::Options) -> Result<String> {
+    let Gauges::Many(gauges) = options.gauges else { return Ok(String::new()) };
+    let covered = mountpoint::covered(&options.mountpoint)?;
+    let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
+    let rows = daemon::named(gauges, &taken).into_iter().map(|(name, gauge)| {
+        let chip = gauge.source.chip().map_or("asked", |chip| chip.name);
+        let place = options.mountpoint.join(name).display().to_string();
+        [place, gauge.source.to_string(), chip.to_string()]
+    });
+    Ok(align(&rows.collect::<Vec<_>>()))
 }
 
 impl Export {
@@ -780,61 +663,6 @@ fn align<const N: usize>(rows: &[[String; N]]) -> String {
     table
 }
 
-fn chip_names() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().map(|chip| chip.name))
-}
-
-fn key_words(text: &str) -> Result<Key, String> {
-    keys::words(text).map(Key).ok_or_else(|| "expected two words, such as '0414 3672'".into())
-}
-
-fn order(text: &str) -> Result<Order, String> {
-    Order::by_name(text).ok_or_else(|| "expected lsb-first or as-sent".into())
-}
-
-fn address(text: &str) -> Result<u8, String> {
-    let digits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
-    let number = digits.map_or_else(|| text.parse(), |digits| u8::from_str_radix(digits, 16));
-    match number {
-        Ok(address @ 0x08..=0x77) => Ok(address),
-        _ => Err("expected a 7-bit address, 0x08 to 0x77".into()),
-    }
-}
-
-fn interval(text: &str) -> Result<Duration, String> {
-    match text.parse() {
-        Ok(seconds @ 0.5..=3600.0) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("expected 0.5 to 3600 seconds".into()),
-    }
-}
-
-fn factor(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(factor @ 0.001..=1000.0) => Ok(factor),
-        _ => Err("expected a factor from 0.001 to 1000".into()),
-    }
-}
-
-/// The name goes into uevent, paths and other people's shell scripts.
-fn name(text: &str) -> Result<String, String> {
-    let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
-    if !text.is_empty() && text.len() <= 64 && text.bytes().all(allowed) && !text.starts_with(['.', '-']) {
-        Ok(text.to_string())
-    } else {
-        Err("expected letters, digits and . _ + -, at most 64, no dot or dash first".into())
-    }
-}
-
-fn group(text: &str) -> Result<u32, String> {
-    if let Ok(gid) = text.parse() {
-        return Ok(gid);
-    }
-    match nix::unistd::Group::from_name(text) {
-        Ok(Some(group)) => Ok(group.gid.as_raw()),
-        _ => Err("there is no such group".into()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -843,17 +671,5 @@ mod tests {
     fn the_definition_is_sound() {
         use clap::CommandFactory;
         Cli::command().debug_assert();
-    }
-
-    #[test]
-    fn values_are_checked() {
-        assert_eq!(address("0x55"), Ok(0x55));
-        assert_eq!(address("85"), Ok(0x55));
-        assert!(["0x07", "0x78", "0xaa", "55h", ""].iter().all(|text| address(text).is_err()));
-        assert_eq!(interval("0.5"), Ok(Duration::from_millis(500)));
-        assert!(["0.4", "3601", "NaN", "-1", "inf"].iter().all(|text| interval(text).is_err()));
-        assert!(["0", "-1", "NaN", "1e9"].iter().all(|text| factor(text).is_err()));
-        assert!(["", "..", "a/b", "a b", "-x", "BAT\n"].iter().all(|text| name(text).is_err()));
-        assert_eq!(name("BAT_1.2"), Ok("BAT_1.2".into()));
     }
 }

@@ -1,5 +1,6 @@
-//! The life of a mount: open the gauge, poll it once, mount, say so, wait for the end, unmount.
+//! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -11,26 +12,29 @@ use nix::unistd::{User, getegid, geteuid};
 use crate::authentication::Order;
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::replay::{Recording, Replay, Seals};
-use crate::bus::trace::Trace;
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{Chip, SealStatus, Tier};
 use crate::clock::{Clock, RealClock};
 use crate::dataflash::{Change, Limits};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Entry, Fs, Knobs, Scales, free_name};
+use crate::fs::{Access, Covered, Fs, Knobs, Scales, free_name};
 use crate::fuse;
 use crate::gauge::bursts;
 use crate::journal::Journal;
 use crate::keys::Keys;
 use crate::lock::{self, Holder, Lock};
-use crate::poll::{self, Handle, Request, Settings, Signal};
+use crate::poll::{Handle, Request, Signal};
 use crate::probe;
 use crate::saved;
 use crate::sim::{self, Sim};
 
+mod adapters;
 pub mod background;
+mod gauges;
 pub mod log;
 pub mod mountpoint;
+
+use gauges::{Opening, Ready};
 
 /// How long a simulated gauge may take from power-up to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
@@ -69,25 +73,19 @@ pub struct Keyring {
     pub no_default: bool,
 }
 
-/// Everything that `gaugefs mount` can be told.
+/// One gauge of a mount.
 #[derive(Debug)]
-pub struct Options {
-    /// Folder to mount at.
-    pub mountpoint: PathBuf,
-    /// The gauge.
+pub struct Gauge {
+    /// Name of its folder; without one, the first of BAT0, BAT1 ... that is free.
+    pub name: Option<String>,
+    /// Where it is.
     pub source: Source,
     /// Write one byte a transfer.
     pub byte_writes: bool,
-    /// Name of the gauge's folder.
-    pub name: Option<String>,
-    /// Show a Mains supply too, of this name where one was chosen.
-    pub ac: Option<Option<String>>,
     /// Time between polls.
     pub interval: Duration,
     /// How figures are shown.
     pub scales: Scales,
-    /// Refuse every write.
-    pub read_only: bool,
     /// Write parameters too whose address or range is not sure.
     pub allow_unproven: bool,
     /// What else may be overruled, and how often flash may be programmed.
@@ -96,20 +94,42 @@ pub struct Options {
     pub auth_order: Order,
     /// A copy of `df/index`, for gauges that lose their configuration with their power.
     pub restore: Option<PathBuf>,
+    /// Where the keys come from.
+    pub keyring: Keyring,
+    /// File to write transfers to.
+    pub trace: Option<PathBuf>,
+}
+
+/// Everything that `gaugefs mount` can be told.
+#[derive(Debug)]
+pub struct Options {
+    /// Folder to mount at.
+    pub mountpoint: PathBuf,
+    /// What to mount.
+    pub gauges: Gauges,
+    /// Refuse every write.
+    pub read_only: bool,
     /// Shut other users out.
     pub private: bool,
     /// Group that may read and write data flash.
     pub group: Option<u32>,
-    /// Where the keys come from.
-    pub keyring: Keyring,
     /// Stay in the foreground.
     pub foreground: bool,
     /// File to log to.
     pub log: Option<PathBuf>,
-    /// File to write transfers to.
-    pub trace: Option<PathBuf>,
+    /// Show a Mains supply too, of this name where one was chosen.
+    pub ac: Option<Option<String>>,
     /// Folder for journals; without one, the system's or the user's own.
     pub state_dir: Option<PathBuf>,
+}
+
+/// The gauges of a mount.
+#[derive(Debug)]
+pub enum Gauges {
+    /// The one of the command line, without which there is no mount.
+    One(Box<Gauge>),
+    /// Those of a configuration. The mount goes on without some of them.
+    Many(Vec<Gauge>),
 }
 
 /// A gauge that is reached and locked, and nothing more.
@@ -125,9 +145,15 @@ struct Opened {
     lock: Option<Lock>,
     /// A name for its place, which lasts; `None` for what ends with this process.
     key: Option<String>,
+    /// The node of its adapter.
+    node: Option<PathBuf>,
+    /// Nobody has seen yet that it reads like a gauge.
+    unseen: bool,
+    /// Why it cannot be reached yet.
+    missing: Option<Error>,
 }
 
-/// Mounts a gauge and serves it until it is unmounted.
+/// Mounts gauges and serves them until they are unmounted.
 pub fn run(options: Options) -> Result<()> {
     let inherited = background::inherited();
     // Before any thread is there, so that all inherit it: signals wait for the thread that takes them.
@@ -142,54 +168,56 @@ pub fn run(options: Options) -> Result<()> {
     end.clone().watch(signals)?;
 
     let mountpoint = mountpoint::prepare(&options.mountpoint)?;
-    let keys = options.keyring.open()?;
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-    let Opened { chip, mut bus, clock_hz, address, subject, sim, lock, key } =
-        options.source.open(&mountpoint, &clock)?;
-    if let Some(path) = &options.trace {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        let head = format!("{} on {subject}, {}", chip.name, self::log::utc(now));
-        bus = Box::new(Trace::new(bus, address, path, clock.clone(), &head)?);
-    }
-    let settings = Settings {
-        keys,
-        interval: options.interval,
-        byte_writes: options.byte_writes || too_fast(chip, clock_hz),
-        allow_unproven: options.allow_unproven,
-        limits: options.limits,
-        auth_order: options.auth_order,
-        restore: options.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
-        journal: if options.read_only { None } else { journal(options.state_dir.as_deref(), key, &subject)? },
-    };
-    let signal = Arc::new(Signal::default());
-    let handle =
-        poll::spawn(chip, bus, clock, settings, signal.clone()).map_err(|error| error.within(&subject))?;
-
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let entry = Entry {
-        name: options.name.unwrap_or_else(|| free_name("BAT", &taken)),
-        handle: handle.clone(),
-        scales: options.scales,
-        knobs: sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
+    let (gauges, one) = match options.gauges {
+        Gauges::One(gauge) => (vec![*gauge], true),
+        Gauges::Many(gauges) => (gauges, false),
     };
+    let mut gauges = named(gauges, &taken);
     let mains = options.ac.map(|name| mains_name(name, &taken));
-    if mains.as_ref() == Some(&entry.name) {
+    if let Some((name, _)) = gauges.iter().find(|(name, _)| mains.as_ref() == Some(name)) {
         let why = "a gauge and the Mains supply cannot share a name; choose another --name or --ac";
-        return Err(Error::new(entry.name, Cause::Invalid(why.into())));
+        return Err(Error::new(name, Cause::Invalid(why.into())));
     }
-    let place = format!("{}/{}", mountpoint.display(), entry.name);
+    let signal = Arc::new(Signal::default());
+    let opening = Opening {
+        mountpoint: mountpoint.clone(),
+        clock,
+        signal: signal.clone(),
+        read_only: options.read_only,
+        state_dir: options.state_dir,
+    };
+    let gauges = match gauges.pop() {
+        Some((name, gauge)) if one => vec![opening.one(name, gauge)?],
+        last => opening.many(gauges.into_iter().chain(last).collect(), !options.foreground)?,
+    };
+
     let access = Access {
         uid: geteuid().as_raw(),
         gid: options.group.unwrap_or_else(|| getegid().as_raw()),
         group: options.group.is_some(),
     };
+    let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();
+    adapters::watch(
+        gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone()))),
+    );
+    let mut told = Vec::new();
+    let (mut entries, mut locks) = (Vec::new(), Vec::new());
+    for Ready { entry, what, lock, .. } in gauges {
+        told.push((what, format!("{}/{}", mountpoint.display(), entry.name)));
+        entries.push(entry);
+        locks.push(lock);
+    }
     mountpoint::make(&mountpoint)?;
     let how = fuse::Options { private: options.private, read_only: options.read_only };
-    let fs = Arc::new(Fs::new(vec![entry], access).with_mains(mains).over(covered));
+    let fs = Arc::new(Fs::new(entries, access).with_mains(mains).over(covered));
     let mounted = fuse::mount(fs, &mountpoint, how, signal)?;
-    end.mounted(&mountpoint, &handle);
-    ::log::info!("{} ({subject}) mounted at {place}", chip.model);
+    end.mounted(&mountpoint, &handles);
+    for (what, place) in &told {
+        ::log::info!("{what} mounted at {place}");
+    }
     if options.foreground {
         background::notify();
     } else {
@@ -197,9 +225,11 @@ pub fn run(options: Options) -> Result<()> {
     }
     mounted.wait();
     end.over();
-    finish(&handle);
-    ::log::info!("{place} unmounted");
-    drop(lock);
+    finish(&handles);
+    for (_, place) in &told {
+        ::log::info!("{place} unmounted");
+    }
+    drop(locks);
     Ok(())
 }
 
@@ -236,6 +266,21 @@ fn state_dir() -> Result<PathBuf> {
             Err(Error::host("--state-dir", Errno::ENOENT, why))
         }
     }
+}
+
+/// The gauges with their names, in their order. Those that were given none get the first that are free.
+pub fn named(gauges: Vec<Gauge>, taken: &[String]) -> Vec<(String, Gauge)> {
+    let mut taken = taken.to_vec();
+    taken.extend(gauges.iter().filter_map(|gauge| gauge.name.clone()));
+    let name = |gauge: Gauge| {
+        let name = gauge.name.clone().unwrap_or_else(|| {
+            let free = free_name("BAT", &taken);
+            taken.push(free.clone());
+            free
+        });
+        (name, gauge)
+    };
+    gauges.into_iter().map(name).collect()
 }
 
 /// `AC`, unless another name was chosen or the kernel has one of that name.
@@ -296,8 +341,30 @@ impl Knobs for SimKnobs {
     }
 }
 
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sim { state: Some(state), .. } => write!(f, "simulated gauge kept in {}", state.display()),
+            Self::Sim { .. } => f.write_str("simulated gauge"),
+            Self::Recorded(path) => write!(f, "recording {}", path.display()),
+            Self::Bus { bus, address, .. } => write!(f, "{} address 0x{address:02x}", bus.display()),
+        }
+    }
+}
+
 impl Source {
-    fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<Opened> {
+    /// What it is, where that has been said.
+    pub fn chip(&self) -> Option<&'static Chip> {
+        match self {
+            Self::Sim { chip, .. } => Some(chip),
+            Self::Bus { chip, .. } => *chip,
+            Self::Recorded(_) => None,
+        }
+    }
+
+    /// With `waits`, a gauge whose chip is known need not be within reach now.
+    fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
+        let subject = self.to_string();
         // A daemon whose mount is gone is about to end; one that is mounted is not.
         let ending = |holder: &Holder| !mountpoint::is_ours(&holder.mountpoint);
         match self {
@@ -319,57 +386,68 @@ impl Source {
                 while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
                     clock.sleep(Duration::from_millis(20));
                 }
-                let subject = match state {
-                    Some(state) => format!("simulated gauge kept in {}", state.display()),
-                    None => "simulated gauge".into(),
-                };
-                let bus = Box::new(bus);
-                Ok(Opened {
-                    chip,
-                    bus,
-                    clock_hz: None,
-                    address: GAUGE_ADDRESS,
-                    subject,
-                    sim: Some(sim),
-                    lock,
-                    key,
-                })
+                let opened = Opened::new(chip, Box::new(bus), subject);
+                Ok(Opened { sim: Some(sim), lock, key, ..opened })
             }
             Self::Recorded(path) => {
                 let (chip, replay) = recorded(path)?;
-                Ok(Opened {
-                    chip,
-                    bus: Box::new(replay),
-                    clock_hz: None,
-                    address: GAUGE_ADDRESS,
-                    subject: format!("recording {}", path.display()),
-                    sim: None,
-                    lock: None,
-                    key: None,
-                })
+                Ok(Opened::new(chip, Box::new(replay), subject))
             }
             Self::Bus { bus, address, chip } => {
-                let adapter = Adapter::find(bus)?;
-                let lock = Lock::gauge(&adapter, *address, mountpoint, &**clock, ending)?;
-                let subject = format!("{adapter} address 0x{address:02x}");
-                let open = || {
-                    let bus = LinuxBus::open(adapter.clone(), *address, clock.clone())?;
-                    Ok(Box::new(bus) as Box<dyn Bus>)
+                let absent = |chip, error: Error| {
+                    // Its journal has to be found again, whether the adapter is there at the start or not.
+                    let Some(key) = lock::key_of_place(bus, *address) else {
+                        let why = format!("{error}; one that is waited for has to be called /dev/i2c-N");
+                        return Err(Error::host("", error.errno(), why));
+                    };
+                    let bus = LinuxBus::absent(bus, *address, clock.clone());
+                    let opened = Opened::new(chip, Box::new(bus), subject.clone());
+                    Ok(Opened { missing: Some(error), unseen: true, key: Some(key), ..opened })
                 };
-                let chip = probe::find(&subject, *chip, &open, clock)?;
-                let clock_hz = adapter.clock_hz();
-                let key = Some(lock::key_of_gauge(&adapter, *address));
-                Ok(Opened {
-                    chip,
-                    bus: open()?,
-                    clock_hz,
-                    address: *address,
-                    subject,
-                    sim: None,
-                    lock: Some(lock),
-                    key,
-                })
+                let reach = || -> Result<_> {
+                    let adapter = Adapter::find(bus)?;
+                    let lock = Lock::gauge(&adapter, *address, mountpoint, &**clock, ending)?;
+                    let open = || {
+                        let bus = LinuxBus::open(adapter.clone(), *address, clock.clone())?;
+                        Ok(Box::new(bus) as Box<dyn Bus>)
+                    };
+                    let asked = chip.is_none().then(|| probe::find(&subject, &open, clock)).transpose()?;
+                    let clock_hz = adapter.clock_hz();
+                    let key = lock::key_of_gauge(&adapter, *address);
+                    Ok((asked, open()?, lock, clock_hz, key))
+                };
+                let opened = match (reach(), *chip) {
+                    (Ok((asked, bus, lock, clock_hz, key)), chip) => {
+                        let known = asked.or(chip).expect("what has not been said was asked");
+                        let opened = Opened::new(known, bus, subject.clone());
+                        let key = Some(key);
+                        Opened { lock: Some(lock), clock_hz, key, unseen: asked.is_none(), ..opened }
+                    }
+                    (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
+                        absent(chip, error)?
+                    }
+                    (Err(error), _) => return Err(error),
+                };
+                Ok(Opened { address: *address, node: Some(bus.clone()), ..opened })
             }
+        }
+    }
+}
+
+impl Opened {
+    fn new(chip: &'static Chip, bus: Box<dyn Bus>, subject: String) -> Self {
+        Self {
+            chip,
+            bus,
+            clock_hz: None,
+            address: GAUGE_ADDRESS,
+            subject,
+            sim: None,
+            lock: None,
+            node: None,
+            key: None,
+            unseen: false,
+            missing: None,
         }
     }
 }
@@ -392,7 +470,7 @@ enum Phase {
     #[default]
     Starting,
     /// There is something to unmount.
-    Mounted(PathBuf, Handle),
+    Mounted(PathBuf, Vec<Handle>),
     /// It has been unmounted, and `run` is about to return.
     Ending,
 }
@@ -402,9 +480,9 @@ enum Phase {
 struct End(Mutex<Phase>);
 
 impl End {
-    fn mounted(&self, path: &Path, handle: &Handle) {
+    fn mounted(&self, path: &Path, handles: &[Handle]) {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *phase = Phase::Mounted(path.to_path_buf(), handle.clone());
+        *phase = Phase::Mounted(path.to_path_buf(), handles.to_vec());
     }
 
     fn over(&self) {
@@ -424,12 +502,12 @@ impl End {
 
     fn reached(&self, signal: Unix) {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let (path, handle) = match &*phase {
+        let (path, handles) = match &*phase {
             Phase::Starting => {
                 eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
                 std::process::exit(1);
             }
-            Phase::Mounted(path, handle) => (path, handle),
+            Phase::Mounted(path, handles) => (path, handles),
             Phase::Ending => return,
         };
         ::log::info!("{signal}: unmounting {}", path.display());
@@ -439,7 +517,7 @@ impl End {
             Err(error) if error.errno() == Errno::EBUSY => {
                 ::log::warn!("{}: in use, so it is detached", path.display());
                 let detached = mountpoint::detach(path, true);
-                finish(handle);
+                finish(handles);
                 std::process::exit(i32::from(detached.is_err()));
             }
             Err(error) => ::log::error!("{error}"),
@@ -447,17 +525,16 @@ impl End {
     }
 }
 
-/// Waits until the gauge's owner has finished what was asked of it: a transaction is not cut short.
-fn finish(handle: &Handle) {
-    let (done, is_done) = mpsc::channel();
-    // Requests are served in their order, and this one changes nothing.
-    let same = handle.published().interval;
-    handle.submit(Request::Interval(
-        same,
-        Box::new(move |_| {
-            let _ = done.send(());
-        }),
-    ));
-    // An owner that has ended drops the request, and with it the sender.
+/// Waits until the gauges' owners have finished what was asked of them: a transaction is not cut short.
+fn finish(handles: &[Handle]) {
+    let (done, is_done) = mpsc::channel::<()>();
+    for handle in handles {
+        let done = done.clone();
+        // Requests are served in their order, and this one changes nothing.
+        let same = handle.published().interval;
+        handle.submit(Request::Interval(same, Box::new(move |_| drop(done))));
+    }
+    drop(done);
+    // Nobody sends: each owner drops its end with the request, whether it serves it or has ended.
     let _ = is_done.recv();
 }

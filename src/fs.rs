@@ -16,7 +16,7 @@ use crate::chip::{
 use crate::codec;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
-use crate::poll::{Done, Handle, Published, Request, Seal, Snapshot};
+use crate::poll::{Answers, Done, Handle, Published, Request, Seal, Snapshot};
 use crate::text;
 
 mod attribute;
@@ -496,6 +496,10 @@ impl Fs {
                 list.extend(words.map(|(at, register)| of(&snake_case(register.name), Item::Bits(at))));
                 let published = self.published(gauge);
                 let there = |state: &&State| match state {
+                    // Of a gauge that has not answered yet nobody knows.
+                    State::DeviceType | State::FirmwareVersion | State::HardwareVersion | State::Seal => {
+                        published.answers != Answers::default()
+                    }
                     State::ChemId => published.answers.chem_id.is_some(),
                     State::Itpor => chip.volatile.is_some() && snapshot.is_some(),
                     State::ControlStatus | State::AgeMs => snapshot.is_some(),
@@ -571,13 +575,25 @@ impl Fs {
         })
     }
 
-    /// The folders whose names come and go with values.
-    pub fn changing_folders(&self) -> Vec<Node> {
+    /// The gauges of which something may have changed since this was last asked.
+    pub fn take_changed(&self) -> Vec<u16> {
+        let changed = (0..).zip(&self.gauges).filter(|(_, entry)| entry.handle.take_changed());
+        changed.map(|(gauge, _)| gauge).collect()
+    }
+
+    /// Has whoever waits for the signal look at a node's gauge; at any, where it is of none.
+    pub fn raise(&self, node: Node) {
+        let gauge = if let Node::Of(gauge, _) = node { gauge } else { 0 };
+        self.entry(gauge).handle.raise();
+    }
+
+    /// The folders whose names come and go with the values of some gauges.
+    pub fn changing_folders(&self, gauges: &[u16]) -> Vec<Node> {
         let items = [Item::Folder, Item::Gauge, Item::Registers];
-        let gauges = 0..self.gauges.len() as u16;
-        let folders = gauges.flat_map(|gauge| items.map(|item| Node::Of(gauge, item)));
+        let folders = gauges.iter().flat_map(|&gauge| items.map(|item| Node::Of(gauge, item)));
         let mains = self.mains.is_some().then_some(Node::Mains(MainsItem::Folder));
-        folders.chain(mains).chain(self.is_over().then_some(Node::Root)).collect()
+        let common = mains.into_iter().chain(self.is_over().then_some(Node::Root));
+        folders.chain(common.filter(|_| !gauges.is_empty())).collect()
     }
 
     /// The name of a file in its folder, whether it is there now or not.

@@ -101,16 +101,9 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     }
     let table = Arc::new(Mutex::new(Table::new()));
     let answers = Arc::new(Mutex::new(Vec::new()));
-    let (later, raise) = (answers.clone(), signal.clone());
+    let later = answers.clone();
     let (alive, over) = mpsc::channel();
-    let adapter = Adapter {
-        fs: fs.clone(),
-        table: table.clone(),
-        options,
-        answers: later,
-        signal: raise,
-        _alive: alive,
-    };
+    let adapter = Adapter { fs: fs.clone(), table: table.clone(), options, answers: later, _alive: alive };
     let session = Session::new(adapter, mountpoint, &config)
         .map_err(|error| host(&mountpoint.display().to_string(), &error))?;
     let notifier = session.notifier();
@@ -347,7 +340,6 @@ struct Adapter {
     table: Arc<Mutex<Table>>,
     options: Options,
     answers: Arc<Mutex<Vec<Answer>>>,
-    signal: Arc<Signal>,
     /// Tells by its end that the session has ended.
     _alive: Sender<()>,
 }
@@ -569,7 +561,7 @@ impl Filesystem for Adapter {
         }
         drop(table);
         let written = u32::try_from(data.len()).unwrap_or(u32::MAX);
-        let (table, answers, signal) = (self.table.clone(), self.answers.clone(), self.signal.clone());
+        let (table, answers, fs) = (self.table.clone(), self.answers.clone(), self.fs.clone());
         self.fs.write(
             node,
             data,
@@ -586,7 +578,7 @@ impl Filesystem for Adapter {
                     }
                 };
                 answers.lock().expect("no thread panics while it holds the lock").push(Box::new(answer));
-                signal.raise();
+                fs.raise(node);
             }),
         );
     }
@@ -776,13 +768,20 @@ impl Watch {
     }
 
     /// Retires every nodeid whose file holds another text now, then tells the kernel which names those
-    /// were.
+    /// were. Only the gauges that have changed are looked at: many polls of many gauges come one by one.
     fn announce(&mut self) -> std::io::Result<()> {
+        let gauges = self.fs.take_changed();
+        let of_them = |node: Node| match node {
+            Node::Of(gauge, _) => gauges.contains(&gauge),
+            // What the mains do follows from all gauges.
+            Node::Mains(_) => !gauges.is_empty(),
+            Node::Root | Node::Covered(_) => false,
+        };
         let files: Vec<(u64, Node, Value)> = lock(&self.table)
             .live
             .iter()
             .filter(|(_, live)| !matches!(live.value, Value::Fixed | Value::Unread(_)))
-            .filter(|(_, live)| live.superseded.is_none())
+            .filter(|(_, live)| live.superseded.is_none() && of_them(live.node))
             .map(|(&number, live)| (number, live.node, live.value.clone()))
             .collect();
         let mut changed = Vec::new();
@@ -803,19 +802,22 @@ impl Watch {
                 gone(self.notifier.inval_entry(INodeNo(folder), OsStr::new(&name)))?;
             }
         }
-        self.announce_folders()
+        self.announce_folders(&gauges)
     }
 
     /// Listings are kept by the kernel as well; some change when a value comes or goes.
-    fn announce_folders(&mut self) -> std::io::Result<()> {
-        for folder in self.fs.changing_folders() {
+    fn announce_folders(&mut self, gauges: &[u16]) -> std::io::Result<()> {
+        for folder in self.fs.changing_folders(gauges) {
+            let Some(number) = lock(&self.table).current.get(&folder).copied() else {
+                // The kernel does not know it, and lists it anew when it does.
+                self.folders.remove(&folder);
+                continue;
+            };
             let names: Vec<String> = self.fs.list(folder).into_iter().map(|(name, _)| name).collect();
             let before = self.folders.insert(folder, names);
-            if before.is_some_and(|before| Some(&before) != self.folders.get(&folder)) {
-                let number = lock(&self.table).current.get(&folder).copied();
-                if let Some(number) = number {
-                    gone(self.notifier.inval_inode(INodeNo(number), 0, 0))?;
-                }
+            // What it held when the kernel first heard of it, nobody has looked at.
+            if before.is_none() || before.as_ref() != self.folders.get(&folder) {
+                gone(self.notifier.inval_inode(INodeNo(number), 0, 0))?;
             }
         }
         Ok(())

@@ -267,6 +267,11 @@ impl Gauge {
         self.bus.claim().map_err(|bus| Error::new(self.chip.name, Cause::Bus(bus)).at(Step::Check))
     }
 
+    /// Lets go of an adapter that has gone.
+    pub fn look(&mut self) {
+        self.bus.look();
+    }
+
     /// Asks the gauge who it is.
     pub fn identify(&mut self) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);

@@ -6,6 +6,7 @@ pub mod chip;
 pub mod cli;
 pub mod clock;
 pub mod codec;
+mod config;
 pub mod daemon;
 pub mod dataflash;
 pub mod error;

@@ -141,6 +141,12 @@ pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
     format!("i2c-{}-{address:02x}", adapter.number())
 }
 
+/// The same where the adapter is not there, as long as its node tells its number.
+pub fn key_of_place(node: &Path, address: u8) -> Option<String> {
+    let number: u64 = node.file_name()?.to_str()?.strip_prefix("i2c-")?.parse().ok()?;
+    Some(format!("i2c-{number}-{address:02x}"))
+}
+
 /// The same for the simulated gauge that keeps its flash in that file, given by its absolute path.
 pub fn key_of_state(state: &Path) -> String {
     // A file name cannot hold a slash, nor be as long as a path.

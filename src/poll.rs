@@ -4,9 +4,12 @@
 //! requests of the file system one after the other. Nobody else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
+
+use nix::errno::Errno;
 
 use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
@@ -19,6 +22,7 @@ pub use crate::gauge::{Answers, Seal};
 use crate::gauge::{Gauge, Statistics, bursts};
 use crate::journal::Journal;
 use crate::keys::Keys;
+use crate::probe;
 use crate::value::Value;
 
 /// Every so many polls the slow tier is read as well; first with the second poll, which follows soon, so
@@ -108,6 +112,27 @@ pub enum Request {
     Refresh(Done<()>),
     /// Change the time between polls.
     Interval(Duration, Done<()>),
+    /// The adapter's node has come or gone: let go of it, or see whether the gauge is back.
+    Look,
+}
+
+impl Request {
+    /// Answers without carrying it out.
+    fn refuse(self, error: Error) {
+        match self {
+            Request::ReadSubclass(_, done) => done(Err(error)),
+            Request::ReadAll(done) | Request::ReadSome(_, done) | Request::Write(.., done) => {
+                done(Err(error))
+            }
+            Request::WriteAll(_, done) | Request::Seal(_, done) | Request::Control(_, done) => {
+                done(Err(error))
+            }
+            Request::Authenticate(_, done) | Request::Refresh(done) | Request::Interval(_, done) => {
+                done(Err(error));
+            }
+            Request::Look => {}
+        }
+    }
 }
 
 /// A gauge, as everything but its owner sees it. Cheap to clone; nothing here blocks or touches the
@@ -128,6 +153,10 @@ struct Shared {
     published: Mutex<Arc<Published>>,
     kept: Mutex<Vec<Option<Kept>>>,
     signal: Arc<Signal>,
+    /// Something has been published since the FUSE side last looked.
+    changed: AtomicBool,
+    /// What lines in the log begin with: nothing where there is only one gauge.
+    prefix: String,
 }
 
 /// A subclass as it was read.
@@ -153,12 +182,22 @@ impl Shared {
             change(&mut next);
             *published = Arc::new(next);
         }
+        self.raise();
+    }
+
+    fn raise(&self) {
+        self.changed.store(true, Ordering::SeqCst);
         self.signal.raise();
     }
 
     /// One line in the log and in `gauge/last_error`.
     fn say(&self, error: &Error) {
-        log::warn!("{error}");
+        log::warn!("{}{error}", self.prefix);
+        self.note(error);
+    }
+
+    /// The same without the log.
+    fn note(&self, error: &Error) {
         let line = error.to_string();
         self.publish(|published| published.last_error = line.into());
     }
@@ -211,6 +250,16 @@ impl Handle {
         self.shared.clock.now()
     }
 
+    /// Has the FUSE side look at this gauge.
+    pub fn raise(&self) {
+        self.shared.raise();
+    }
+
+    /// Whether something has changed since this was last asked.
+    pub fn take_changed(&self) -> bool {
+        self.shared.changed.swap(false, Ordering::SeqCst)
+    }
+
     /// Name and value of each file of `gauge/statistics`.
     pub fn statistics(&self) -> Vec<(&'static str, u64)> {
         self.shared.statistics.list()
@@ -250,6 +299,19 @@ pub struct Settings {
     pub journal: Option<Journal>,
 }
 
+/// How a gauge stands among the others of its mount.
+#[derive(Debug, Default)]
+pub struct Place {
+    /// Its name, for the log; empty where there is no other.
+    pub name: String,
+    /// By how much the third poll comes early, so that the polls of many gauges do not fall together.
+    pub phase: Duration,
+    /// Nobody has seen yet that what is at the address reads like a gauge.
+    pub unseen: bool,
+    /// Why it cannot be there yet.
+    pub missing: Option<Error>,
+}
+
 /// Opens a gauge: identifies it, polls it once, and starts the thread that owns it from then on.
 pub fn spawn(
     chip: &'static Chip,
@@ -258,14 +320,33 @@ pub fn spawn(
     settings: Settings,
     signal: Arc<Signal>,
 ) -> Result<Handle> {
+    let (handle, begun) = start(chip, bus, clock, settings, Place::default(), signal)?;
+    let ended = || Err(Error::host(chip.name, Errno::EIO, "its thread has ended"));
+    begun.recv().unwrap_or_else(|_| ended()).map(|()| handle)
+}
+
+/// Starts the thread that owns a gauge, which opens it. What came of that is received once; who does not
+/// wait for it, or keeps the handle all the same, has a gauge that is gone until it answers.
+pub fn start(
+    chip: &'static Chip,
+    bus: Box<dyn Bus>,
+    clock: Arc<dyn Clock>,
+    settings: Settings,
+    place: Place,
+    signal: Arc<Signal>,
+) -> Result<(Handle, Receiver<Result<()>>)> {
     let (queue, requests) = mpsc::channel();
-    let (mut owner, shared) = Owner::open(chip, bus, clock, settings, signal)?;
-    let thread = std::thread::Builder::new().name(format!("poll {}", chip.name)).stack_size(256 * 1024);
-    thread.spawn(move || owner.run(&requests)).map_err(|error| {
-        let errno = nix::errno::Errno::from_raw(error.raw_os_error().unwrap_or_default());
-        Error::host(chip.name, errno, format!("cannot start a thread: {error}"))
-    })?;
-    Ok(Handle { shared, queue })
+    let (tell, begun) = mpsc::channel();
+    let called = if place.name.is_empty() { chip.name } else { &place.name };
+    let thread = std::thread::Builder::new().name(format!("poll {called}")).stack_size(256 * 1024);
+    let (mut owner, shared) = Owner::new(chip, bus, clock, settings, place, signal);
+    let own = move || {
+        owner.begin(&tell);
+        drop(tell);
+        owner.run(&requests);
+    };
+    thread.spawn(own).map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
+    Ok((Handle { shared, queue }, begun))
 }
 
 /// The owner: the only one who has the gauge.
@@ -287,6 +368,11 @@ struct Owner {
     restore: Vec<Change>,
     /// It has been tried for the power loss that the gauge tells of now.
     restored: bool,
+    /// See [`Place::unseen`]. Until then nothing is sent that writes.
+    unseen: bool,
+    missing: Option<Error>,
+    /// See [`Place::phase`]; zero once it has been used.
+    phase: Duration,
 }
 
 /// What the registers held, and which of them are known.
@@ -310,13 +396,14 @@ impl Registers {
 }
 
 impl Owner {
-    fn open(
+    fn new(
         chip: &'static Chip,
         bus: Box<dyn Bus>,
         clock: Arc<dyn Clock>,
         settings: Settings,
+        place: Place,
         signal: Arc<Signal>,
-    ) -> Result<(Self, Arc<Shared>)> {
+    ) -> (Self, Arc<Shared>) {
         let gauge = Gauge::new(chip, bus, clock.clone(), settings.keys, settings.byte_writes);
         let published = Published {
             snapshot: None,
@@ -336,8 +423,10 @@ impl Owner {
             published: Mutex::new(Arc::new(published)),
             kept: Mutex::new(chip.subclasses.iter().map(|_| None).collect()),
             signal,
+            changed: AtomicBool::new(true),
+            prefix: if place.name.is_empty() { String::new() } else { format!("{}: ", place.name) },
         });
-        let mut owner = Self {
+        let owner = Self {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
@@ -350,23 +439,57 @@ impl Owner {
             hurry: false,
             restore: settings.restore,
             restored: false,
+            unseen: place.unseen,
+            missing: place.missing,
+            phase: place.phase,
         };
-        owner.arrive()?;
-        owner.poll()?;
-        owner.hurry = true;
-        owner.look_after();
+        (owner, shared)
+    }
+
+    /// Opens the gauge and tells what came of it; where it is not there, it is waited for.
+    fn begin(&mut self, tell: &Sender<Result<()>>) {
+        let outcome = self.open();
+        if let Err(error) = &outcome {
+            self.failures = FAILURES;
+            self.last_poll = self.gauge.clock.now();
+            self.shared.note(error);
+        }
+        // Where nobody has waited so long, the log is told.
+        match tell.send(outcome) {
+            Ok(()) => {}
+            Err(SendError(Ok(()))) => log::info!("{}the gauge is there", self.shared.prefix),
+            Err(SendError(Err(error))) => self.say(&error),
+        }
+    }
+
+    fn open(&mut self) -> Result<()> {
+        if let Some(error) = self.missing.take() {
+            return Err(error);
+        }
+        self.arrive()?;
+        self.poll()?;
+        self.first_look();
+        Ok(())
+    }
+
+    /// After the first poll of a gauge that has come.
+    fn first_look(&mut self) {
+        self.hurry = true;
+        self.look_after();
         // A quirk can be seen without a key only where the gauge is found unsealed.
-        let seen = owner.shared.published();
+        let (chip, seen) = (self.gauge.chip, self.shared.published());
         if seen.seal != Seal::Sealed && seen.sibling.is_none() {
             let at = |id| chip.subclasses.iter().position(|subclass| subclass.id == id);
             let places: Vec<_> = chip.quirks.iter().filter_map(|quirk| at(quirk.subclass)).collect();
-            let _ = owner.read(&places, Duration::ZERO);
+            let _ = self.read(&places, Duration::ZERO);
         }
-        Ok((owner, shared))
     }
 
     /// A gauge has come, or come back: who is it, and what does it hold that does not change by itself?
     fn arrive(&mut self) -> Result<()> {
+        if self.unseen {
+            probe::look(&mut self.gauge)?;
+        }
         let answers = self.gauge.identify()?;
         let chip = self.gauge.chip;
         let sibling = match recognise(&answers) {
@@ -374,7 +497,12 @@ impl Owner {
             // Several parts answer so, and the user has said which one it is.
             Recognised::Ambiguous(found) if found.iter().any(|&found| std::ptr::eq(found, chip)) => None,
             Recognised::Sibling(sibling) if sibling.like.is_some_and(|like| std::ptr::eq(like, chip)) => {
-                log::warn!("this is a {}, not a {}: standard commands only", sibling.name, chip.model);
+                let prefix = &self.shared.prefix;
+                log::warn!(
+                    "{prefix}this is a {}, not a {}: standard commands only",
+                    sibling.name,
+                    chip.model
+                );
                 Some(sibling)
             }
             other => {
@@ -393,6 +521,7 @@ impl Owner {
                 return Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify));
             }
         };
+        self.unseen = false;
         self.gauge.forget_refusal();
         self.dataflash.meet(chip, &answers);
         self.drop_kept();
@@ -412,8 +541,9 @@ impl Owner {
     fn settle(&mut self) {
         match self.dataflash.journals_of_others(&mut self.gauge) {
             Ok(others) => {
+                let prefix = &self.shared.prefix;
                 for other in others {
-                    log::warn!("{}: the journal of another gauge; left alone", other.display());
+                    log::warn!("{prefix}{}: the journal of another gauge; left alone", other.display());
                 }
             }
             Err(error) => return self.say(&error),
@@ -450,10 +580,7 @@ impl Owner {
         self.look_at_seal();
         self.hurry = true;
         if self.restore.is_empty() {
-            log::warn!(
-                "{}: lost its configuration with its power; --restore gives it back",
-                self.gauge.chip.name
-            );
+            log::warn!("{}: lost its configuration with its power; --restore gives it back", self.called());
             return;
         }
         let changes = std::mem::take(&mut self.restore);
@@ -461,8 +588,8 @@ impl Owner {
         self.restore = changes;
         self.drop_kept();
         match self.told(outcome.map_err(|error| error.within("--restore"))) {
-            Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.gauge.chip.name),
-            Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.gauge.chip.name),
+            Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.called()),
+            Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.called()),
             // Said already; a look at the bus may help before it is tried again.
             Err(_) => {}
         }
@@ -505,6 +632,7 @@ impl Owner {
         let interval = self.shared.published().interval;
         match self.failures {
             0 if self.hurry => SHORTEST,
+            0 => interval.saturating_sub(self.phase).max(SHORTEST.min(interval)),
             1 => interval.min(RETRY),
             _ => interval,
         }
@@ -513,11 +641,16 @@ impl Owner {
     fn poll_or_say(&mut self) {
         let back = self.failures >= FAILURES;
         let arrives = back || self.dataflash.doubts();
+        let new = self.shared.published().answers == Answers::default();
         let outcome = if arrives { self.arrive().and_then(|()| self.poll()) } else { self.poll() };
         match outcome {
+            Ok(()) if new => {
+                log::info!("{}: the gauge is there", self.called());
+                self.first_look();
+            }
             Ok(()) => {
                 if back {
-                    log::info!("{}: the gauge is back", self.gauge.chip.name);
+                    log::info!("{}: the gauge is back", self.called());
                 }
                 self.look_after();
             }
@@ -534,7 +667,7 @@ impl Owner {
             self.say(error);
         }
         if self.failures == FAILURES {
-            log::warn!("{}: gone after {FAILURES} polls that failed", self.gauge.chip.name);
+            log::warn!("{}: gone after {FAILURES} polls that failed", self.called());
             self.shared.publish(|published| published.snapshot = None);
         }
     }
@@ -567,6 +700,9 @@ impl Owner {
         }
         self.polls += 1;
         self.failures = 0;
+        if !self.hurry && self.polls > 1 {
+            self.phase = Duration::ZERO;
+        }
         self.hurry = false;
         self.last_poll = taken;
         Statistics::count(&self.shared.statistics.polls);
@@ -589,6 +725,11 @@ impl Owner {
         self.shared.say(error);
     }
 
+    /// What it is called in the log.
+    fn called(&self) -> &str {
+        self.shared.prefix.strip_suffix(": ").unwrap_or(self.gauge.chip.name)
+    }
+
     fn told<T>(&self, outcome: Result<T>) -> Result<T> {
         if let Err(error) = &outcome {
             self.say(error);
@@ -604,6 +745,10 @@ impl Owner {
     fn serve(&mut self, asked: Duration, request: Request) {
         let waited = self.gauge.clock.now().saturating_sub(asked);
         let late = waited > PATIENCE;
+        if self.unseen && !matches!(request, Request::Refresh(_) | Request::Interval(..) | Request::Look) {
+            let why = "it has not answered yet, so nothing is sent to its address".to_string();
+            return request.refuse(Error::new(self.called(), Cause::Gone(why)));
+        }
         let request = match (self.shared.published().sibling, request) {
             (Some(sibling), Request::ReadSubclass(_, done)) => return done(Err(out_of_bounds(sibling))),
             (Some(sibling), Request::ReadAll(done) | Request::Write(.., done)) => {
@@ -651,9 +796,10 @@ impl Owner {
             Request::Control(code, done) => {
                 let outcome = self.gauge.ask(code);
                 self.look_at_seal();
+                let prefix = &self.shared.prefix;
                 done(
                     self.told(outcome)
-                        .map(|answer| log::info!("Control(0x{code:04x}) answered 0x{answer:04x}")),
+                        .map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
                 );
             }
             Request::Authenticate(challenge, done) => {
@@ -685,6 +831,12 @@ impl Owner {
                     self.poll_failed(error);
                 }
                 done(outcome);
+            }
+            Request::Look => {
+                self.gauge.look();
+                if self.failures > 0 {
+                    self.poll_or_say();
+                }
             }
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
@@ -734,7 +886,7 @@ impl Owner {
             Err(_) => "",
         };
         for change in changes.iter().filter(|_| outcome.is_ok()) {
-            log::info!("{}: {told}", change.parameter.name);
+            log::info!("{}{}: {told}", self.shared.prefix, change.parameter.name);
         }
         // After a reset, and after a failure, nothing that was read before is taken for granted.
         if outcome == (Ok(Outcome::Written { reset: false })) {

@@ -17,6 +17,8 @@ use crate::keys::Keys;
 /// The address at which a gauge in ROM mode answers.
 pub const ROM_ADDRESS: u8 = 0x0b;
 
+const STRANGE: &str = "what answers there does not read like a gauge, so nothing was written to it";
+
 /// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
 
@@ -56,7 +58,11 @@ fn gauge(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result
 
 /// Reads the registers of a chip's table, and nothing else.
 pub fn read(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Reading> {
-    let mut gauge = gauge(chip, open, clock)?;
+    reading(&mut gauge(chip, open, clock)?)
+}
+
+fn reading(gauge: &mut Gauge) -> Result<Reading> {
+    let chip = gauge.chip;
     let mut bytes = [0; 256];
     for (start, length) in bursts(chip.registers, |tier| tier == Tier::Poll) {
         let start = usize::from(start);
@@ -71,6 +77,14 @@ pub fn read(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Res
         Some((register.role?, if register.signed && raw >= span / 2 { raw - span } else { raw }))
     });
     Ok(Reading { chip, values: values.collect() })
+}
+
+/// Makes sure that what is there reads like the gauge that it is said to be. Nothing is written.
+pub fn look(gauge: &mut Gauge) -> Result<()> {
+    if reading(gauge)?.is_plausible() {
+        return Ok(());
+    }
+    Err(Error::new("", Cause::Gone(STRANGE.into())).at(Step::Identify))
 }
 
 /// The chips whose registers read plausibly there. An error means that nothing could be read at all.
@@ -136,23 +150,11 @@ pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) 
 }
 
 /// The one chip that is at an address the user has named.
-///
-/// With `chip` given, makes sure only that it reads like one before anything asks it who it is.
-pub fn find(
-    subject: &str,
-    chip: Option<&'static Chip>,
-    open: &Open<'_>,
-    clock: &Arc<dyn Clock>,
-) -> Result<&'static Chip> {
+pub fn find(subject: &str, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<&'static Chip> {
     let failed = |cause| Err(Error::new(subject, cause).at(Step::Identify));
-    let strange = "what answers there does not read like a gauge, so nothing was written to it";
-    if let Some(chip) = chip {
-        let reading = read(chip, open, clock).map_err(|error| error.within(subject))?;
-        return if reading.is_plausible() { Ok(chip) } else { failed(Cause::Gone(strange.into())) };
-    }
     let plausible = candidates(open, clock).map_err(|error| error.within(subject))?;
     if plausible.is_empty() {
-        return failed(Cause::Gone(strange.into()));
+        return failed(Cause::Gone(STRANGE.into()));
     }
     let who = identify(&plausible, open, clock).map_err(|error| error.within(subject))?;
     match (&who.chips[..], who.sibling) {
@@ -198,8 +200,9 @@ mod tests {
         for byte in [0x00, 0x41, 0xff] {
             let open = || Ok(Box::new(Eeprom(byte)) as Box<dyn Bus>);
             assert!(candidates(&open, &clock).expect("it answers").is_empty());
-            find("here", None, &open, &clock).expect_err("not a gauge");
-            find("here", Some(CHIPS[0]), &open, &clock).expect_err("not a gauge");
+            find("here", &open, &clock).expect_err("not a gauge");
+            let mut gauge = gauge(CHIPS[0], &open, &clock).expect("it opens");
+            look(&mut gauge).expect_err("not a gauge");
         }
     }
 
@@ -210,7 +213,7 @@ mod tests {
             let Ok(sim) = Sim::new(chip.name, &Options::default(), clock.clone()) else { continue };
             clock.sleep(std::time::Duration::from_secs(1));
             let open = || Ok(Box::new(sim.bus()) as Box<dyn Bus>);
-            assert_eq!(find("here", None, &open, &clock).expect("a gauge").name, chip.name);
+            assert_eq!(find("here", &open, &clock).expect("a gauge").name, chip.name);
             let plausible = candidates(&open, &clock).expect("it answers");
             assert!(plausible.iter().any(|reading| reading.chip.name == chip.name));
         }

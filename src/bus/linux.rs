@@ -150,11 +150,16 @@ impl LinuxBus {
         Ok(Self { adapter, address, clock, device: Some(device), last })
     }
 
+    /// One whose adapter is not there, or cannot be opened, just now: each transfer tries again.
+    pub fn absent(path: &Path, address: u8, clock: Arc<dyn Clock>) -> Self {
+        let last = clock.now().saturating_sub(BUS_FREE);
+        let adapter = Adapter { path: path.to_path_buf(), device: 0 };
+        Self { adapter, address, clock, device: None, last }
+    }
+
     /// The open device, opened anew where the adapter had gone and is back.
     fn device(&mut self) -> Result<&mut LinuxI2CDevice, BusError> {
-        if !self.adapter.is_there() {
-            self.device = None;
-        }
+        self.look();
         match &mut self.device {
             Some(device) => Ok(device),
             gone => {
@@ -193,6 +198,12 @@ impl Bus for LinuxBus {
                 Err(BusError::Gone)
             }
             Err(error) => Err(bus_error(errno(&error))),
+        }
+    }
+
+    fn look(&mut self) {
+        if !self.adapter.is_there() {
+            self.device = None;
         }
     }
 

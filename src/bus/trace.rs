@@ -70,6 +70,10 @@ impl Bus for Trace {
         self.bus.claim()
     }
 
+    fn look(&mut self) {
+        self.bus.look();
+    }
+
     fn hush(&mut self, secret: bool) {
         self.secret = secret;
         self.bus.hush(secret);

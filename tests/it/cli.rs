@@ -15,13 +15,13 @@ use gaugefs::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-const CHIP: &str = "bq34z100-g1";
+pub(crate) const CHIP: &str = "bq34z100-g1";
 
 /// A run that has ended.
-struct Ran {
-    code: Option<i32>,
-    out: String,
-    err: String,
+pub(crate) struct Ran {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
 }
 
 fn command(arguments: &[&str]) -> Command {
@@ -35,7 +35,7 @@ fn command(arguments: &[&str]) -> Command {
     command
 }
 
-fn gaugefs(arguments: &[&str]) -> Ran {
+pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
     let output = command(arguments).output().expect("gaugefs runs");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
     Ran { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
@@ -43,7 +43,7 @@ fn gaugefs(arguments: &[&str]) -> Ran {
 
 impl Ran {
     #[track_caller]
-    fn done(self) -> String {
+    pub(crate) fn done(self) -> String {
         assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
         assert_eq!(self.err, "");
         self.out
@@ -51,7 +51,7 @@ impl Ran {
 
     /// Failed with exit code 1 and one line that begins with `gaugefs: ` and says all of `words`.
     #[track_caller]
-    fn failed(self, words: &[&str]) {
+    pub(crate) fn failed(self, words: &[&str]) {
         assert_eq!(self.code, Some(1), "{}{}", self.out, self.err);
         assert_eq!(self.out, "");
         assert_eq!(self.err.lines().count(), 1, "{}", self.err);
@@ -127,6 +127,9 @@ fn misuse_is_told_apart() {
             "mount --sim bq34z100-g1 --auth-order random /tmp/x",
             "mount --replay /tmp/y --bus /dev/i2c-1 /tmp/x",
             "mount --replay /tmp/y --trace /tmp/z /tmp/x",
+            "mount --config /tmp/y --sim bq34z100-g1 /tmp/x",
+            "mount --config /tmp/y --name PACK",
+            "mount --sim bq34z100-g1 --check /tmp/x",
             "umount",
             "probe",
             "export",
@@ -335,10 +338,10 @@ fn a_key_file_that_others_may_read_is_refused() {
 }
 
 /// A temporary folder; mounts in it end with it.
-struct Folder(PathBuf);
+pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
         let path = std::env::temp_dir().join(format!("gaugefs cli {} {count}", std::process::id()));
@@ -346,7 +349,7 @@ impl Folder {
         Self(path)
     }
 
-    fn file(&self, name: &str) -> String {
+    pub(crate) fn file(&self, name: &str) -> String {
         self.0.join(name).to_str().expect("a path in UTF-8").to_string()
     }
 }
@@ -361,7 +364,7 @@ impl Drop for Folder {
 }
 
 /// Whether this machine can mount FUSE.
-fn can_mount() -> bool {
+pub(crate) fn can_mount() -> bool {
     let can = fs::File::options().read(true).write(true).open("/dev/fuse").is_ok();
     if !can {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount command ran");
@@ -370,7 +373,7 @@ fn can_mount() -> bool {
 }
 
 #[track_caller]
-fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
+pub(crate) fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
     let start = Instant::now();
     while !is_so() {
         assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
@@ -414,7 +417,7 @@ impl Drop for Foreground {
     }
 }
 
-fn read(mountpoint: &str, name: &str) -> String {
+pub(crate) fn read(mountpoint: &str, name: &str) -> String {
     let path = Path::new(mountpoint).join(name);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())).trim().to_string()
 }

@@ -1,6 +1,7 @@
 //! One test binary for everything that needs more than one module.
 
 mod cli;
+mod config;
 mod faults;
 mod gauge;
 mod input;

@@ -1,0 +1,418 @@
+//! Many gauges in one mount: what a configuration may say, and that no gauge stands in another's way.
+
+use std::fs::{self, OpenOptions, Permissions};
+use std::io::Write;
+use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+
+use gaugefs::authentication::Order;
+use gaugefs::bus::{Bus, BusError};
+use gaugefs::chip::Chip;
+use gaugefs::clock::{Clock, RealClock};
+use gaugefs::dataflash::Limits;
+use gaugefs::fs::{Access, Entry, Fs, Scales};
+use gaugefs::fuse;
+use gaugefs::keys::Keys;
+use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
+use gaugefs::sim::{Options, Sim, SimBus};
+use nix::errno::Errno;
+
+use super::cli::{CHIP, Folder, can_mount, gaugefs, read, within};
+
+const LONG: Duration = Duration::from_secs(60);
+
+impl Folder {
+    /// A configuration in the folder.
+    fn config(&self, text: &str) -> String {
+        let path = self.file("gauges.toml");
+        fs::write(&path, text).expect("a file");
+        path
+    }
+}
+
+#[test]
+fn the_example_is_understood() {
+    let shown = gaugefs(&["mount", "--config", "udev/gaugefs.toml", "--check"]).done();
+    assert_eq!(
+        shown,
+        "/run/gauges/BAT0  /dev/i2c-1 address 0x55  bq34z100-g1\n\
+         /run/gauges/BAT1  /dev/i2c-7 address 0x55  bq34110\n\
+         /run/gauges/SIM   simulated gauge          bq27441-g1\n"
+    );
+}
+
+#[test]
+fn what_a_file_cannot_mean_is_told_with_its_place() {
+    let folder = Folder::new();
+    let all = "mountpoint = 'm'\n[[gauge]]\nsim = 'bq34z100-g1'\n";
+    let cases: &[(&str, &[&str])] = &[
+        ("poll = \n", &["line 1: not TOML:"]),
+        ("\npol = 3\n", &["line 2: pol: there is no such option; did you mean `poll`?"]),
+        ("x = 3\n", &["line 1: x: there is no such option; there are: mountpoint, ac, read-only"]),
+        ("ac = 3\n", &["line 1: ac: expected true, false or a name"]),
+        ("poll = 0.1\n", &["line 1: poll: expected 0.5 to 3600 seconds"]),
+        ("energy = 'yes'\n", &["line 1: energy:", "expected a boolean"]),
+        ("address = 0xaa\n", &["line 1: address: expected a 7-bit address"]),
+        ("current-scale = []\n", &["line 1: current-scale: expected a number or a text"]),
+        ("group = 'no-such-group'\n", &["line 1: group: there is no such group"]),
+        ("name = 'PACK'\n", &["line 1: name: belongs to one gauge; write it below a [[gauge]]"]),
+        ("[gauge]\nname = 'PACK'\n", &["line 1: gauge: write [[gauge]]"]),
+        ("poll = 3\npoll = 4\n", &["line 2: not TOML: duplicate key"]),
+        ("[[gauge]]\nenergi = true\n", &["line 2: energi: there is no such option; did you mean `energy`?"]),
+        ("[[gauge]]\nprivate = true\n", &["line 2: private: is for the whole mount"]),
+        ("[[gauge]]\nname = 'a/b'\n", &["line 2: name: expected letters"]),
+        ("[[gauge]]\nchip = 'bq99'\n", &["line 2: chip: `bq99`", "gaugefs chips"]),
+        ("[[gauge]]\nsim = 'bq34110'\n\nchip = 'bq34110'\n", &["line 4: chip: cannot stand beside sim"]),
+        ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: is for simulated gauges"]),
+        ("[[gauge]]\nreplay = 'r'\ntrace = 't'\n", &["line 3: trace: cannot stand beside replay"]),
+        ("mountpoint = 'm'\n[[gauge]]\nname = 'A'\n", &["line 2: gauge: says nowhere what it is", "--bus"]),
+        ("mountpoint = 'm'\n", &["names no gauge", "[[gauge]]"]),
+        ("[[gauge]]\nsim = 'bq34110'\n", &["names no mount point"]),
+        (
+            &format!("{all}name = 'A'\n[[gauge]]\nsim = 'bq34110'\nname = 'A'\n"),
+            &["line 7: name: the same as on line 4"],
+        ),
+        (
+            &format!("{all}sim-state = 's'\n[[gauge]]\nsim = 'bq34110'\nsim-state = './s'\n"),
+            &["line 7: sim-state: the same as on line 4"],
+        ),
+        (&format!("{all}[[gauge]]\nreplay = 'r'\n"), &["recorded gauge", "read-only = true"]),
+        (
+            "mountpoint = 'm'\nbus = '/dev/i2c-1'\n[[gauge]]\n[[gauge]]\naddress = 85\n",
+            &["line 5: address: the same as on line 3"],
+        ),
+    ];
+    for (text, words) in cases {
+        let path = folder.config(text);
+        let words = [&[path.as_str()], *words].concat();
+        gaugefs(&["mount", "--config", &path, "--check"]).failed(&words);
+    }
+    gaugefs(&["mount", "--config", &folder.file("none"), "--check"]).failed(&["none: cannot read it"]);
+}
+
+#[test]
+fn defaults_names_and_the_command_line_come_together() {
+    let folder = Folder::new();
+    let path = folder.config(
+        "mountpoint = 'm'\nbus = '/dev/i2c-1'\nchip = 'bq34z100-g1'\n\
+         [[gauge]]\n[[gauge]]\nname = 'BAT0'\naddress = '0x56'\n\
+         [[gauge]]\nsim = 'bq34110'\n[[gauge]]\nbus = 'dev/pack'\nchip = 'BQ27427'\n",
+    );
+    let at = |mountpoint: &str, bus: &str| {
+        format!(
+            "{mountpoint}/BAT1  {bus} address 0x55  bq34z100-g1\n\
+             {mountpoint}/BAT0  {bus} address 0x56  bq34z100-g1\n\
+             {mountpoint}/BAT2  simulated gauge  bq34110\n\
+             {mountpoint}/BAT3  {}/dev/pack address 0x55  bq27427\n",
+            folder.file("").trim_end_matches('/')
+        )
+    };
+    // Columns are as wide as their widest cell.
+    let squeeze = |text: String| {
+        let lines = text.lines().map(|line| {
+            let cells = line.split("  ").filter(|cell| !cell.is_empty()).map(str::trim);
+            cells.collect::<Vec<_>>().join("  ") + "\n"
+        });
+        lines.collect::<String>()
+    };
+    let check = |more: &[&str]| {
+        let arguments = [&["mount", "--config", &path, "--check"], more].concat();
+        squeeze(gaugefs(&arguments).done())
+    };
+    assert_eq!(check(&[]), at(&folder.file("m"), "/dev/i2c-1"));
+    assert_eq!(check(&["--bus", "/dev/i2c-9", "/mnt/x"]), at("/mnt/x", "/dev/i2c-9"));
+}
+
+#[test]
+fn many_gauges_are_mounted_together() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let keys = folder.file("wrong.keys");
+    fs::write(&keys, "unseal = 1234 5678\n").expect("a file");
+    fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its owner's");
+    let path = folder.config(
+        "mountpoint = 'm'\nlog = 'log'\nenergy = true\nac = true\n\
+         [[gauge]]\nsim = 'bq34z100-g1'\npoll = 0.5\n\
+         [[gauge]]\nsim = 'bq27441-g1'\nenergy = false\nname = 'PACK'\n\
+         [[gauge]]\nbus = '/dev/i2c-998'\nchip = 'bq34z100-g1'\n\
+         [[gauge]]\nbus = '/dev/i2c-999'\n\
+         [[gauge]]\nsim = 'bq34z100-g1'\nkey-file = 'wrong.keys'\n",
+    );
+    let at = folder.file("m");
+    let ran = gaugefs(&["mount", "--config", &path]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), ""), "{}", ran.err);
+    let lines: Vec<&str> = ran.err.lines().collect();
+    assert_eq!(lines.len(), 2, "{}", ran.err);
+    assert!(
+        lines[0].contains("BAT1: not there yet") && lines[0].contains("/dev/i2c-998: no such bus"),
+        "{}",
+        ran.err
+    );
+    assert!(
+        lines[1].contains("BAT2: left out") && lines[1].contains("/dev/i2c-999: no such bus"),
+        "{}",
+        ran.err
+    );
+    let mut names: Vec<_> = fs::read_dir(&at)
+        .expect("mounted")
+        .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"))
+        .collect();
+    names.sort();
+    assert_eq!(names, ["AC", "BAT0", "BAT1", "BAT3", "PACK"]);
+
+    assert_eq!(read(&at, "BAT0/gauge/poll_interval"), "0.5");
+    assert_eq!(read(&at, "PACK/gauge/poll_interval"), "3");
+    assert!(Path::new(&at).join("BAT0/energy_now").exists());
+    assert!(!Path::new(&at).join("PACK/energy_now").exists());
+    assert_eq!(read(&at, "PACK/model_name"), "bq27441-G1");
+
+    // One that is not there shows that, and nothing that it would have to be asked for.
+    assert_eq!(
+        read(&at, "BAT1/uevent"),
+        "POWER_SUPPLY_NAME=BAT1\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_PRESENT=0"
+    );
+    assert!(read(&at, "BAT1/gauge/last_error").contains("/dev/i2c-998: no such bus"));
+    for unknown in ["voltage_now", "gauge/device_type", "gauge/seal", "gauge/flags"] {
+        assert!(!Path::new(&at).join("BAT1").join(unknown).exists(), "{unknown}");
+    }
+    let errno = |error: std::io::Error| Errno::from_raw(error.raw_os_error().unwrap_or_default());
+    let path = |name: &str| Path::new(&at).join(name);
+    assert_eq!(fs::read(path("BAT1/df/80/53")).map_err(errno), Err(Errno::ENODEV));
+    assert_eq!(fs::write(path("BAT1/df/80/53"), "3100").map_err(errno), Err(Errno::ENODEV));
+
+    // What the mains do follows from all gauges.
+    assert_eq!(read(&at, "AC/online"), "1");
+    fs::write(path("BAT0/sim/load_ma"), "500").expect("a knob");
+    within(LONG, "on battery", || read(&at, "AC/online") == "0");
+
+    // Each has its own data flash and its own keys.
+    fs::write(path("BAT0/df/80/53"), "3100").expect("written");
+    assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
+    assert_eq!(fs::read(path("BAT3/df/80/53")).map_err(errno), Err(Errno::EPERM));
+    assert!(read(&at, "BAT3/gauge/last_error").contains("SEALED, and the"));
+
+    gaugefs(&["umount", &at]).done();
+    let log = || fs::read_to_string(folder.file("log")).expect("the log");
+    within(LONG, "the log's last line", || log().contains("PACK unmounted"));
+    for line in
+        ["BAT1: not there yet", "BAT2: left out", "warning: BAT3: ", "BAT0: Cell Terminate Voltage: written"]
+    {
+        assert!(log().contains(line), "`{line}` is not in: {}", log());
+    }
+}
+
+#[test]
+fn without_any_gauge_the_mount_fails_with_all_reasons() {
+    let folder = Folder::new();
+    let path =
+        folder.config("mountpoint = 'm'\n[[gauge]]\nbus = '/dev/i2c-998'\n[[gauge]]\nbus = '/dev/null'\n");
+    gaugefs(&["mount", "--config", &path]).failed(&[
+        "no gauge can be mounted",
+        "BAT0: /dev/i2c-998: no such bus",
+        "BAT1: /dev/null: not an I2C bus",
+    ]);
+    // What a file names and cannot be used is not left out.
+    let path = folder.config(&format!(
+        "mountpoint = 'm'\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nsim = '{CHIP}'\nkey-file = 'none'\n"
+    ));
+    gaugefs(&["mount", "--config", &path]).failed(&["none: cannot read the key file"]);
+    assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
+}
+
+/// A bus that is held until it is let go of.
+struct Gate {
+    bus: SimBus,
+    shut: Arc<(Mutex<bool>, Condvar)>,
+}
+
+impl Bus for Gate {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let shut = self.shut.0.lock().expect("no panic");
+        drop(self.shut.1.wait_while(shut, |shut| *shut).expect("no panic"));
+        self.bus.transfer(write, read)
+    }
+}
+
+fn settings(interval: Duration) -> Settings {
+    Settings {
+        keys: Keys::default(),
+        interval,
+        byte_writes: false,
+        allow_unproven: false,
+        auth_order: Order::default(),
+        restore: Vec::new(),
+        journal: None,
+        limits: Limits::default(),
+    }
+}
+
+fn sim(clock: &Arc<dyn Clock>) -> Sim {
+    let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated gauge");
+    within(LONG, "the gauge is awake", || sim.bus().transfer(&[0], &mut [0; 2]).is_ok());
+    sim
+}
+
+fn entry(name: &str, handle: &Handle) -> Entry {
+    Entry { name: name.into(), handle: handle.clone(), scales: Scales::default(), knobs: None }
+}
+
+/// A tree of some gauges, taken away at the end.
+struct Tree(PathBuf, #[expect(dead_code, reason = "it ends with it")] fuse::Mounted);
+
+impl Tree {
+    fn new(name: &str, entries: Vec<Entry>, signal: Arc<Signal>) -> Self {
+        let folder = std::env::temp_dir().join(format!("gaugefs-{name}-{}", std::process::id()));
+        fs::create_dir(&folder).expect("a temporary folder");
+        let access = Access {
+            uid: nix::unistd::geteuid().as_raw(),
+            gid: nix::unistd::getegid().as_raw(),
+            group: false,
+        };
+        let tree = Arc::new(Fs::new(entries, access));
+        let mounted = fuse::mount(tree, &folder, fuse::Options::default(), signal).expect("a mount");
+        Self(folder, mounted)
+    }
+}
+
+impl Drop for Tree {
+    fn drop(&mut self) {
+        let _ = nix::mount::umount2(&self.0, nix::mount::MntFlags::MNT_DETACH);
+        let _ = fs::remove_dir(&self.0);
+    }
+}
+
+#[test]
+fn a_gauge_that_is_stuck_keeps_no_other_waiting() {
+    if !can_mount() {
+        return;
+    }
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let chip = Chip::by_name(CHIP).expect("a chip of the tables");
+    let signal = Arc::new(Signal::default());
+    let shut = Arc::new((Mutex::new(false), Condvar::new()));
+    let quiet = || settings(Duration::from_secs(3600));
+    let gate = Gate { bus: sim(&clock).bus(), shut: shut.clone() };
+    let stuck = poll::spawn(chip, Box::new(gate), clock.clone(), quiet(), signal.clone()).expect("a gauge");
+    let bus = Box::new(sim(&clock).bus());
+    let other = poll::spawn(chip, bus, clock.clone(), quiet(), signal.clone()).expect("a gauge");
+    let tree = Tree::new("stuck", vec![entry("A", &stuck), entry("B", &other)], signal);
+    let path = |name: &str| tree.0.join(name);
+    let cat = |name: &str| fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+
+    // A transaction in two writes: the second one is under way while what the first one changed is
+    // announced.
+    let transaction = OpenOptions::new().write(true).open(path("A/df/transaction")).expect("it opens");
+    transaction.write_at(b"begin\n80/53 3100\n", 0).expect("staged");
+    let held = fs::File::open(path("B/df/80/53")).expect("it opens");
+    let mut shown = [0; 16];
+    let count = held.read_at(&mut shown, 0).expect("it reads");
+    assert_eq!(&shown[..count], b"3000\n");
+
+    *shut.0.lock().expect("no panic") = true;
+    let commit = std::thread::spawn(move || transaction.write_at(b"commit\n", 17));
+    let reads: Vec<_> = (0..4)
+        .map(|_| path("A/df/48/11"))
+        .map(|path| std::thread::spawn(move || fs::read_to_string(path)))
+        .collect();
+    let refresh = path("A/gauge/refresh");
+    let refresh = std::thread::spawn(move || fs::write(refresh, "1"));
+
+    for value in 3100..3120 {
+        fs::write(path("B/df/80/53"), value.to_string()).expect("written");
+        assert_eq!(cat("B/df/80/53"), format!("{value}\n"));
+        // What is known of the one that is stuck is shown as well.
+        assert_eq!(cat("A/present"), "1\n");
+    }
+    fs::write(path("B/gauge/refresh"), "1").expect("polled");
+    assert_eq!(cat("B/df/index").lines().count(), cat("B/df/index").lines().count());
+    // Whoever holds a file open sees the change.
+    within(LONG, "the file held open follows", || {
+        let mut shown = [0; 16];
+        let count = held.read_at(&mut shown, 0).expect("it reads");
+        &shown[..count] == b"3119\n"
+    });
+    assert!(!commit.is_finished() && reads.iter().all(|read| !read.is_finished()) && !refresh.is_finished());
+
+    *shut.0.lock().expect("no panic") = false;
+    shut.1.notify_all();
+    commit.join().expect("a thread").expect("written");
+    for read in reads {
+        assert_eq!(read.join().expect("a thread").expect("read"), "1000\n");
+    }
+    refresh.join().expect("a thread").expect("polled");
+    assert_eq!(cat("A/df/80/53"), "3100\n");
+}
+
+/// What is at an address: nothing, something else, or a gauge.
+struct Socket {
+    bus: SimBus,
+    holds: Arc<AtomicU8>,
+    written: Arc<AtomicU64>,
+}
+
+const NOTHING: u8 = 0;
+const EEPROM: u8 = 1;
+const GAUGE: u8 = 2;
+
+impl Bus for Socket {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        match self.holds.load(Ordering::SeqCst) {
+            GAUGE => return self.bus.transfer(write, read),
+            EEPROM => read.fill(0x41),
+            _ => return Err(BusError::NoAck),
+        }
+        self.written.fetch_add(u64::from(write.len() > 1), Ordering::SeqCst);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_gauge_that_comes_later_is_looked_at_first() {
+    if !can_mount() {
+        return;
+    }
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let chip = Chip::by_name(CHIP).expect("a chip of the tables");
+    let signal = Arc::new(Signal::default());
+    let (holds, written) = (Arc::new(AtomicU8::new(NOTHING)), Arc::new(AtomicU64::new(0)));
+    let socket = Socket { bus: sim(&clock).bus(), holds: holds.clone(), written: written.clone() };
+    let place = Place { name: "PACK".into(), unseen: true, ..Place::default() };
+    let settings = settings(Duration::from_millis(500));
+    let (handle, begun) =
+        poll::start(chip, Box::new(socket), clock, settings, place, signal.clone()).expect("a thread");
+    let error = begun.recv().expect("an outcome").expect_err("nothing is there");
+    assert_eq!(error.errno(), Errno::ENXIO);
+    let tree = Tree::new("later", vec![entry("PACK", &handle)], signal);
+    let path = |name: &str| tree.0.join("PACK").join(name);
+    let cat = |name: &str| fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    assert_eq!(cat("present"), "0\n");
+    assert!(!path("gauge/device_type").exists());
+
+    // A memory at the same address is not written to, whatever is asked.
+    holds.store(EEPROM, Ordering::SeqCst);
+    let failed =
+        || handle.statistics().iter().find(|(name, _)| *name == "failed_polls").map(|(_, count)| *count);
+    let before = failed();
+    within(LONG, "two more polls that fail", || failed() >= before.map(|count| count + 2));
+    let errno = |error: std::io::Error| Errno::from_raw(error.raw_os_error().unwrap_or_default());
+    assert_eq!(fs::write(path("df/80/53"), "3100").map_err(errno), Err(Errno::ENODEV));
+    assert_eq!(fs::read(path("df/80/53")).map_err(errno), Err(Errno::ENODEV));
+    let refused =
+        OpenOptions::new().write(true).open(path("gauge/control")).expect("it opens").write(b"FW_VERSION");
+    assert_eq!(refused.map_err(errno), Err(Errno::ENODEV));
+    assert!(fs::write(path("gauge/refresh"), "1").is_err());
+    handle.submit(Request::Look);
+    assert_eq!(cat("present"), "0\n");
+    assert_eq!(written.load(Ordering::SeqCst), 0);
+
+    holds.store(GAUGE, Ordering::SeqCst);
+    within(LONG, "the gauge is there", || cat("present") == "1\n");
+    within(LONG, "who it is", || path("gauge/device_type").exists());
+    assert_eq!(cat("gauge/device_type"), "0x0100\n");
+    assert_eq!(cat("df/80/53"), "3000\n");
+}
