@@ -261,41 +261,45 @@ pub struct SimBus {
     secret: bool,
 }
 
-/// The bus without faults, while the gauge is held.
+/// The bus without faults.
 struct Direct<'a> {
-    state: &'a mut State,
-    clock: &'a dyn Clock,
+    sim: &'a Sim,
     address: u8,
 }
 
 impl Direct<'_> {
     /// Counts what passed, and lets its time pass. Without an acknowledged address nothing follows it.
-    fn pass(&mut self, write: usize, read: usize) -> Duration {
+    fn pass(&self, state: &mut State, write: usize, read: usize) -> Duration {
         let bits = wire_bits(write, read);
-        self.state.transfers += 1;
-        self.state.bytes += wire_bytes(write, read);
-        self.state.bits += bits;
-        self.clock.spend(BIT * bits as u32);
-        self.clock.now()
+        state.transfers += 1;
+        state.bytes += wire_bytes(write, read);
+        state.bits += bits;
+        self.sim.clock.spend(BIT * bits as u32);
+        self.sim.clock.now()
     }
 }
 
 impl Bus for Direct<'_> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        let Some(hold) = self.state.chip.start(self.address, self.clock.now()) else {
-            self.pass(0, 0);
+        let clock = &*self.sim.clock;
+        let mut held = self.sim.lock();
+        let Some(hold) = held.chip.start(self.address, clock.now()) else {
+            self.pass(&mut held, 0, 0);
             return Err(BusError::NoAck);
         };
         if hold > Duration::ZERO {
-            self.state.stretched += hold.min(ADAPTER_WAITS);
-            self.clock.sleep(hold.min(ADAPTER_WAITS));
+            held.stretched += hold.min(ADAPTER_WAITS);
+            // Its knobs can be read meanwhile, by a thread that serves other gauges as well.
+            drop(held);
+            clock.sleep(hold.min(ADAPTER_WAITS));
             if hold > ADAPTER_WAITS {
                 return Err(BusError::Timeout);
             }
+            held = self.sim.lock();
         }
         // What is acknowledged has to be known before its time can pass, and the register after it.
-        let now = self.clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
-        let state = &mut *self.state;
+        let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
+        let state = &mut *held;
         let mut sent = 0;
         let mut acknowledged = true;
         if let Some((&register, data)) = write.split_first() {
@@ -323,8 +327,8 @@ impl Bus for Direct<'_> {
                 state.pointer = next(state.pointer);
             }
         }
-        let now = self.pass(sent, if acknowledged { read.len() } else { 0 });
-        self.state.chip.stop(now);
+        let now = self.pass(state, sent, if acknowledged { read.len() } else { 0 });
+        state.chip.stop(now);
         if acknowledged { Ok(()) } else { Err(BusError::NoAck) }
     }
 }
@@ -344,32 +348,33 @@ impl SimBus {
             clock.sleep(hold);
             self.sim.lock().stretched += hold;
         }
-        let mut state = self.sim.lock();
-        let mut direct = Direct { state: &mut state, clock, address: self.address };
+        let mut direct = Direct { sim: &self.sim, address: self.address };
+        let power_off = |back: Option<u64>| {
+            self.sim.lock().chip.power_off(clock.now(), back.map(Duration::from_millis));
+        };
         let result = match due {
             None => direct.transfer(write, read),
             Some(Fault::Wire(wire)) => {
                 if matches!(wire, Wire::Nack(None) | Wire::Arbitration) {
-                    direct.pass(0, 0);
+                    direct.pass(&mut self.sim.lock(), 0, 0);
                 }
                 wire.perform(&mut direct, write, read)
             }
             Some(Fault::Inside(Inside::PowerCut(back))) => {
-                direct.state.chip.power_off(clock.now(), back.map(Duration::from_millis));
+                power_off(back);
                 direct.transfer(write, read)
             }
             Some(Fault::Inside(Inside::PowerCutAfter(back))) => {
                 let result = direct.transfer(write, read);
-                direct.state.chip.power_off(clock.now(), back.map(Duration::from_millis));
+                power_off(back);
                 result
             }
             // Those wait for a commit, which takes them from the plan itself.
             Some(Fault::Inside(_)) => direct.transfer(write, read),
         };
         if result == Err(BusError::NoAck) {
-            state.nacks += 1;
+            self.sim.lock().nacks += 1;
         }
-        drop(state);
         if let Some(Fault::Wire(Wire::Stuck(_))) = due {
             clock.sleep(ADAPTER_WAITS);
         }
