@@ -109,7 +109,8 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     let notifier = session.notifier();
     let session = session.spawn().map_err(|error| host(&mountpoint.display().to_string(), &error))?;
     let renew = Arc::new(Signal::default());
-    let renewal = Renewal { fs: fs.clone(), table: table.clone(), notifier: notifier.clone() };
+    let (files, kernel) = (fs.clone(), notifier.clone());
+    let mut renewal = Renewal { fs: files, table: table.clone(), notifier: kernel, threads: HashMap::new() };
     let mut watch = Watch { fs, table, notifier, folders: HashMap::new(), answers, renew: renew.clone() };
     thread("notify", move || watch.run(&signal))?;
     thread("renew", move || renewal.run(&renew))?;
@@ -759,8 +760,14 @@ impl Watch {
             let announced = self.announce();
             // Who reads right after a write reads what it led to.
             answers.into_iter().for_each(|answer| answer());
-            lock(&self.table).over = announced.is_err();
-            self.renew.raise();
+            let mut table = lock(&self.table);
+            table.over = announced.is_err();
+            let superseded = table.live.values().any(|live| live.superseded.is_some());
+            let renew = table.over || superseded || !table.written.is_empty();
+            drop(table);
+            if renew {
+                self.renew.raise();
+            }
             if announced.is_err() {
                 return;
             }
@@ -825,15 +832,17 @@ impl Watch {
 }
 
 /// Gives files that are held open their new value, under the nodeid they have. To do so it may have to
-/// wait until a read or write of the file is answered, so this thread does nothing else.
+/// wait until a read or write of the file is answered. That is up to the file's gauge, so each gauge of
+/// which a file was ever held open has a thread that does nothing else.
 struct Renewal {
     fs: Arc<Fs>,
     table: Arc<Mutex<Table>>,
     notifier: Notifier,
+    threads: HashMap<u16, Sender<u64>>,
 }
 
 impl Renewal {
-    fn run(&self, signal: &Signal) {
+    fn run(&mut self, signal: &Signal) {
         let mut seen = 0;
         let mut due = None;
         loop {
@@ -859,7 +868,7 @@ impl Renewal {
     }
 
     /// Whoever wrote a file reads what came of it; whoever only kept it open, so long after a change.
-    fn renew(&self) {
+    fn renew(&mut self) {
         let now = Instant::now();
         let mut due = Vec::new();
         {
@@ -871,15 +880,34 @@ impl Renewal {
                     live.superseded = None;
                     live.value = Value::of(self.fs.content(live.node)).unwrap_or(Value::Gone);
                     live.since = SystemTime::now();
-                    due.push(number);
+                    due.push((live.node, number));
                 }
             }
         }
-        for number in due {
-            // It may have been forgotten meanwhile; then there is nobody to tell.
-            let _ = self.notifier.inval_inode(INodeNo(number), 0, 0);
+        for (node, number) in due {
+            let Node::Of(gauge, _) = node else { continue };
+            let teller = self.threads.entry(gauge).or_insert_with(|| teller(self.notifier.clone()));
+            // It ends with this one, unless the machine has no thread left.
+            if teller.send(number).is_err() {
+                self.threads.remove(&gauge);
+            }
         }
     }
+}
+
+/// A thread that tells the kernel of nodeids that have another value now.
+fn teller(notifier: Notifier) -> Sender<u64> {
+    let (tell, told) = mpsc::channel();
+    let run = move || {
+        for number in told {
+            // It may have been forgotten meanwhile; then there is nobody to tell.
+            let _ = notifier.inval_inode(INodeNo(number), 0, 0);
+        }
+    };
+    if let Err(error) = thread("renew", run) {
+        log::warn!("files that are held open may not follow: {error}");
+    }
+    tell
 }
 
 /// ENOENT says that the kernel does not have the name; anything else, that the mount is over.
