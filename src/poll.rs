@@ -948,3 +948,46 @@ impl Signal {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::SimClock;
+    use crate::sim::{Options, Sim};
+
+    const INTERVAL: Duration = Duration::from_secs(8);
+
+    /// The owner of a simulated gauge that is the `at`th of four.
+    fn owner(at: u32) -> Owner {
+        let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a gauge");
+        clock.sleep(Duration::from_secs(1));
+        let settings = Settings {
+            keys: Keys::default(),
+            interval: INTERVAL,
+            byte_writes: false,
+            allow_unproven: false,
+            auth_order: Order::default(),
+            restore: Vec::new(),
+            journal: None,
+        };
+        let place = Place { phase: INTERVAL * at / 4, ..Place::default() };
+        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        Owner::new(chip, Box::new(sim.bus()), clock, settings, place, Arc::default()).0
+    }
+
+    #[test]
+    fn polls_of_many_gauges_are_spread_over_the_interval() {
+        for at in 0..4 {
+            let mut owner = owner(at);
+            owner.open().expect("it answers");
+            // Soon after the first one, as with a single gauge; then once early, by its place.
+            let pauses = [(); 4].map(|()| {
+                let pause = owner.pause();
+                owner.poll_or_say();
+                pause
+            });
+            assert_eq!(pauses, [SHORTEST, INTERVAL - INTERVAL * at / 4, INTERVAL, INTERVAL]);
+        }
+    }
+}
