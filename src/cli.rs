@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
@@ -21,6 +22,7 @@ use crate::json;
 use crate::probe::{self, ROM_ADDRESS, Reading};
 
 mod auth;
+mod manual;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -86,6 +88,12 @@ Examples:
   gaugefs lint golden.gm.fs
   gaugefs lint --chip bq27441-g1 golden.gm.fs";
 
+const COMPLETIONS: &str = "\
+The Debian package installs those of bash, zsh and fish.
+
+Example:
+  gaugefs completions bash > ~/.local/share/bash-completion/completions/gaugefs";
+
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
 #[derive(Debug, Parser)]
 #[command(name = "gaugefs", version, after_help = EXAMPLES, max_term_width = 100, arg_required_else_help = true)]
@@ -105,6 +113,10 @@ enum Command {
     Diff(Diff),
     Lint(Lint),
     Auth(auth::Auth),
+    Completions(Completions),
+    /// Print the manual page gaugefs(1)
+    #[command(hide = true)]
+    Man,
 }
 
 /// Mount gauges; returns once they are mounted and have been read
@@ -237,6 +249,14 @@ struct Lint {
     json: bool,
 }
 
+/// Print what makes a shell complete gaugefs's command line
+#[derive(Args, Debug)]
+#[command(after_help = COMPLETIONS)]
+struct Completions {
+    /// The shell
+    shell: Shell,
+}
+
 /// Does what the arguments say; the exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(arguments) {
@@ -268,6 +288,14 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             print(&told);
             ExitCode::SUCCESS
         }),
+        Command::Completions(completions) => {
+            print(&manual::completions(completions.shell, Cli::command()));
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Man => {
+            print(&manual::page(Cli::command()));
+            Ok(ExitCode::SUCCESS)
+        }
     };
     done.unwrap_or_else(|error| {
         eprintln!("gaugefs: {error}");
@@ -669,7 +697,6 @@ mod tests {
 
     #[test]
     fn the_definition_is_sound() {
-        use clap::CommandFactory;
         Cli::command().debug_assert();
     }
 }

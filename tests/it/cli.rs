@@ -24,7 +24,7 @@ pub(crate) struct Ran {
     pub(crate) err: String,
 }
 
-fn command(arguments: &[&str]) -> Command {
+pub(crate) fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
     command
         .args(arguments)
@@ -96,6 +96,7 @@ fn help_is_for_people() {
             "diff --help",
             "lint --help",
             "auth --help",
+            "completions --help",
         ],
     );
 }
@@ -140,6 +141,8 @@ fn misuse_is_told_apart() {
             "lint",
             "lint --chip bq99 /tmp/x",
             "auth /tmp/x",
+            "completions",
+            "completions csh",
         ],
     );
 }

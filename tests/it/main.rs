@@ -6,6 +6,7 @@ mod faults;
 mod gauge;
 mod input;
 mod journal;
+mod manual;
 mod mount;
 mod over;
 mod preflight;

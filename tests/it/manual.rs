@@ -1,0 +1,166 @@
+//! The manual pages and the completions, judged by the programs that read them.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use super::cli::{command, gaugefs};
+
+fn docs() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
+}
+
+/// gaugefs(1) as a package has it.
+fn page() -> String {
+    let output = command(&["man"]).env("SOURCE_DATE_EPOCH", "1700000000").output().expect("gaugefs runs");
+    assert!(output.status.success());
+    String::from_utf8(output.stdout).expect("a page in UTF-8")
+}
+
+/// As it is read, without the dashes and quotes that roff wants escaped.
+fn plain(page: &str) -> String {
+    page.replace("\\-", "-").replace("\\fB", "").replace("\\fI", "").replace("\\fR", "")
+}
+
+/// What a program says about a file; `None`, said loudly, where it is not installed.
+fn said(program: &str, arguments: &[&str], file: &str) -> Option<String> {
+    let mut command = Command::new(program);
+    command.args(arguments).arg(file).envs([("LC_ALL", "C.UTF-8"), ("MANWIDTH", "80")]);
+    match command.stdin(Stdio::null()).output() {
+        Ok(output) => {
+            let (out, err) =
+                (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+            Some(format!("{out}{err}"))
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            eprintln!("SKIPPED in part: {program} is missing, so it did not judge {file}");
+            None
+        }
+        Err(error) => panic!("{program}: {error}"),
+    }
+}
+
+/// A temporary file that is gone with the test.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str, text: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("gaugefs-{}-{name}", std::process::id()));
+        fs::write(&path, text).expect("a temporary file");
+        Self(path)
+    }
+
+    fn path(&self) -> &str {
+        self.0.to_str().expect("a path in UTF-8")
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn the_pages_render_without_a_warning() {
+    let mut pages = vec![("gaugefs.1".to_string(), page())];
+    for entry in fs::read_dir(docs()).expect("docs").map(|entry| entry.expect("docs")) {
+        let name = entry.file_name().into_string().expect("a name in UTF-8");
+        if name.ends_with(".5") {
+            pages.push((name, fs::read_to_string(entry.path()).expect("a page")));
+        }
+    }
+    for (name, text) in pages {
+        let file = Scratch::new(&name, &text);
+        if let Some(lint) = said("mandoc", &["-T", "lint", "-W", "warning"], file.path()) {
+            assert_eq!(lint, "", "{name}");
+        }
+        // groff's warnings go where the page does not.
+        let warnings = ["-c", r#"man --warnings=w -l "$0" 2>&1 >/dev/null"#];
+        if said("man", &["--version"], "").is_some()
+            && let Some(warnings) = said("sh", &warnings, file.path())
+        {
+            assert_eq!(warnings, "", "{name}");
+        }
+    }
+}
+
+#[test]
+fn the_page_has_every_command_with_its_options() {
+    let page = plain(&page());
+    assert!(page.contains(r#".TH GAUGEFS 1 "2023-11-14" "gaugefs "#), "{}", &page[..300]);
+    for place in ["@DATE@", "@VERSION@", "@SYNOPSIS@", "@COMMANDS@"] {
+        assert!(!page.contains(place), "{place}");
+    }
+    let help = gaugefs(&["--help"]).done();
+    let commands = help.split("Commands:\n").nth(1).expect("commands").lines();
+    let commands =
+        commands.take_while(|line| !line.is_empty()).filter_map(|line| line.split_whitespace().next());
+    let mut seen = 0;
+    for name in commands.filter(|name| *name != "help") {
+        let start = page.find(&format!(".SS \"gaugefs {name}\"\n")).unwrap_or_else(|| panic!("no {name}"));
+        let section = &page[start + 4..];
+        let section = &section[..section.find("\n.S").expect("an end")];
+        let help = gaugefs(&[name, "--help"]).done();
+        for word in help.split(|byte: char| byte.is_whitespace() || "<|>,[=]".contains(byte)) {
+            if word.starts_with("--") && word.len() > 3 && word != "--help" {
+                let word = word.trim_end_matches(['.', ':', ';', ')']);
+                assert!(section.contains(word), "gaugefs {name} {word}");
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 40, "{seen}");
+    for section in ["FILES", "EXIT STATUS", "ERRORS", "EXAMPLES", "SEE ALSO"] {
+        assert!(page.contains(&format!(".SH {section}\n")), "{section}");
+    }
+}
+
+#[test]
+fn the_pages_errors_are_those_of_the_semantics() {
+    let page = page();
+    let (_, errors) = page.split_once(".SH ERRORS").expect("ERRORS");
+    let (errors, _) = errors.split_once(".SH").expect("an end");
+    let page: BTreeSet<_> =
+        errors.split(".TP\n.B ").skip(1).filter_map(|item| item.trim().split_once('\n')).collect();
+    let semantics = fs::read_to_string(docs().join("SEMANTICS.md")).expect("SEMANTICS.md");
+    let (_, table) = semantics.split_once("| errno | when |").expect("the table");
+    let rows = table.lines().skip(2).take_while(|line| line.starts_with('|')).map(|line| {
+        let mut cells = line.split('|').map(str::trim).skip(1);
+        (cells.next().expect("an errno"), cells.next().expect("when"))
+    });
+    let mut count = 0;
+    for (errno, when) in rows {
+        let sentence = format!("{}{}.", when[..1].to_uppercase(), &when[1..]);
+        assert!(page.contains(&(errno, sentence.as_str())), "{errno}: {sentence}");
+        count += 1;
+    }
+    assert_eq!(page.len(), count, "{page:?}");
+}
+
+#[test]
+fn a_shell_completes_commands_options_and_chips() {
+    let script = Scratch::new("completions.bash", &gaugefs(&["completions", "bash"]).done());
+    let complete = |words: &[&str]| {
+        let last = words.len() - 1;
+        let line = words.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ");
+        let ask = format!(
+            r#". "$0"; COMP_WORDS=({line}); COMP_CWORD={last}; _gaugefs gaugefs '{}' '{}'; echo "${{COMPREPLY[@]}}""#,
+            words[last],
+            words[last - 1]
+        );
+        said("bash", &["-c", &ask], script.path())
+    };
+    if let Some(commands) = complete(&["gaugefs", "umo"]) {
+        assert_eq!(commands, "umount\n");
+        assert_eq!(complete(&["gaugefs", "mount", "--fore"]).as_deref(), Some("--foreground\n"));
+        assert_eq!(complete(&["gaugefs", "mount", "--sim", "bq351"]).as_deref(), Some("bq35100\n"));
+    }
+    for shell in ["zsh", "fish"] {
+        let script = Scratch::new(shell, &gaugefs(&["completions", shell]).done());
+        if let Some(complaints) = said(shell, &["-n"], script.path()) {
+            assert_eq!(complaints, "", "{shell}");
+        }
+    }
+}
