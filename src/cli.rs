@@ -22,6 +22,7 @@ use crate::json;
 use crate::probe::{self, ROM_ADDRESS, Reading};
 
 mod auth;
+mod doctor;
 mod manual;
 
 const EXAMPLES: &str = "\
@@ -113,6 +114,7 @@ enum Command {
     Diff(Diff),
     Lint(Lint),
     Auth(auth::Auth),
+    Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
     #[command(hide = true)]
@@ -288,6 +290,11 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             print(&told);
             ExitCode::SUCCESS
         }),
+        Command::Doctor(doctor) => {
+            let (told, code) = doctor.run();
+            print(&told);
+            Ok(code)
+        }
         Command::Completions(completions) => {
             print(&manual::completions(completions.shell, Cli::command()));
             Ok(ExitCode::SUCCESS)

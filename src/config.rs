@@ -246,6 +246,11 @@ impl GaugeOptions {
         self.bus.as_deref()
     }
 
+    /// Where the keys are.
+    pub(crate) fn key_file(&self) -> Option<&Path> {
+        self.key_file.as_deref()
+    }
+
     /// These, and where they say nothing, the others.
     fn over(self, others: &Self) -> Self {
         // What a gauge is, and where, is one choice.

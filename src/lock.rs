@@ -156,7 +156,8 @@ pub fn key_of_state(state: &Path) -> String {
     format!("sim-{hash:016x}")
 }
 
-fn holder(file: &mut File) -> Option<Holder> {
+/// Who wrote the lock's file last: its holder, where it is held.
+pub fn holder(file: &mut File) -> Option<Holder> {
     let mut line = Vec::new();
     file.rewind().ok()?;
     file.take(8192).read_to_end(&mut line).ok()?;

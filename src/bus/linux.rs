@@ -8,7 +8,7 @@
 //! All `unsafe` of gaugefs is here: what the crate `i2cdev` has no function for.
 
 use std::fmt;
-use std::fs;
+use std::fs::{self, File};
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -52,12 +52,16 @@ impl Adapter {
         let status = match fs::metadata(path) {
             Ok(status) => status,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(Error::host(name, Errno::ENOENT, missing(&adapters())));
+                return Err(Error::host(name, Errno::ENOENT, missing(&adapters(Path::new("/")))));
             }
             Err(error) => return Err(Error::io(name, "cannot look at it", &error)),
         };
         if !status.file_type().is_char_device() || major(status.rdev()) != I2C_MAJOR {
-            return Err(Error::host(name, Errno::ENOTTY, format!("not an I2C bus; {}", list(&adapters()))));
+            return Err(Error::host(
+                name,
+                Errno::ENOTTY,
+                format!("not an I2C bus; {}", list(&adapters(Path::new("/")))),
+            ));
         }
         Ok(Self { path: path.to_path_buf(), device: status.rdev() })
     }
@@ -80,20 +84,22 @@ impl Adapter {
 
     /// The bus clock, where the device tree tells it: x86 and USB adapters keep it to themselves.
     pub fn clock_hz(&self) -> Option<u32> {
-        let device = format!("/sys/bus/i2c/devices/i2c-{}", self.number());
-        // The adapter's own node, or its controller's, in which its property stands.
-        let nodes = ["of_node", "device/of_node", "../of_node"];
-        let read = |node: &&str| fs::read(format!("{device}/{node}/clock-frequency")).ok();
-        Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
+        clock_hz(Path::new("/"), self.number())
     }
 
     /// The kernel driver that is bound to an address, and the device it was made for.
     pub fn driver(&self, address: u8) -> Option<Driver> {
-        let device = format!("/sys/bus/i2c/devices/{}-{address:04x}", self.number());
-        let driver = fs::read_link(format!("{device}/driver")).ok()?;
-        let device = fs::read_to_string(format!("{device}/name")).unwrap_or_default();
-        let name = driver.file_name()?.to_string_lossy().into_owned();
-        Some(Driver { name, device: device.trim().to_string() })
+        driver(Path::new("/"), self.number(), address)
+    }
+
+    /// Whether the adapter takes whole I2C messages. It is asked, and nothing goes out on the bus.
+    pub fn speaks_i2c(&self) -> Result<bool> {
+        let asked = File::options().read(true).write(true).open(&self.path).map(|node| functions(&node));
+        match asked {
+            Ok(Ok(functions)) => Ok(functions & I2C_FUNC_I2C != 0),
+            Ok(Err(errno)) => Err(Error::io(self.to_string(), "does not tell what it can", &errno.into())),
+            Err(error) => Err(Error::io(self.to_string(), "cannot open it", &error)),
+        }
     }
 
     /// Whether the node still stands for the same adapter.
@@ -213,7 +219,36 @@ impl Bus for LinuxBus {
     }
 }
 
-fn functions(device: &LinuxI2CDevice) -> nix::Result<libc::c_ulong> {
+/// The clock of an adapter of the system below `root`, where the device tree tells it.
+pub fn clock_hz(root: &Path, number: u64) -> Option<u32> {
+    let device = root.join(format!("sys/bus/i2c/devices/i2c-{number}"));
+    // The adapter's own node, or its controller's, in which its property stands.
+    let nodes = ["of_node", "device/of_node", "../of_node"];
+    let read = |node: &&str| fs::read(device.join(node).join("clock-frequency")).ok();
+    Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
+}
+
+/// The kernel driver that is bound to an address of an adapter of the system below `root`.
+pub fn driver(root: &Path, number: u64, address: u8) -> Option<Driver> {
+    let device = root.join(format!("sys/bus/i2c/devices/{number}-{address:04x}"));
+    let driver = fs::read_link(device.join("driver")).ok()?;
+    let device = fs::read_to_string(device.join("name")).unwrap_or_default();
+    let name = driver.file_name()?.to_string_lossy().into_owned();
+    Some(Driver { name, device: device.trim().to_string() })
+}
+
+impl Driver {
+    /// How root takes it away from an address.
+    pub fn remedy(&self, number: u64, address: u8) -> String {
+        format!(
+            "`echo 0x{address:02x} > /sys/bus/i2c/devices/i2c-{number}/delete_device`, or with \
+             `echo {number}-{address:04x} > /sys/bus/i2c/drivers/{}/unbind`",
+            self.name
+        )
+    }
+}
+
+fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
     let mut functions = 0;
     // SAFETY: I2C_FUNCS writes one unsigned long to the address it is given, which lives until the call
     // is over; the descriptor is open as long as `device` is.
@@ -277,10 +312,11 @@ fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
 fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
     let number = adapter.number();
     let why = match driver {
-        Some(Driver { name, device }) => format!(
-            "the kernel's driver {name} ({device}) has the gauge; take it away as root with \
-             `echo 0x{address:02x} > /sys/bus/i2c/devices/i2c-{number}/delete_device`, or with \
-             `echo {number}-{address:04x} > /sys/bus/i2c/drivers/{name}/unbind`"
+        Some(driver) => format!(
+            "the kernel's driver {} ({}) has the gauge; take it away as root with {}",
+            driver.name,
+            driver.device,
+            driver.remedy(number, address)
         ),
         None => "a kernel driver has that address".into(),
     };
@@ -299,9 +335,9 @@ fn forbidden(gid: u32) -> String {
     }
 }
 
-/// The adapters of this machine that have a node, by number, with the kernel's names for them.
-fn adapters() -> Vec<(u64, String)> {
-    let nodes = fs::read_dir("/sys/class/i2c-dev").into_iter().flatten().flatten();
+/// The adapters of the system below `root` that have a node, by number, with the kernel's names for them.
+pub fn adapters(root: &Path) -> Vec<(u64, String)> {
+    let nodes = fs::read_dir(root.join("sys/class/i2c-dev")).into_iter().flatten().flatten();
     let mut adapters: Vec<(u64, String)> = nodes
         .filter_map(|node| {
             let number = node.file_name().to_str()?.strip_prefix("i2c-")?.parse().ok()?;

@@ -184,15 +184,19 @@ fn mounted(path: &Path) -> Result<Mounted> {
     Ok(match topmost(&table, path) {
         None => Mounted::Nothing,
         Some((kind, source)) if !ours(&kind, &source) => Mounted::Other(format!("{kind} ({source})")),
-        // STATFS alone is never answered from the kernel's cache.
-        Some(_) => match statvfs(path) {
-            Err(Errno::ENOTCONN | Errno::ECONNABORTED) => Mounted::Dead,
-            _ => Mounted::Alive,
-        },
+        Some(_) if is_dead(path) => Mounted::Dead,
+        Some(_) => Mounted::Alive,
     })
 }
 
-fn ours(kind: &str, source: &str) -> bool {
+/// Whether the daemon of a gaugefs that is mounted there is gone.
+pub fn is_dead(path: &Path) -> bool {
+    // STATFS alone is never answered from the kernel's cache.
+    matches!(statvfs(path), Err(Errno::ENOTCONN | Errno::ECONNABORTED))
+}
+
+/// Whether a file system of that type and source is a gaugefs.
+pub fn ours(kind: &str, source: &str) -> bool {
     source == SOURCE && (kind == "fuse" || kind.starts_with("fuse."))
 }
 
@@ -210,7 +214,7 @@ fn topmost(table: &[u8], path: &Path) -> Option<(String, String)> {
 }
 
 /// Mount point, file system and source of each line of mountinfo.
-fn entries(table: &[u8]) -> impl Iterator<Item = (PathBuf, String, String)> {
+pub fn entries(table: &[u8]) -> impl Iterator<Item = (PathBuf, String, String)> {
     table.split(|&byte| byte == b'\n').filter_map(|line| {
         let mut fields = line.split(|&byte| byte == b' ');
         let path = unescape(fields.nth(4)?);

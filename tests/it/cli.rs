@@ -96,6 +96,7 @@ fn help_is_for_people() {
             "diff --help",
             "lint --help",
             "auth --help",
+            "doctor --help",
             "completions --help",
         ],
     );

@@ -107,8 +107,10 @@ fn errno(error: std::io::Error) -> Errno {
 fn semantics_of_the_tree() {
     let attributes: BTreeSet<_> = table("## Attributes").iter().flat_map(|row| quoted(row[0])).collect();
     let rows = table("## gauge/");
-    let gauge: BTreeMap<_, _> =
-        rows.iter().flat_map(|row| quoted(row[0]).map(|name| (name, (!row[1].is_empty(), !row[2].is_empty())))).collect();
+    let gauge: BTreeMap<_, _> = rows
+        .iter()
+        .flat_map(|row| quoted(row[0]).map(|name| (name, (!row[1].is_empty(), !row[2].is_empty()))))
+        .collect();
     let (mut seen, mut seen_in_gauge) = (BTreeSet::new(), BTreeSet::new());
     for chip in CHIPS {
         let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "0.5"]) else { return };

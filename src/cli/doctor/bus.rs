@@ -1,0 +1,140 @@
+//! I2C adapters: whether there are any, who may use them, what they can, and who has a gauge on them.
+
+use std::fs;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+
+use super::host::Host;
+use super::{Finding, ok, problem, warning};
+use crate::bus::GAUGE_ADDRESS;
+use crate::bus::linux::{Adapter, adapters, clock_hz, driver};
+
+/// The clock up to which the controller below gets along with a gauge that stretches it.
+const SLOW_HZ: u32 = 50_000;
+/// A controller that cuts bits short when a target stretches its clock, as the kernel calls it.
+const NO_STRETCHING: &str = "bcm2835";
+
+pub(super) fn look(host: &Host, configured: &[String]) -> Vec<Finding> {
+    let adapters = adapters(host.root());
+    let mut findings = vec![module(host, adapters.len())];
+    findings.extend(group(host));
+    for (number, name) in &adapters {
+        let wanted = configured.iter().any(|bus| *bus == format!("i2c-{number}"));
+        findings.push(adapter(host, *number, name, wanted));
+        findings.extend(stretching(host, *number, name));
+        findings.extend(drivers(host, *number));
+    }
+    findings
+}
+
+fn module(host: &Host, count: usize) -> Finding {
+    let what = "i2c-dev";
+    let loaded = host.has("/sys/module/i2c_dev") || host.has("/sys/class/i2c-dev");
+    match count {
+        0 if loaded => {
+            let remedy = "Switch a bus on in the device tree (on a Raspberry Pi: dtparam=i2c_arm=on) or in \
+                          the firmware, or plug in an adapter.";
+            problem(what, "is loaded, and the machine has no I2C bus", remedy)
+        }
+        0 => {
+            let remedy = "Load it as root: modprobe i2c-dev; at each boot: \
+                          echo i2c-dev > /etc/modules-load.d/i2c-dev.conf";
+            problem(what, "the module is not loaded, so there are no buses /dev/i2c-*", remedy)
+        }
+        1 => ok(what, "one bus"),
+        count => ok(what, format!("{count} buses")),
+    }
+}
+
+/// Whether a user who is not root is in the group that may use buses.
+fn group(host: &Host) -> Option<Finding> {
+    let groups = host.text("/etc/group");
+    let gid = groups.lines().find_map(|line| line.strip_prefix("i2c:")?.split(':').nth(1)?.parse().ok())?;
+    if host.is_root() {
+        return None;
+    }
+    let (_, member) = host.group(gid)?;
+    let what = "group i2c";
+    Some(match (host.groups.contains(&gid), member) {
+        (true, _) => ok(what, format!("{} is in it", host.user())),
+        (false, true) => {
+            let says = format!("{} is in it, but not yet in this session", host.user());
+            warning(what, says, "Log in again, or for this shell only: newgrp i2c")
+        }
+        (false, false) => {
+            let remedy = format!("Where its buses are to be used: sudo usermod -aG i2c {}", host.user());
+            warning(what, format!("{} is not in it", host.user()), remedy + ", and log in again.")
+        }
+    })
+}
+
+/// The node: whether it can be used, and what the adapter behind it can.
+fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
+    let node = format!("/dev/i2c-{number}");
+    let what = format!("{node} ({name})");
+    let Ok(status) = fs::metadata(host.at(&node)) else {
+        let remedy = "Let udev make it, as root: udevadm trigger --subsystem-match=i2c-dev";
+        return problem(what, "the node is not there", remedy);
+    };
+    if !host.may_use(&node, &status) {
+        return problem(what, "no permission", forbidden(host, &status));
+    }
+    let clock = clock_hz(host.root(), number);
+    let clock = clock.map_or_else(|| "clock unknown".into(), |hz| format!("{} kHz", hz / 1000));
+    if !status.file_type().is_char_device() {
+        return warning(what, format!("not a device, {clock}"), "Let udev make the node again.");
+    }
+    match Adapter::find(&host.at(&node)).and_then(|adapter| adapter.speaks_i2c()) {
+        Ok(true) => ok(what, format!("can be used, plain I2C, {clock}")),
+        Ok(false) if wanted => {
+            problem(what, "speaks only SMBus, and a gauge is configured on it", "Connect it to another bus.")
+        }
+        Ok(false) => ok(what, "speaks only SMBus: not for gauges"),
+        Err(error) => problem(what, error.cause().to_string(), "Make sure that the adapter is there."),
+    }
+}
+
+fn forbidden(host: &Host, status: &fs::Metadata) -> String {
+    match host.group(status.gid()).filter(|_| status.gid() != 0 && status.mode() & 0o060 == 0o060) {
+        Some((group, true)) => {
+            format!("The group {group} may use it, and you are in it: log in again, or newgrp {group}")
+        }
+        Some((group, false)) => {
+            format!("Join its group and log in again: sudo usermod -aG {group} {}", host.user())
+        }
+        None => "Run gaugefs as root, or give the node a group: Debian's i2c-tools comes with a rule.".into(),
+    }
+}
+
+/// Gauges stretch the clock for milliseconds.
+fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
+    let slow = clock_hz(host.root(), number).is_some_and(|hz| hz <= SLOW_HZ);
+    if !name.contains(NO_STRETCHING) || slow {
+        return None;
+    }
+    let says = "this controller cuts bits short when a gauge stretches the clock, as gauges do";
+    let remedy = "In config.txt, a bus in software: dtoverlay=i2c-gpio,bus=3,i2c_gpio_sda=2,i2c_gpio_scl=3 \
+                  with dtparam=i2c_arm=off; or slower: dtparam=i2c_arm_baudrate=50000";
+    Some(warning(format!("i2c-{number} ({name})"), says, remedy))
+}
+
+/// Kernel drivers on addresses of gauges.
+fn drivers(host: &Host, number: u64) -> Vec<Finding> {
+    let bound = host.names("/sys/bus/i2c/devices").into_iter().filter_map(|device| {
+        let (bus, address) = device.split_once('-')?;
+        let address = u8::from_str_radix(address, 16).ok()?;
+        (bus.parse() == Ok(number)).then_some(address)
+    });
+    let bound = bound.filter_map(|address| Some((address, driver(host.root(), number, address)?)));
+    let gauges = bound.filter_map(|(address, driver)| {
+        let gauge = driver.name.starts_with("bq27xxx");
+        let what = format!("i2c-{number} address 0x{address:02x}");
+        let says = format!("the kernel's driver {} ({}) has it", driver.name, driver.device);
+        let remedy = format!("To let gaugefs have it, as root: {}", driver.remedy(number, address));
+        match gauge {
+            true => Some(problem(what, says, remedy)),
+            false if address == GAUGE_ADDRESS => Some(warning(what, says, remedy)),
+            false => None,
+        }
+    });
+    gauges.collect()
+}

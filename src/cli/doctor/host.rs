@@ -1,0 +1,102 @@
+//! The system that is looked at: a root folder, and the user who asks.
+
+use std::fs::{self, Metadata};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use nix::unistd::{AccessFlags, access, geteuid};
+
+/// A system below a root folder.
+pub(super) struct Host {
+    root: PathBuf,
+    /// The effective user.
+    pub(super) uid: u32,
+    /// All groups that are in force for the user's processes.
+    pub(super) groups: Vec<u32>,
+}
+
+impl Host {
+    pub(super) fn new(root: PathBuf) -> Self {
+        let status = fs::read_to_string(root.join("proc/self/status")).unwrap_or_default();
+        let numbers = |name: &str| -> Vec<u32> {
+            let line = status.lines().find_map(|line| line.strip_prefix(name));
+            line.unwrap_or_default().split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect()
+        };
+        // Real, effective, saved and file system's.
+        let uid = numbers("Uid:").get(1).copied().unwrap_or_else(|| geteuid().as_raw());
+        let groups = numbers("Gid:").get(1).copied().into_iter().chain(numbers("Groups:")).collect();
+        Self { root, uid, groups }
+    }
+
+    pub(super) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    pub(super) fn is_root(&self) -> bool {
+        self.uid == 0
+    }
+
+    /// Where a path of that system is to be found.
+    pub(super) fn at(&self, path: &str) -> PathBuf {
+        self.root.join(path.trim_start_matches('/'))
+    }
+
+    pub(super) fn has(&self, path: &str) -> bool {
+        self.at(path).exists()
+    }
+
+    pub(super) fn text(&self, path: &str) -> String {
+        fs::read_to_string(self.at(path)).unwrap_or_default()
+    }
+
+    /// The names in a folder, sorted.
+    pub(super) fn names(&self, folder: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.at(folder)).into_iter().flatten().flatten();
+        let mut names: Vec<_> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        names.sort_unstable();
+        names
+    }
+
+    /// Whether the user may read and write a file.
+    pub(super) fn may_use(&self, path: &str, status: &Metadata) -> bool {
+        let shift = match status {
+            _ if self.is_root() => return true,
+            _ if status.uid() == self.uid => 6,
+            _ if self.groups.contains(&status.gid()) => 3,
+            _ => 0,
+        };
+        let both = AccessFlags::R_OK | AccessFlags::W_OK;
+        // An access list, as a session's first user gets, does not show in the mode.
+        let listed = || self.uid == geteuid().as_raw() && access(&self.at(path), both).is_ok();
+        status.mode() >> shift & 0o6 == 0o6 || listed()
+    }
+
+    /// The user's name.
+    pub(super) fn user(&self) -> String {
+        self.account(0).unwrap_or_else(|| "$USER".into())
+    }
+
+    /// The user's home.
+    pub(super) fn home(&self) -> String {
+        self.account(5).unwrap_or_default()
+    }
+
+    /// A field of the user's line in /etc/passwd.
+    fn account(&self, field: usize) -> Option<String> {
+        let users = self.text("/etc/passwd");
+        let mut lines = users.lines().map(|line| line.split(':').collect::<Vec<_>>());
+        let mine = lines.find(|fields| fields.get(2).and_then(|uid| uid.parse().ok()) == Some(self.uid))?;
+        Some((*mine.get(field)?).to_string())
+    }
+
+    /// A group's name, and whether the user is written down as its member.
+    pub(super) fn group(&self, gid: u32) -> Option<(String, bool)> {
+        let (groups, user) = (self.text("/etc/group"), self.user());
+        groups.lines().find_map(|line| {
+            let fields: Vec<_> = line.split(':').collect();
+            let [name, _, number, members] = fields[..] else { return None };
+            let found = number.parse() == Ok(gid);
+            found.then(|| (name.to_string(), members.split(',').any(|member| member == user)))
+        })
+    }
+}

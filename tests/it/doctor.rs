@@ -1,0 +1,313 @@
+//! `gaugefs doctor` in front of systems that are only folders, and once in front of this one.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::cli::command;
+
+/// A system that is a folder.
+struct System(PathBuf);
+
+impl System {
+    /// All is well on it: a user of the group i2c, one bus, FUSE, nothing mounted.
+    fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("gaugefs doctor {} {count}", std::process::id()));
+        let system = Self(path);
+        system.write("proc/sys/kernel/osrelease", "6.1.0-25-amd64\n");
+        system.write(
+            "proc/self/status",
+            "Name:\tx\nUid:\t4711\t4711\t4711\t4711\nGid:\t50\t50\t50\t50\nGroups:\t50 998 \n",
+        );
+        system.write("proc/self/mountinfo", "22 1 8:1 / / rw - ext4 /dev/sda1 rw\n");
+        system.write("proc/locks", "");
+        system.write("etc/passwd", "root:x:0:0::/root:/bin/sh\nann:x:4711:50::/home/ann:/bin/sh\n");
+        system.write("etc/group", "root:x:0:\ni2c:x:998:bob,ann\n");
+        system.mode("dev/fuse", 0o666);
+        system.mode("usr/bin/fusermount3", 0o4755);
+        system.bus(1, "bcm2835 (i2c@7e804000)");
+        system.write("sys/bus/i2c/devices/i2c-1/of_node/clock-frequency", "\0\0\u{43}\u{50}");
+        system
+    }
+
+    fn write(&self, path: &str, text: &str) {
+        let path = self.0.join(path);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("folders");
+        fs::write(path, text).expect("a file");
+    }
+
+    fn mode(&self, path: &str, mode: u32) {
+        self.write(path, "");
+        fs::set_permissions(self.0.join(path), Permissions::from_mode(mode)).expect("its mode");
+    }
+
+    fn bus(&self, number: u32, name: &str) {
+        self.write(&format!("sys/class/i2c-dev/i2c-{number}/name"), &format!("{name}\n"));
+        self.mode(&format!("dev/i2c-{number}"), 0o666);
+    }
+
+    fn remove(&self, path: &str) {
+        let path = self.0.join(path);
+        if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.expect("it was there");
+    }
+
+    /// A driver bound to a device such as `1-0055`.
+    fn driver(&self, device: &str, name: &str, driver: &str) {
+        self.write(&format!("sys/bus/i2c/devices/{device}/name"), &format!("{name}\n"));
+        let link = self.0.join(format!("sys/bus/i2c/devices/{device}/driver"));
+        symlink(format!("../../drivers/{driver}"), link).expect("a link");
+    }
+
+    /// What systemctl lists on it.
+    fn units(&self, lines: &str) {
+        self.write("run/systemd/system/x", "");
+        self.write("usr/lib/systemd/system/gaugefs@.service", "");
+        self.write("usr/lib/udev/rules.d/60-gaugefs.rules", "");
+        self.write("bin/systemctl", &format!("#!/bin/sh\ncat <<'END'\n{lines}END\n"));
+        fs::set_permissions(self.0.join("bin/systemctl"), Permissions::from_mode(0o755)).expect("its mode");
+    }
+
+    fn doctor(&self, more: &[&str]) -> Output {
+        let path = std::env::var("PATH").unwrap_or_default();
+        let mut command = command(&["doctor", "--root"]);
+        command.arg(&self.0).args(more).env("PATH", format!("{}:{path}", self.0.join("bin").display()));
+        command.output().expect("gaugefs runs")
+    }
+
+    /// The line that begins with a state and a subject, with its remedy.
+    #[track_caller]
+    fn says(&self, state: &str, what: &str, words: &[&str]) {
+        let output = self.doctor(&[]);
+        let text = String::from_utf8(output.stdout).expect("text");
+        let start = format!("{state:7}  {what}");
+        let at = text.find(&start).unwrap_or_else(|| panic!("no `{start}` in:\n{text}"));
+        let finding: String = text[at..].lines().take(if state == "ok" { 1 } else { 2 }).collect();
+        for word in words {
+            assert!(finding.contains(word), "`{word}` is not in: {finding}");
+        }
+        let problems = text.lines().any(|line| line.starts_with("problem"));
+        assert_eq!(output.status.code(), Some(i32::from(problems)), "{text}");
+        assert!(state != "problem" || problems);
+    }
+}
+
+impl Drop for System {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn a_system_that_is_well_has_no_problem() {
+    let system = System::new();
+    let output = system.doctor(&[]);
+    let text = String::from_utf8(output.stdout).expect("text");
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    assert_eq!(output.stderr, b"");
+    for line in [
+        "ok       Linux: 6.1.0-25-amd64\n",
+        "ok       /dev/fuse: can be opened\n",
+        "ok       fusermount3: /usr/bin/fusermount3\n",
+        "ok       i2c-dev: one bus\n",
+        "ok       group i2c: ann is in it\n",
+        "ok       mounts: no gaugefs is mounted\n",
+        "ok       gaugefs@.service: not installed",
+    ] {
+        assert!(text.contains(line), "no {line}in:\n{text}");
+    }
+}
+
+#[test]
+fn json_has_the_same_findings() {
+    let system = System::new();
+    system.remove("usr/bin/fusermount3");
+    let json = String::from_utf8(system.doctor(&["--json"]).stdout).expect("text");
+    assert!(json.starts_with(r#"{"findings": [{"state": "ok", "what": "Linux", "#), "{json}");
+    let finding = r#"{"state": "problem", "what": "fusermount3", "says": "is not there", "remedy": "Install it: sudo apt-get install fuse3"}"#;
+    assert!(json.contains(finding), "{json}");
+    assert!(json.contains(r#""remedy": null"#), "{json}");
+}
+
+#[test]
+fn what_fuse_lacks_is_told() {
+    let system = System::new();
+    system.mode("usr/bin/fusermount3", 0o755);
+    system.says("problem", "fusermount3", &["not setuid", "chmod u+s /usr/bin/fusermount3"]);
+    system.write("etc/fuse.conf", "# user_allow_other\n");
+    system.says("ok", "user_allow_other", &["is not set"]);
+    system.write("etc/fuse.conf", "user_allow_other\n");
+    system.says("ok", "user_allow_other", &["is set"]);
+    system.mode("dev/fuse", 0o600);
+    system.says("problem", "/dev/fuse", &["no permission"]);
+    system.remove("dev/fuse");
+    system.says("problem", "/dev/fuse", &["is not there", "modprobe fuse"]);
+    system.write("proc/sys/kernel/osrelease", "4.19.0\n");
+    system.says("warning", "Linux", &["older than 5.1"]);
+    system.write("proc/self/status", "Uid:\t0\t0\t0\t0\n");
+    system.remove("usr/bin/fusermount3");
+    system.says("ok", "fusermount3", &["root does not need it"]);
+}
+
+#[test]
+fn what_buses_lack_is_told() {
+    let system = System::new();
+    system.says("warning", "/dev/i2c-1 (bcm2835 (i2c@7e804000))", &["not a device", "17 kHz"]);
+    system.write("sys/bus/i2c/devices/i2c-1/of_node/clock-frequency", "\0\u{1}\u{6}\u{20}");
+    system.says("warning", "i2c-1 (bcm2835", &["stretches the clock", "i2c-gpio", "baudrate=50000"]);
+    system.bus(4, "SMBus I801");
+    system.says("ok", "i2c-dev", &["2 buses"]);
+    // Whoever runs the tests owns the node, and its group is theirs.
+    system.mode("dev/i2c-1", 0o660);
+    let gid = fs::metadata(system.0.join("dev/i2c-1")).expect("a node").gid();
+    system.says("problem", "/dev/i2c-1", &["no permission"]);
+    if gid != 0 {
+        system.write("etc/group", &format!("bus:x:{gid}:\n"));
+        system.says("problem", "/dev/i2c-1", &["usermod -aG bus ann"]);
+    }
+    system.write("proc/self/status", &format!("Uid:\t4711\t4711\nGid:\t50\t50\nGroups:\t50 {gid}\n"));
+    system.says("warning", "/dev/i2c-1", &["not a device"]);
+    system.remove("dev/i2c-1");
+    system.says("problem", "/dev/i2c-1", &["the node is not there"]);
+    system.remove("sys/class/i2c-dev");
+    system.says("problem", "i2c-dev", &["not loaded", "modprobe i2c-dev"]);
+    system.write("sys/module/i2c_dev/x", "");
+    system.says("problem", "i2c-dev", &["has no I2C bus"]);
+}
+
+#[test]
+fn a_membership_that_is_not_in_force_is_told() {
+    let system = System::new();
+    system.write("proc/self/status", "Uid:\t4711\t4711\nGid:\t50\t50\nGroups:\t50\n");
+    system.says("warning", "group i2c", &["not yet in this session", "newgrp i2c"]);
+    system.write("etc/group", "i2c:x:998:bob\n");
+    system.says("warning", "group i2c", &["ann is not in it", "usermod -aG i2c ann"]);
+}
+
+#[test]
+fn kernel_drivers_on_gauges_are_told() {
+    let system = System::new();
+    system.driver("1-0055", "bq34z100", "bq27xxx-battery");
+    system.driver("1-0036", "max17048", "max17040");
+    system.says(
+        "problem",
+        "i2c-1 address 0x55",
+        &["bq27xxx-battery (bq34z100)", "echo 0x55 > /sys/bus/i2c/devices/i2c-1/delete_device"],
+    );
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert!(!text.contains("0x36"), "{text}");
+    system.remove("sys/bus/i2c/devices/1-0055");
+    system.driver("1-0055", "24c02", "at24");
+    system.says(
+        "warning",
+        "i2c-1 address 0x55",
+        &["at24 (24c02)", "echo 1-0055 > /sys/bus/i2c/drivers/at24/unbind"],
+    );
+}
+
+#[test]
+fn mounts_and_locks_are_told() {
+    let system = System::new();
+    system.write(
+        "proc/self/mountinfo",
+        "22 1 8:1 / / rw - ext4 /dev/sda1 rw\n\
+         40 22 0:36 / /run/gaugefs/i2c-1 rw - fuse.gaugefs gaugefs rw\n\
+         41 22 0:37 / /mnt/x rw - fuse.gaugefs gaugefs rw\n\
+         42 41 0:38 / /mnt/x rw - tmpfs none rw\n\
+         43 22 0:39 / /run/gaugefs/i2c-2 rw - tmpfs none rw\n",
+    );
+    system.says("ok", "/run/gaugefs/i2c-1", &["a gaugefs is mounted"]);
+    system.says("warning", "/mnt/x", &["hidden below tmpfs (none)"]);
+    system.says("problem", "/run/gaugefs/i2c-2", &["tmpfs (none)", "umount /run/gaugefs/i2c-2"]);
+    let lock = |name: &str, text: &str| {
+        let path = format!("run/gaugefs/{name}.lock");
+        system.write(&path, text);
+        let inode = fs::metadata(system.0.join(path)).expect("a lock").ino();
+        format!("1: FLOCK  ADVISORY  WRITE 42 00:19:{inode} 0 EOF\n")
+    };
+    let one = lock("i2c-1-55", "42 /run/gaugefs/i2c-1");
+    let two = lock("i2c-2-55", "43 /run/gaugefs/i2c-2");
+    lock("i2c-3-55", "44 /run/gaugefs/i2c-3");
+    system.write("proc/locks", &(one + &two));
+    system.says("ok", "lock i2c-1-55", &["process 42, mounted at /run/gaugefs/i2c-1"]);
+    system.says("warning", "lock i2c-2-55", &["process 43, and nothing is mounted at", "kill 43"]);
+    system.says("ok", "locks", &["1 left over"]);
+}
+
+#[test]
+fn journals_are_told() {
+    let system = System::new();
+    system.write("var/lib/gaugefs/i2c-1-55-0001.journal", "");
+    system.write("home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", "");
+    let says = ["under way, or was cut short", "Mount the gauge"];
+    system.says("warning", "/var/lib/gaugefs/i2c-1-55-0001.journal", &says);
+    system.says("warning", "/home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", &says);
+}
+
+#[test]
+fn what_the_administrator_wrote_is_parsed() {
+    let system = System::new();
+    system
+        .write("etc/gaugefs/i2c-1.conf", "# a pack\nOPTIONS=--name PACK --key-file /etc/gaugefs/pack.keys\n");
+    system.says("ok", "/etc/gaugefs/i2c-1.conf", &["--name PACK"]);
+    system.says("problem", "/etc/gaugefs/pack.keys", &["not there"]);
+    system.mode("etc/gaugefs/pack.keys", 0o640);
+    system.says("problem", "/etc/gaugefs/pack.keys", &["mode 640", "chmod 600"]);
+    system.mode("etc/gaugefs/pack.keys", 0o600);
+    system.says("ok", "/etc/gaugefs/pack.keys", &["only its owner"]);
+    system.says("problem", "gaugefs@.service", &["60-gaugefs.rules is not installed"]);
+    system.write("etc/gaugefs/i2c-1.conf", "OPTIONS=--pol 10\n");
+    system.says("problem", "/etc/gaugefs/i2c-1.conf", &["--pol"]);
+    system.write("etc/gaugefs/i2c-7.conf", "");
+    system.says("warning", "/etc/gaugefs/i2c-7.conf", &["/dev/i2c-7 is not there"]);
+    system.write("etc/gaugefs/bus.conf", "");
+    system.says("warning", "/etc/gaugefs/bus.conf", &["no bus is called bus"]);
+    system.write("etc/gaugefs/gaugefs.toml", "[[gauge]\n");
+    system.says("problem", "/etc/gaugefs/gaugefs.toml", &["gaugefs.toml(5)"]);
+}
+
+#[test]
+fn units_are_told_as_systemd_has_them() {
+    let system = System::new();
+    system.write("etc/gaugefs/i2c-1.conf", "");
+    system.units("");
+    system.says("warning", "gaugefs@i2c\\x2d1.service", &["not started", "udevadm trigger /dev/i2c-1"]);
+    system.units("gaugefs@i2c\\x2d1.service loaded active running Fuel gauge\n");
+    system.says("ok", "gaugefs@i2c\\x2d1.service", &["active (running)"]);
+    system.units("gaugefs@i2c\\x2d1.service loaded failed failed Fuel gauge\n");
+    system.says("problem", "gaugefs@i2c\\x2d1.service", &["journalctl -u"]);
+    system.units("gaugefs@i2c\\x2d1.service loaded inactive dead Fuel gauge\n");
+    system.says("ok", "gaugefs@i2c\\x2d1.service", &["inactive (dead)", "systemctl start"]);
+}
+
+/// Here rather than in a folder: only a real mount can be dead.
+#[test]
+fn this_machine_is_told_of_a_dead_mount() {
+    if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was looked at");
+        return;
+    }
+    let place = std::env::temp_dir().join(format!("gaugefs-dead-{}", std::process::id()));
+    let at = place.to_str().expect("a path in UTF-8");
+    let told =
+        || String::from_utf8(command(&["doctor"]).output().expect("gaugefs runs").stdout).expect("text");
+    let mut daemon =
+        command(&["mount", "--foreground", "--sim", "bq34z100-g1", at]).spawn().expect("gaugefs runs");
+    let start = std::time::Instant::now();
+    while !place.join("BAT0").exists() {
+        assert!(start.elapsed().as_secs() < 60, "not mounted");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let alive = told();
+    daemon.kill().expect("it runs");
+    daemon.wait().expect("it ends");
+    let dead = told();
+    command(&["umount", at]).status().expect("gaugefs runs");
+    let _ = fs::remove_dir(Path::new(at));
+    assert!(alive.contains(&format!("ok       {at}: a gaugefs is mounted there\n")), "{alive}");
+    assert!(dead.contains(&format!("problem  {at}: a gaugefs whose process is gone\n")), "{dead}");
+    assert!(dead.contains(&format!("gaugefs umount {at}\n")), "{dead}");
+}
