@@ -117,6 +117,27 @@ fn the_page_has_every_command_with_its_options() {
     }
 }
 
+/// A configuration file has the options of the command line, but for those of the command line itself.
+#[test]
+fn the_configurations_page_has_every_option() {
+    let page = plain(&fs::read_to_string(docs().join("gaugefs.toml.5")).expect("the page"));
+    let terms = page.lines().filter(|line| line.starts_with(".BR ") && line.ends_with(")\""));
+    let words = terms.flat_map(|line| line[4..].split(['"', ',', ' ']));
+    let is_key =
+        |word: &&str| !word.is_empty() && !word.starts_with('(') && !word.ends_with(')') && *word != "or";
+    let keys: BTreeSet<String> = words.filter(is_key).map(String::from).collect();
+    let help = gaugefs(&["mount", "--help"]).done();
+    // Explanations stand further in, and may begin a line with an option.
+    let options = help.lines().filter_map(|line| line.strip_prefix("      --"));
+    let name = |line: &str| line.split([' ', '[']).next().unwrap_or(line).to_string();
+    let mut options: BTreeSet<String> = options.map(name).collect();
+    for of_the_command_line in ["config", "check"] {
+        options.remove(of_the_command_line);
+    }
+    options.insert("mountpoint".into());
+    assert_eq!(keys, options);
+}
+
 #[test]
 fn the_pages_errors_are_those_of_the_semantics() {
     let page = page();
