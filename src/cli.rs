@@ -654,7 +654,7 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     }
 }
 
-/// A gauge in ROM mode answers at an address of its own; one byte is read from it, and none written.
+/// A gauge in ROM mode answers at an address of its own.
 fn look_for_rom(adapter: &Adapter) -> Result<Found> {
     let address = ROM_ADDRESS;
     let found =
@@ -663,10 +663,12 @@ fn look_for_rom(adapter: &Adapter) -> Result<Found> {
         return found("driver", &format!("driver {} ({}) has it; not touched", driver.name, driver.device));
     }
     let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
-    match bus.transfer(&[], &mut [0]) {
-        Ok(()) => found("rom", "a gauge whose flash was being programmed, unless another device lives there"),
-        Err(crate::bus::BusError::NoAck) => found("nothing", ""),
-        Err(error) => Err(Error::from(error).about(format!("{adapter} address 0x{address:02x}"))),
+    match probe::answers_in_rom(&mut bus) {
+        Ok(true) => {
+            found("rom", "a gauge whose flash was being programmed, unless another device lives there")
+        }
+        Ok(false) => found("nothing", ""),
+        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}"))),
     }
 }
 

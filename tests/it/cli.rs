@@ -161,6 +161,33 @@ fn what_cannot_be_done_is_said_with_its_remedy() {
 }
 
 #[test]
+fn a_bus_without_permission_is_refused_with_the_group_that_has_it() {
+    use std::os::unix::process::CommandExt;
+    let folder = Folder::new();
+    let (node, program) = (folder.file("i2c-250"), folder.file("gaugefs"));
+    // An adapter that no machine has: the mode is judged before anybody misses it.
+    let device = nix::sys::stat::makedev(89, 250);
+    let mode = nix::sys::stat::Mode::from_bits_truncate(0o660);
+    let made = nix::sys::stat::mknod(node.as_str(), nix::sys::stat::SFlag::S_IFCHR, mode, device);
+    if made.is_err() {
+        eprintln!("SKIPPED: no device node can be made without root; no forbidden bus was probed");
+        return;
+    }
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that anybody may run");
+    for (gid, says) in [(0, "no permission; run gaugefs as root"), (1, "join the group daemon")] {
+        std::os::unix::fs::chown(&node, Some(0), Some(gid)).expect("its group");
+        for arguments in [&["probe", "--bus", &node][..], &["mount", "--bus", &node, &folder.file("m")]] {
+            let mut command = Command::new(&program);
+            command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+            let output = command.output().expect("gaugefs runs");
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(1), "{said}");
+            assert!(said.starts_with(&format!("gaugefs: {node}")) && said.contains(says), "{said}");
+        }
+    }
+}
+
+#[test]
 fn what_a_file_would_set_is_shown() {
     // The golden file names the samples as they are named from the package's folder.
     golden(
