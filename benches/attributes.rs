@@ -14,13 +14,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Entry, Fs, Scales};
 use gaugefs::fuse;
-use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 
@@ -49,16 +46,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
     std::thread::sleep(Duration::from_millis(1300));
     let signal = Arc::new(Signal::default());
     let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-    let settings = Settings {
-        keys: Keys::default(),
-        interval,
-        byte_writes: false,
-        allow_unproven: false,
-        limits: Limits::default(),
-        auth_order: Order::default(),
-        restore: Vec::new(),
-        journal: None,
-    };
+    let settings = Settings { interval, ..Settings::default() };
     let handle = poll::spawn(chip, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
     (sim, handle, signal)
 }

@@ -299,6 +299,21 @@ pub struct Settings {
     pub journal: Option<Journal>,
 }
 
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            keys: Keys::default(),
+            interval: Duration::from_secs(30),
+            byte_writes: false,
+            allow_unproven: false,
+            limits: Limits::default(),
+            auth_order: Order::default(),
+            restore: Vec::new(),
+            journal: None,
+        }
+    }
+}
+
 /// How a gauge stands among the others of its mount.
 #[derive(Debug, Default)]
 pub struct Place {
@@ -962,15 +977,7 @@ mod tests {
         let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
         let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a gauge");
         clock.sleep(Duration::from_secs(1));
-        let settings = Settings {
-            keys: Keys::default(),
-            interval: INTERVAL,
-            byte_writes: false,
-            allow_unproven: false,
-            auth_order: Order::default(),
-            restore: Vec::new(),
-            journal: None,
-        };
+        let settings = Settings { interval: INTERVAL, ..Settings::default() };
         let place = Place { phase: INTERVAL * at / 4, ..Place::default() };
         let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
         Owner::new(chip, Box::new(sim.bus()), clock, settings, place, Arc::default()).0

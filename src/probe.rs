@@ -286,7 +286,7 @@ mod tests {
             let who = identify(&plausible, &open, &clock).expect("it answers");
             assert_eq!(who.sibling.map(|found| found.name), Some(sibling.name));
             assert!(who.chips.is_empty(), "{}: {:?}", sibling.name, who.chips);
-            let found = find("here", None, &open, &clock);
+            let found = find("here", &open, &clock);
             match (sibling.like, found) {
                 (Some(like), found) => assert_eq!(found.expect("it is like a chip").name, like.name),
                 (None, found) => {

@@ -8,14 +8,11 @@ use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
-use gaugefs::authentication::Order;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, RealClock};
-use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Entry, Fs, Scales};
 use gaugefs::fuse;
-use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
@@ -239,16 +236,7 @@ impl Bus for Gate {
 }
 
 fn settings(interval: Duration) -> Settings {
-    Settings {
-        keys: Keys::default(),
-        interval,
-        byte_writes: false,
-        allow_unproven: false,
-        auth_order: Order::default(),
-        restore: Vec::new(),
-        journal: None,
-        limits: Limits::default(),
-    }
+    Settings { interval, ..Settings::default() }
 }
 
 fn sim(clock: &Arc<dyn Clock>) -> Sim {

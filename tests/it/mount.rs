@@ -8,11 +8,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::authentication::Order;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::dataflash::{Change, Limits};
+use gaugefs::dataflash::Change;
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
 use gaugefs::fuse::{self, Mounted};
@@ -83,16 +82,7 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings = Settings {
-            keys,
-            interval,
-            byte_writes: false,
-            allow_unproven: false,
-            limits: Limits::default(),
-            auth_order: Order::default(),
-            restore,
-            journal: None,
-        };
+        let settings = Settings { keys, interval, restore, ..Settings::default() };
         let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = Entry {
             name: "BAT0".into(),

@@ -10,13 +10,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Covered, Entry, Fs, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 
@@ -76,16 +73,7 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
     let entries = names.iter().map(|name| {
         let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated chip");
         std::thread::sleep(Duration::from_millis(1300));
-        let settings = Settings {
-            keys: Keys::default(),
-            interval: Duration::from_secs(3600),
-            byte_writes: false,
-            allow_unproven: false,
-            auth_order: Order::default(),
-            restore: Vec::new(),
-            journal: None,
-            limits: Limits::default(),
-        };
+        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
         let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
         let handle = poll::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
         let handle = handle.expect("a gauge");

@@ -5,7 +5,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use gaugefs::authentication::Order;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::{CHIPS, Chip, FLAT, Role, Word};
 use gaugefs::clock::{Clock, SimClock};
@@ -604,16 +603,7 @@ fn a_swapped_pack_is_noticed() {
     let bus = Swap([Box::new(first.bus()), Box::new(other.sim.bus())], at.clone());
     let chip = Chip::by_name("bq34z100-g1").expect("a table");
     let interval = Duration::from_secs(3600);
-    let settings = Settings {
-        keys: Keys::default(),
-        interval,
-        byte_writes: false,
-        allow_unproven: false,
-        limits: Limits::default(),
-        auth_order: Order::default(),
-        restore: Vec::new(),
-        journal: None,
-    };
+    let settings = Settings { interval, ..Settings::default() };
     let handle = poll::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
     let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
     let parameter =

@@ -3,10 +3,8 @@
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use gaugefs::authentication::Order;
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::dataflash::Limits;
 use gaugefs::fs::{Access, Entry, Fs, Node, Scales};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings};
@@ -27,16 +25,7 @@ impl Tree {
         clock.sleep(Duration::from_secs(1));
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let interval = Duration::from_secs(3600);
-        let settings = Settings {
-            keys,
-            interval,
-            byte_writes: false,
-            allow_unproven: false,
-            limits: Limits::default(),
-            auth_order: Order::default(),
-            restore: Vec::new(),
-            journal: None,
-        };
+        let settings = Settings { keys, interval, ..Settings::default() };
         let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
         let handle = handle.expect("a gauge");
         let entry =
