@@ -109,6 +109,11 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let mut rows = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
         let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
+            if order.is_none() && line.trim_start().starts_with('[') {
+                let why =
+                    "a .gg file in sections, which tell neither units nor formats; export it as .gg.csv";
+                return Err(at_line(number, why));
+            }
             if !line.trim().is_empty() {
                 rows.push((number, line));
             }
@@ -184,6 +189,14 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         )));
     }
     let format = field("display-format").unwrap_or_default();
+    let unit = field("display-units").or(field("units")).filter(|_| field("display-format").is_none());
+    let Some(decimals) = unit.map_or_else(|| Some(decimals(format)), |unit| short_form(parameter, unit))
+    else {
+        let (name, unit, stored) = (parameter.name, unit.unwrap_or_default(), parameter.unit);
+        let why = format!("shown in {unit}, stored in {stored}, and the file does not say how; left out");
+        image.notes.push(format!("line {number}: {name}: {why}"));
+        return Ok(());
+    };
     let hexadecimal = match parameter.kind {
         Type::H(_) => !format.starts_with(['d', 'D']),
         _ => format.starts_with(['h', 'H']),
@@ -191,13 +204,33 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let text = match parameter.kind {
         Type::S(_) | Type::F4 => shown.to_string(),
         _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
-        _ => unscaled(shown, format.split_once('.').map_or(0, |(_, after)| after.len()))
-            .ok_or_else(|| bad(format!("`{shown}` is not of the format {format}")))?,
+        _ => unscaled(shown, decimals).ok_or_else(|| {
+            let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
+            bad(format!("`{shown}` is not of the format {format}"))
+        })?,
     };
     let value = text::parse_stored(parameter, text.as_bytes());
     let value = value.map_err(|error| error.within(&format!("line {number}")))?;
     image.add(subclass, parameter, value, number);
     Ok(())
+}
+
+fn decimals(format: &str) -> usize {
+    format.split_once('.').map_or(0, |(_, after)| after.len())
+}
+
+/// With how many decimals a form without formats shows a value, by its unit; `None` where it shows another
+/// quantity than is stored, a resistance for a gain for instance.
+fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
+    let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
+    let (shown, stored) = (plain(unit), plain(parameter.unit));
+    let none = |unit: &str| matches!(unit, "" | "-" | "num" | "number" | "counts" | "hex" | "flg" | "flags");
+    match parameter.kind {
+        Type::H(_) | Type::S(_) => Some(0),
+        _ if shown == stored || none(&shown) => Some(0),
+        _ if shown == "degc" && stored == "0.1degc" => Some(1),
+        _ => None,
+    }
 }
 
 /// A number that is shown with so many decimals, as the whole number that is stored.
@@ -257,6 +290,41 @@ mod tests {
         assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` is not of the format dd.dd");
         let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
         assert!(error.starts_with("line 2: Cell Terminate Voltage: its value goes through the formula x/10"));
+    }
+
+    /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is; only
+    /// the long form says how one becomes the other.
+    #[test]
+    fn a_short_form_is_read_as_far_as_its_units_tell() {
+        for (comma, unit) in [(",", "Units"), ("\t", "Display Units")] {
+            let rows = [
+                ["Class name", "Subclass name", "Parameter name", "Parameter Value", unit],
+                ["Configuration", "Safety", "OT Chg", "55.5", "degC"],
+                ["Configuration", "Safety", "OT Dsg", "60", "°C"],
+                ["Configuration", "Safety", "OT Chg Recovery", "500", "0.1degC"],
+                ["Calibration", "Data", "CC Gain", "5.006", "mOhm"],
+                ["Gas Gauging", "IT Cfg", "Cell Terminate Voltage", "3100", "mV"],
+                ["Gas Gauging", "IT Cfg", "Load Select", "1", "-"],
+            ];
+            let rows = rows.map(|row| row.join(comma)).join("\r\n");
+            let (entries, notes) = entries(&format!("* Field Order: {rows}\r\n")).expect("an image");
+            let values: Vec<_> = entries.iter().map(|(name, value, _)| format!("{name} {value}")).collect();
+            assert_eq!(
+                values,
+                [
+                    "safety/ot-chg 555",
+                    "safety/ot-dsg 600",
+                    "safety/ot-chg-recovery 500",
+                    "it-cfg/cell-terminate-voltage 3100",
+                    "it-cfg/load-select 1"
+                ]
+            );
+            let why = "shown in mOhm, stored in Num, and the file does not say how; left out";
+            assert_eq!(notes, [format!("line 5: CC Gain: {why}")]);
+        }
+        let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
+        let error = entries(text).expect_err("sections").to_string();
+        assert!(error.starts_with("line 4: a .gg file in sections"), "{error}");
     }
 
     #[test]
