@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use crate::codec::WINDOW;
 use crate::value::Type;
 
 pub mod bq27421_g1;
@@ -822,6 +823,12 @@ impl Subclass {
     /// Offset of its first byte: 0, or the address at which a flat group begins.
     pub fn start(&self) -> u16 {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
+    }
+
+    /// Bytes that are read and committed with it: its blocks, whole, behind the last documented parameter as
+    /// well. Of a flat group it is its own bytes only.
+    pub fn stored(&self) -> u16 {
+        if self.id == FLAT { self.length } else { self.length.next_multiple_of(WINDOW as u16) }
     }
 
     /// The parameter at that offset.

@@ -66,7 +66,8 @@ Examples:
 
 const IMPORT: &str = "\
 What differs is written through df/transaction and shown. Keys are left out, and so are rows
-whose address or range is not sure.
+whose address or range is not sure. Where a FlashStream has other bytes than the gauge and no
+manual documents them it is refused, but for --raw or --exclude undocumented.
 
 Examples:
   gaugefs import --dry-run /run/gauges/BAT0 pack.toml
@@ -208,6 +209,9 @@ struct Import {
     /// Leave these as they are
     #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUPS")]
     exclude: Vec<GroupName>,
+    /// Write bytes too that no manual documents
+    #[arg(long)]
+    raw: bool,
 }
 
 /// The groups of parameters that an import can leave alone.
@@ -219,6 +223,8 @@ enum GroupName {
     Serial,
     /// What the gauge has learned of its pack
     Learned,
+    /// Bytes that no manual documents
+    Undocumented,
 }
 
 /// Compare two configurations, parameter by parameter
@@ -246,6 +252,9 @@ struct Lint {
     /// What it is for, where it does not tell
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
+    /// Take bytes too that no manual documents
+    #[arg(long)]
+    raw: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -370,12 +379,18 @@ impl Import {
         let gauge = Image::of_mounted(&self.gauge)?;
         let file = Image::open(&self.file, Some(gauge.chip))?;
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
-        let changes =
-            gauge.changes(&file, &groups).map_err(|error| error.within(&self.file.display().to_string()))?;
+        let named = |error: Error| error.within(&self.file.display().to_string());
+        let changes = gauge.changes(&file, &groups).map_err(named)?;
+        let raw = if groups.contains(&Group::Undocumented) {
+            Vec::new()
+        } else {
+            file.raw_changes(&self.gauge, self.raw).map_err(named)?
+        };
         if !self.dry_run {
-            image::apply(&self.gauge, &changes)?;
+            image::apply(&self.gauge, &changes, &raw)?;
         }
         print(&changes.iter().map(|change| format!("{change}\n")).collect::<String>());
+        print(&raw.iter().map(|change| format!("{change}\n")).collect::<String>());
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -386,6 +401,7 @@ impl From<GroupName> for Group {
             GroupName::Calibration => Group::Calibration,
             GroupName::Serial => Group::Serial,
             GroupName::Learned => Group::Learned,
+            GroupName::Undocumented => Group::Undocumented,
         }
     }
 }
@@ -456,9 +472,17 @@ impl Lint {
                 ])
             });
             let notes = image.notes.iter().map(|note| json::text(note));
+            let raw = image.raw.iter().map(|raw| {
+                json::object(&[
+                    ("name", json::text(&raw.name())),
+                    ("bytes", json::text(&raw.text())),
+                    ("line", raw.line.to_string()),
+                ])
+            });
             let all = [
                 ("chip", json::text(image.chip.name)),
                 ("parameters", json::array(rows)),
+                ("raw", json::array(raw)),
                 ("notes", json::array(notes)),
             ];
             print(&(json::object(&all) + "\n"));
@@ -470,11 +494,19 @@ impl Lint {
                 let value = format!("{} {unit}", entry.text());
                 [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
             });
-            print(&align(&rows.collect::<Vec<_>>()));
+            let raw = image.raw.iter().filter(|_| self.raw);
+            let raw = raw.map(|raw| [raw.name(), raw.text(), format!("line {}", raw.line), String::new()]);
+            print(&align(&rows.chain(raw).collect::<Vec<_>>()));
             print(&image.notes.iter().map(|note| format!("{note}\n")).collect::<String>());
+            if !self.raw {
+                print(&image.undocumented());
+            }
         }
         let mut code = ExitCode::SUCCESS;
-        for error in image.entries.iter().filter_map(|entry| entry.is_imported().err()) {
+        let values = image.entries.iter().filter_map(|entry| entry.is_imported().err());
+        let raw = image.raw.chunk_by(|one, other| one.line == other.line);
+        let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
+        for error in values.chain(raw) {
             eprintln!("gaugefs: {}", error.within(&self.file.display().to_string()));
             code = ExitCode::FAILURE;
         }

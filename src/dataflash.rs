@@ -484,7 +484,7 @@ fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u8> {
 }
 
 fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
-    let length = usize::from(subclass.length);
+    let length = usize::from(subclass.stored());
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let base = subclass.start() + bytes.len() as u16;

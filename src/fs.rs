@@ -22,6 +22,7 @@ use crate::text;
 mod attribute;
 mod covered;
 mod mains;
+mod raw;
 mod transaction;
 
 pub use attribute::Attribute;
@@ -657,7 +658,7 @@ impl Fs {
             },
             Item::Raw(subclass) => match entry.handle.kept(subclass.into()) {
                 Some(bytes) => Content::Bytes(bytes.to_vec()),
-                None => Content::Unread(self.subclass(gauge, subclass).length.into()),
+                None => Content::Unread(self.subclass(gauge, subclass).stored().into()),
             },
             Item::Index => {
                 let rows = entry.handle.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
@@ -798,12 +799,20 @@ impl Fs {
     /// `df/transaction`: what is staged, a line each.
     fn difference(&self, gauge: u16, staged: &[Change]) -> Vec<u8> {
         let mut lines = String::new();
-        for Change { subclass, parameter, bytes, .. } in staged {
+        for run in staged.chunk_by(raw::follows) {
+            let Change { subclass, parameter, bytes, .. } = &run[0];
             let at = self.chip(gauge).subclasses.iter().position(|row| std::ptr::eq(row, *subclass));
             let kept = at.and_then(|at| self.entry(gauge).handle.kept(at));
-            let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
-            let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
-            lines += &format!("{}: {old} -> {new}\n", parameter.name);
+            lines += &if raw::is_raw(&run[0]) {
+                let (id, offset) = (subclass.id, usize::from(parameter.offset));
+                let old = kept.map_or("-".into(), |kept| hexadecimal(&kept[offset..offset + run.len()]));
+                let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
+                format!("raw {id}/{offset}: {old} -> {}\n", hexadecimal(&new))
+            } else {
+                let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+                let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                format!("{}: {old} -> {new}\n", parameter.name)
+            };
         }
         lines.into_bytes()
     }
@@ -957,6 +966,10 @@ fn known(chip: &'static Chip, snapshot: Option<&Snapshot>) -> impl Iterator<Item
         move |register: &Register| snapshot.is_some_and(|snapshot| snapshot.value(register).is_some());
     let shown = (0..).zip(chip.registers).filter(|(_, register)| register.tier != Tier::Window);
     shown.filter(move |(_, register)| there(register))
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn set_bits(bits: &[Bit], word: i64) -> String {

@@ -40,6 +40,8 @@ pub struct Image {
     pub firmware: Option<u16>,
     /// Values, in the table's order.
     pub entries: Vec<Entry>,
+    /// Bytes of a FlashStream that are no parameter's.
+    pub raw: Vec<Raw>,
     /// What a reader should know beside the values, a line each.
     pub notes: Vec<String>,
 }
@@ -53,6 +55,8 @@ pub enum Group {
     Serial,
     /// What the gauge itself rewrites.
     Learned,
+    /// Bytes that no manual documents.
+    Undocumented,
 }
 
 impl Group {
@@ -62,6 +66,7 @@ impl Group {
             Group::Calibration => entry.subclass.class == "Calibration",
             Group::Serial => of_one_pack.contains(&entry.parameter.name),
             Group::Learned => entry.parameter.learned,
+            Group::Undocumented => false,
         }
     }
 }
@@ -77,6 +82,28 @@ pub struct Entry {
     pub value: Value,
     /// The line of the file that it is from; 0 for a gauge's own.
     pub line: usize,
+}
+
+/// Bytes that no manual documents, next to each other, of one line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Raw {
+    /// Subclass, which the table need not have, or [`FLAT`].
+    pub subclass: u8,
+    /// Offset of the first, or its address.
+    pub offset: u16,
+    /// The bytes.
+    pub bytes: Vec<u8>,
+    /// The line of the file that commits them.
+    pub line: usize,
+}
+
+/// Bytes without a parameter that a gauge does not have as a file wants them.
+#[derive(Debug)]
+pub struct RawDifference {
+    /// What the gauge has; `None` where its files do not show it.
+    pub old: Option<Vec<u8>>,
+    /// What the file has.
+    pub new: Raw,
 }
 
 /// One parameter that two images have different values for.
@@ -136,9 +163,103 @@ impl fmt::Display for Difference<'_> {
     }
 }
 
+impl Raw {
+    /// The place as `df/transaction` has it.
+    pub fn name(&self) -> String {
+        match self.subclass {
+            FLAT => format!("raw flash/0x{:04x}", self.offset),
+            id => format!("raw {id}/{}", self.offset),
+        }
+    }
+
+    /// The bytes in hexadecimal.
+    pub fn text(&self) -> String {
+        hexadecimal(&self.bytes)
+    }
+
+    fn ends_before(&self, subclass: u8, offset: u16) -> bool {
+        self.subclass == subclass && usize::from(self.offset) + self.bytes.len() == usize::from(offset)
+    }
+}
+
+impl fmt::Display for RawDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let old = self.old.as_deref().map_or("-".into(), hexadecimal);
+        write!(f, "{}: {old} -> {}", self.new.name(), self.new.text())
+    }
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 impl Image {
     fn new(chip: &'static Chip, firmware: Option<u16>) -> Self {
-        Self { chip, firmware, entries: Vec::new(), notes: Vec::new() }
+        Self { chip, firmware, entries: Vec::new(), raw: Vec::new(), notes: Vec::new() }
+    }
+
+    /// Why bytes that are no parameter's are not written to any gauge; those of a subclass that the table
+    /// does not have are where they are `allowed`.
+    pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
+        let Raw { subclass, offset, line, .. } = *raw;
+        if subclass == FLAT {
+            let why = "is none that is documented; --exclude undocumented leaves it as it is";
+            return Some(at_line(line, format!("address 0x{offset:04x} {why}")));
+        }
+        if allowed || self.chip.subclass(subclass).is_some() {
+            return None;
+        }
+        let model = self.chip.model;
+        let why = format!("a {model} has no subclass {subclass} that is documented; --raw takes its bytes");
+        Some(at_line(line, why))
+    }
+
+    /// The lines with bytes between and behind the parameters of a subclass, and how many each has.
+    pub fn undocumented(&self) -> String {
+        let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
+        let told = known.chunk_by(|one, other| one.line == other.line).map(|line| {
+            let count: usize = line.iter().map(|raw| raw.bytes.len()).sum();
+            let (number, id) = (line[0].line, line[0].subclass);
+            let what = if count == 1 { "1 byte".into() } else { format!("{count} bytes") };
+            format!("line {number}: {what} of subclass {id} without a parameter; refused where a gauge has others\n")
+        });
+        told.collect()
+    }
+
+    /// What the bytes of a file that are no parameter's would change on a mounted gauge. Only with `allowed`
+    /// is there anything; without, the first such change is an error.
+    pub fn raw_changes(&self, gauge: &Path, allowed: bool) -> Result<Vec<RawDifference>> {
+        let mut changes = Vec::new();
+        for raw in &self.raw {
+            if let Some(error) = self.refused(raw, allowed) {
+                return Err(error);
+            }
+            let Some(subclass) = self.chip.subclass(raw.subclass) else {
+                changes.push(RawDifference { old: None, new: raw.clone() });
+                continue;
+            };
+            let stored = raw_of(gauge, subclass.id)?;
+            let start = usize::from(raw.offset);
+            let Some(stored) = stored.get(start..start + raw.bytes.len()) else {
+                let why = format!("subclass {} ends with offset {}", subclass.id, stored.len() - 1);
+                return Err(at_line(raw.line, why));
+            };
+            let differs = |at: &usize| stored[*at] != raw.bytes[*at];
+            let range = 0..raw.bytes.len();
+            let (Some(from), Some(to)) = (range.clone().find(differs), range.clone().rfind(differs)) else {
+                continue;
+            };
+            let offset = raw.offset + from as u16;
+            let new = Raw { offset, bytes: raw.bytes[from..=to].to_vec(), ..*raw };
+            let change = RawDifference { old: Some(stored[from..=to].to_vec()), new };
+            if !allowed {
+                let why =
+                    "no manual documents these bytes; --raw writes them, --exclude undocumented leaves them";
+                return Err(at_line(raw.line, format!("{change}: {why}")));
+            }
+            changes.push(change);
+        }
+        Ok(changes)
     }
 
     /// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does
@@ -248,11 +369,7 @@ impl Image {
         match format {
             Format::Toml => Ok(toml::write(self)),
             Format::GgCsv => Ok(ggcsv::write(self)),
-            Format::FlashStream => flashstream::write(self, |id| {
-                let file = gauge.join(format!("df/{id}/raw"));
-                std::fs::read(&file)
-                    .map_err(|error| Error::io(file.display().to_string(), "cannot be read", &error))
-            }),
+            Format::FlashStream => flashstream::write(self, |id| raw_of(gauge, id)),
         }
     }
 
@@ -290,9 +407,15 @@ impl Image {
     }
 }
 
+/// All bytes of a subclass of a mounted gauge.
+fn raw_of(gauge: &Path, id: u8) -> Result<Vec<u8>> {
+    let file = gauge.join(format!("df/{id}/raw"));
+    std::fs::read(&file).map_err(|error| Error::io(file.display().to_string(), "cannot be read", &error))
+}
+
 /// Writes changes to a mounted gauge, all of them or none, as one transaction.
-pub fn apply(gauge: &Path, changes: &[Difference<'_>]) -> Result<()> {
-    if changes.is_empty() {
+pub fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifference]) -> Result<()> {
+    if changes.is_empty() && raw.is_empty() {
         return Ok(());
     }
     let mut lines = String::from("begin\n");
@@ -302,6 +425,9 @@ pub fn apply(gauge: &Path, changes: &[Difference<'_>]) -> Result<()> {
             FLAT => format!("flash/0x{offset:04x} {}\n", new.text()),
             id => format!("{id}/{offset} {}\n", new.text()),
         };
+    }
+    for RawDifference { new, .. } in raw {
+        lines += &format!("{} {}\n", new.name(), new.text());
     }
     lines += "commit\n";
     let name = gauge.display().to_string();
@@ -423,7 +549,7 @@ mod tests {
             Format::Toml => toml::write(image),
             Format::GgCsv => ggcsv::write(image),
             Format::FlashStream => flashstream::write(image, |id| {
-                let length = image.chip.subclass(id).expect("a subclass").length;
+                let length = image.chip.subclass(id).expect("a subclass").stored();
                 let mut bytes = vec![0xff; length.into()];
                 for entry in image.entries.iter().filter(|entry| entry.subclass.id == id) {
                     let at = usize::from(entry.parameter.offset);

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
+use super::raw;
 use crate::chip::{Chip, Kind, Parameter, Subclass};
 use crate::codec;
 use crate::dataflash::Change;
@@ -115,11 +116,14 @@ fn take(
             Ok(Some(changes))
         }
         Some(Open { staged, .. }) => {
-            let change = change(chip, allow_unproven, line)?;
+            let changes = match line.strip_prefix("raw ") {
+                Some(raw) => raw::changes(chip, raw)?,
+                None => vec![change(chip, allow_unproven, line)?],
+            };
             // What is staged twice has the later value. Subclasses may share their rows.
             let place = |one: &Change| (one.subclass.id, one.parameter.offset);
-            staged.retain(|other| place(other) != place(&change));
-            staged.push(change);
+            staged.retain(|other| !changes.iter().any(|change| place(change) == place(other)));
+            staged.extend(changes);
             Ok(None)
         }
     }

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Image, at_line, chip_of};
+use super::{Image, Raw, at_line, chip_of};
 use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
@@ -35,8 +35,10 @@ const LENGTH: u8 = 0x61;
 const OVERHEAD: u8 = 4;
 /// The comment that names the chip: device type and firmware do not tell all of them apart.
 const CHIP_LINE: &str = "; gaugefs chip";
-/// Bytes of a row after the register, as bqStudio bounds them.
-const LONGEST: usize = 96;
+/// Bytes of a row after the register: TI's tools bound them to 96 behind the four that name a row in ROM mode.
+const LONGEST: usize = 100;
+/// What bqStudio has in place of device type and firmware where it has read them from the wrong register.
+const NOT_READ: u16 = 0xffa5;
 
 /// One line of a FlashStream.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,8 +54,9 @@ fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
-        let line = line.trim();
-        if !line.is_empty() && !line.starts_with(';') {
+        // Tools write comments on lines of their own; people write them behind a command as well.
+        let line = line.split(';').next().unwrap_or_default().trim();
+        if !line.is_empty() {
             commands.push((number, command(line).map_err(|why| at_line(number, why))?));
         }
     }
@@ -65,9 +68,12 @@ fn command(line: &str) -> Result<Command, String> {
     let Some((letter, rest)) = line.split_once(':') else {
         return Err("not a line of a FlashStream; they begin with W:, C:, R:, X: or ;".into());
     };
-    if letter.eq_ignore_ascii_case("X") {
+    if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
         return decimal.map(|_| Command::Wait).map_err(|_| "X: wants a number of milliseconds".into());
+    }
+    if !["W", "C", "R"].iter().any(|known| letter.trim().eq_ignore_ascii_case(known)) {
+        return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
     }
     let bytes: Option<Vec<u8>> = rest.split_ascii_whitespace().map(byte).collect();
     let bytes = bytes.ok_or("bytes are two hexadecimal digits each, with spaces between")?;
@@ -84,8 +90,7 @@ fn command(line: &str) -> Result<Command, String> {
     match letter.trim() {
         "W" | "w" => Ok(Command::Write { address, register, bytes }),
         "C" | "c" => Ok(Command::Compare { address, register, bytes }),
-        "R" | "r" => Ok(Command::Read { address }),
-        _ => Err("not a command of a FlashStream; they are W:, C:, R: and X:".into()),
+        _ => Ok(Command::Read { address }),
     }
 }
 
@@ -107,8 +112,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     {
         return Err(at_line(1, format!("it is for a {}, not for a {}", named.model, told.model)));
     }
-    let device_type = answer(&commands, DEVICE_TYPE);
-    let firmware = answer(&commands, FW_VERSION);
+    let (device_type, firmware) = identity(&commands);
     let codes = (device_type.map(|(_, code)| code), firmware.map(|(_, code)| code));
     let chip = chip_of(named.or(told), codes.0, codes.1).map_err(|error| match device_type {
         Some((number, _)) => error.within(&format!("line {number}")),
@@ -150,7 +154,9 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
             Command::Write { register: CONTROL | SELECT, bytes, .. }
                 if bytes[..] == ROM_MODE.to_le_bytes() =>
             {
-                Err(at_line(number, "Control(ROM_MODE): the gauge's firmware would be written; never done"))
+                let why = "Control(ROM_MODE): what follows writes flash row by row, past the gauge's firmware or over \
+                           it; never done. A .gm.fs or .gg.csv of the same gauge can be read";
+                Err(at_line(number, why))
             }
             _ => Ok(()),
         },
@@ -162,8 +168,27 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
     }
 }
 
-/// What the file expects as the answer to a subcommand, and the line that says so.
-fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, u16)> {
+/// A word that the file expects, and the line that says so.
+type Expected = Option<(usize, u16)>;
+
+/// Device type and firmware that the file asks for.
+fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
+    let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
+    let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
+    let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
+    match answer(commands, FW_VERSION) {
+        // MACData() tells both at once, the most significant byte first, and more behind them.
+        Some((line, &[a, b, c, d, ..])) => {
+            let (kind, version) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+            (told((line, kind)).or(device_type), told((line, version)))
+        }
+        Some((line, bytes)) => (device_type, Some((line, word(bytes)))),
+        None => (device_type, None),
+    }
+}
+
+/// What the file expects as the answer to a subcommand, two bytes or more, and the line that says so.
+fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     let asks = |command: &Command| match command {
         Command::Write { register: CONTROL | SELECT, bytes, .. } => bytes[..] == code.to_le_bytes(),
         _ => false,
@@ -173,11 +198,9 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, u16)> {
     let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
     match next {
         // The echo of ManufacturerAccessControl() comes first.
-        Command::Compare { register: SELECT, bytes, .. } if bytes.len() == 4 => {
-            Some((*number, u16::from_le_bytes([bytes[2], bytes[3]])))
-        }
-        Command::Compare { register: CONTROL | DATA, bytes, .. } if bytes.len() == 2 => {
-            Some((*number, u16::from_le_bytes([bytes[0], bytes[1]])))
+        Command::Compare { register: SELECT, bytes, .. } if bytes.len() >= 4 => Some((*number, &bytes[2..])),
+        Command::Compare { register: CONTROL | DATA, bytes, .. } if bytes.len() >= 2 => {
+            Some((*number, bytes))
         }
         _ => None,
     }
@@ -333,12 +356,15 @@ impl Stream {
             check_sum(sum, checksum(&bytes))?;
         }
         self.sums.insert((class, self.block), sum);
-        let Some(subclass) = self.chip.subclass(class) else {
-            return Err(format!("a {} has no subclass {class} that is documented", self.chip.model));
-        };
-        if subclass.kind == Kind::Security {
-            self.notes.push(format!("line {line}: keys; left out"));
-            return Ok(());
+        if let Some(subclass) = self.chip.subclass(class) {
+            if subclass.kind == Kind::Security {
+                self.notes.push(format!("line {line}: keys; left out"));
+                return Ok(());
+            }
+            if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
+                let last = (subclass.stored() - 1) / WINDOW as u16;
+                return Err(format!("block {} of subclass {class}, the last of which is {last}", self.block));
+            }
         }
         let start = u16::from(self.block) * WINDOW as u16;
         for (at, byte) in window {
@@ -396,6 +422,7 @@ impl Stream {
         }
     }
 
+    /// What is stored, as parameters; what is left of it, as bytes.
     fn into_image(mut self, image: &mut Image) -> Result<()> {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
@@ -411,12 +438,13 @@ impl Stream {
             }
         }
         image.notes.append(&mut self.notes);
-        if !self.stored.is_empty() {
-            let count = self.stored.len();
-            image
-                .notes
-                .push(format!("{count} bytes of no documented parameter; an import leaves them alone"));
+        for ((subclass, offset), (byte, line)) in self.stored {
+            match image.raw.last_mut() {
+                Some(raw) if raw.line == line && raw.ends_before(subclass, offset) => raw.bytes.push(byte),
+                _ => image.raw.push(Raw { subclass, offset, bytes: vec![byte], line }),
+            }
         }
+        image.raw.sort_by_key(|raw| raw.line);
         Ok(())
     }
 }
@@ -434,8 +462,8 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
     checksum(bytes).wrapping_sub(low).wrapping_sub(high)
 }
 
-/// The image as text. `raw` is asked for all bytes of a subclass, from its first to its last documented
-/// one: a block is committed whole.
+/// The image as text. `raw` is asked for all bytes of a subclass, block by block: what no manual documents
+/// is committed as it is.
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
@@ -465,7 +493,6 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
             text += &row('C', DATA, &bytes);
         }
     } else {
-        text += "; Behind the last documented byte of a subclass its block is filled with 00.\n";
         text += &row('W', LENGTH, &[0]);
         let mut last = None;
         for entry in &image.entries {
@@ -548,7 +575,84 @@ mod tests {
         assert_eq!(notes[1], "line 2: key words; an import uses the keys of the mount");
         assert_eq!(notes[2], "line 9: SET_CFGUPDATE; an import does it by itself");
         assert_eq!(notes[3], "line 18: SOFT_RESET; an import does it by itself");
-        assert!(notes[4].ends_with("bytes of no documented parameter; an import leaves them alone"));
+        assert_eq!(notes.len(), 4);
+        let image = parse(STREAM, Chip::by_name("bq27441-g1")).expect("an image");
+        let places: Vec<_> = image.raw.iter().map(|raw| (raw.name(), raw.bytes.len(), raw.line)).collect();
+        assert_eq!(places, [("raw 68/0".into(), 7, 14), ("raw 68/11".into(), 21, 14)]);
+        assert_eq!(
+            image.undocumented(),
+            "line 14: 28 bytes of subclass 68 without a parameter; refused where a gauge has others\n"
+        );
+    }
+
+    /// As the chemistry files of TI's tools have them: subclasses that no manual names, in blocks.
+    #[test]
+    fn a_subclass_that_is_not_in_the_table_is_read_as_bytes() {
+        let data = format!("W: AA 40{}", " 11".repeat(32));
+        let block = |block| format!("W: AA 3E 53 0{block}\n{data}\nW: AA 60 DF\nX: 10\n");
+        let text = block(0) + &block(1);
+        let image = parse(&text, Chip::by_name("bq27427")).expect("an image");
+        assert!(image.entries.is_empty() && image.undocumented().is_empty());
+        let told = |allowed| -> Vec<Option<String>> {
+            let why = image.raw.iter().map(|raw| image.refused(raw, allowed));
+            why.map(|why| why.map(|why| why.to_string())).collect()
+        };
+        let why = |line| {
+            format!("line {line}: a BQ27427 has no subclass 83 that is documented; --raw takes its bytes")
+        };
+        assert_eq!(told(false), [Some(why(3)), Some(why(7))]);
+        assert_eq!(told(true), [None, None]);
+        assert_eq!((image.raw[1].name(), image.raw[1].text()), ("raw 83/32".into(), "11".repeat(32)));
+    }
+
+    /// The whole of a file for firmware is of no use here: rows of ROM mode have 96 bytes behind four that
+    /// name the row. The reason that is told is the mode, not the row.
+    #[test]
+    fn a_file_for_rom_mode_is_told_as_one() {
+        let row = format!("W: 16 00 02 00 00 00{}", " FF".repeat(96));
+        let unseal = "W: AA 00 14 04\nW: AA 00 72 36\nX: 1000\n";
+        for check in ["", "W: AA 3E 02 00\nC: AA 3E 02 00 FF A5 FF A5\n"] {
+            let text =
+                format!("{check}{unseal}W: AA 00 00 0F\nX: 1000\n{row}\nW: 16 64 98 2A\nX: 2\nC: 16 66 00\n");
+            let error = read("bq34110", &text).expect_err("ROM mode").to_string();
+            let line = 4 + check.lines().count();
+            assert!(error.starts_with(&format!("line {line}: Control(ROM_MODE)")), "{error}");
+        }
+        let error = read("bq34110", &format!("{row} FF\n")).expect_err("too long").to_string();
+        assert_eq!(error, "line 1: 101 bytes, where a row holds 100 at most");
+    }
+
+    /// Files written by hand have comments behind their commands, subclass and block in two lines, and
+    /// checksums of blocks of which they change a part.
+    #[test]
+    fn files_written_by_hand_are_read() {
+        let text = "\u{feff}; Terminate voltage\nW: AA 3E 50        ; IT Cfg\n W : AA 3F 01\n\
+                    w: aa 55 0c 1c;3100 mV\nW: AA 60 7A\nX : 500\nR: AA 40 20\n";
+        let image = Image::parse(text, Chip::by_name("bq34z100-g1")).expect("an image");
+        let entry = &image.entries[0];
+        assert_eq!(
+            (image.name(entry), entry.text()),
+            ("it-cfg/cell-terminate-voltage".into(), "3100".into())
+        );
+        assert_eq!((image.entries.len(), image.raw.len(), entry.line), (1, 0, 5));
+    }
+
+    /// A gauge with MACData() tells device type and version in one answer, the most significant byte first.
+    #[test]
+    fn one_answer_may_tell_device_type_and_firmware() {
+        let row = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
+        let text = |answer: &str| format!("W: AA 3E 02 00\nC: AA 3E 02 00 {answer}\n{row}");
+        let image = parse(&text("01 10 00 02 00 08"), None).expect("an image");
+        assert_eq!((image.chip.name, image.firmware), ("bq34110", Some(0x0002)));
+        let error = parse(&text("02 20 00 03"), None).expect_err("a bq27220").to_string();
+        assert_eq!(
+            error,
+            "line 2: it is for device type 0x0220, firmware 0x0003: no gauge that gaugefs knows"
+        );
+        // What bqStudio writes for a bq34110, having asked in the wrong place.
+        let image = parse(&text("FF A5 FF A5"), Chip::by_name("bq34110")).expect("an image");
+        assert_eq!((image.firmware, image.entries.len()), (None, 1));
+        assert_eq!(image.notes[0], "device type and firmware are not both checked by the file");
     }
 
     #[test]
@@ -565,12 +669,15 @@ mod tests {
             ("W: AA 60 00", "line 2: a checksum before any subclass is chosen"),
             ("W: AA 3E 44 00\nW: AA 40 00", "line 3: these bytes are never committed"),
             ("W: AA 3E 44 00\nW: AA 40 00\nW: AA 3E 44 00", "line 4: the bytes of line 3 are not committed"),
-            ("W: AA 3E F0 00\nW: AA 40 00\nW: AA 60 00", "line 4: a bq27441-G1 has no subclass 240"),
+            (
+                "W: AA 3E 02 01\nW: AA 40 00\nW: AA 60 00",
+                "line 4: block 1 of subclass 2, the last of which is 0",
+            ),
             ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only a part of it"),
             ("X: soon", "line 2: X: wants a number of milliseconds"),
             ("W: AA 3", "line 2: bytes are two hexadecimal digits"),
             ("W: AA 3E", "line 2: address, register and at least one byte"),
-            (":", "line 2: address, register"),
+            (":", "line 2: not a command of a FlashStream"),
             ("hello", "line 2: not a line of a FlashStream"),
             ("M: AA 00 00", "line 2: not a command of a FlashStream"),
         ] {

@@ -200,6 +200,9 @@ fn what_a_file_would_set_is_shown() {
             "lint tests/it/images/pack.gg.csv",
             "lint tests/it/images/outside.toml",
             "lint tests/it/images/rom.fs",
+            "lint tests/it/images/chemistry.gm.fs",
+            "lint tests/it/images/chemistry.gm.fs --raw",
+            "lint tests/it/images/chemistry.gm.fs --raw --json",
             "lint tests/it/images/none",
             "diff tests/it/images/pack.toml tests/it/images/pack.toml",
             "diff tests/it/images/pack.toml tests/it/images/pack.gg.csv",
@@ -348,6 +351,49 @@ fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
     assert_eq!(some, "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n");
     assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
     assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
+    gaugefs(&["umount", &at]).done();
+}
+
+/// Bytes between the parameters: the registers of a bq27427 have some, and are exported as they are. A
+/// checksum of the file is that of the whole block.
+#[test]
+fn bytes_without_a_parameter_are_imported_on_request() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("pack.gm.fs"));
+    gaugefs(&["mount", "--sim", "bq27427", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let text = gaugefs(&["export", &gauge, "--format", "flashstream"]).done();
+    let registers = "W: AA 40 64 78 0F 9F 23 00 00 14 04 00 09 04 27 00";
+    let at_line = 2 + text.lines().position(|line| line.starts_with(registers)).expect("the block");
+    assert!(text.contains("W: AA 60 06\n"));
+    let bent = text.replace("09 04 27 00", "09 05 27 00").replace("W: AA 60 06\n", "W: AA 60 05\n");
+    fs::write(&file, &text).expect("a file");
+    assert_eq!(gaugefs(&["import", &gauge, &file]).done(), "");
+    fs::write(&file, bent.replace("C: AA 60 06\n", "C: AA 60 05\n")).expect("a file");
+    let says = format!("line {at_line}: raw 64/11: 04 -> 05: no manual documents these bytes");
+    gaugefs(&["import", &gauge, &file]).failed(&[&file, &says, "--raw writes them"]);
+    assert_eq!(gaugefs(&["import", "--exclude", "undocumented", &gauge, &file]).done(), "");
+    let changed = "raw 64/11: 04 -> 05\n";
+    assert_eq!(gaugefs(&["import", "--raw", "--dry-run", &gauge, &file]).done(), changed);
+    assert_eq!(fs::read(format!("{gauge}/df/64/raw")).expect("bytes")[11], 0x04);
+    assert_eq!(gaugefs(&["import", "--raw", &gauge, &file]).done(), changed);
+    assert_eq!(fs::read(format!("{gauge}/df/64/raw")).expect("bytes")[11], 0x05);
+    assert_eq!(gaugefs(&["import", &gauge, &file]).done(), "");
+    for lint in [&["lint", "--raw", &file][..], &["lint", &file]] {
+        gaugefs(lint).done();
+    }
+    let chemistry = "tests/it/images/chemistry.gm.fs";
+    gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: a BQ27427 has no subclass 83", "--raw"]);
+    let shown = gaugefs(&["import", "--raw", "--dry-run", &gauge, chemistry]).done();
+    assert!(shown.starts_with("raw 83/0: - -> 2011"), "{shown}");
+    // The mode that writes firmware is refused whatever is asked for.
+    fs::write(&file, text + "W: AA 00 00 0F\n").expect("a file");
+    for command in [&["import", "--raw", &gauge, &file][..], &["lint", "--raw", &file]] {
+        gaugefs(command).failed(&["Control(ROM_MODE)"]);
+    }
     gaugefs(&["umount", &at]).done();
 }
 

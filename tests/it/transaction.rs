@@ -52,11 +52,18 @@ impl Tree {
     }
 
     fn read(&self, path: &str) -> Result<String, Errno> {
+        self.bytes(path).map(|bytes| String::from_utf8(bytes).expect("text"))
+    }
+
+    fn read_bytes(&self, path: &str) -> Vec<u8> {
+        self.bytes(path).expect(path)
+    }
+
+    fn bytes(&self, path: &str) -> Result<Vec<u8>, Errno> {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
         self.fs.read(self.node(path), answer);
-        let bytes: Vec<u8> = is_done.recv().expect("an answer").map_err(|error| error.errno())?;
-        Ok(String::from_utf8(bytes).expect("text"))
+        is_done.recv().expect("an answer").map_err(|error| error.errno())
     }
 
     fn count(&self, wanted: &str) -> u64 {
@@ -177,4 +184,70 @@ fn a_sealed_gauge_refuses_the_commit() {
     assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
     assert_eq!(tree.read("df/transaction").as_deref(), Ok("Cell Terminate Voltage: - -> 3100\n"));
     assert_eq!(tree.stage("commit"), Err(Errno::EPERM));
+}
+
+/// The bytes of Pack Configuration D's neighbours, and a subclass that the table does not have.
+#[test]
+fn bytes_without_a_parameter_are_written_on_request() {
+    let tree = tree("bq27427");
+    assert_eq!(tree.read_bytes("df/64/raw")[10..13], [0x09, 0x04, 0x27]);
+    assert_eq!(tree.stage("begin\nraw 64/10 0a05\nraw 64/12 28\n64/0 0x6479\n"), Ok(()));
+    let staged = "raw 64/10: 090427 -> 0a0528\nOpConfig: 0x6478 -> 0x6479\n";
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok(staged));
+    assert_eq!(tree.stage("commit"), Ok(()));
+    assert_eq!(tree.count("flash_writes"), 1, "one block");
+    assert_eq!(tree.read_bytes("df/64/raw")[10..13], [0x0a, 0x05, 0x28]);
+    assert_eq!(tree.read("df/64/0").as_deref(), Ok("0x6479\n"));
+    // What is there already is no change.
+    assert_eq!(tree.stage("begin\nraw 64/10 0a0528\ncommit"), Ok(()));
+    assert_eq!(tree.count("flash_writes"), 1);
+}
+
+#[test]
+fn a_subclass_that_is_not_in_the_table_is_written_on_request() {
+    let tree = tree("bq27520-g3");
+    assert!(tree.handle.chip().subclass(82).is_none());
+    let flash = tree.sim.flash();
+    assert_eq!(tree.stage("begin\nraw 82/1 beef\n"), Ok(()));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("raw 82/1: - -> beef\n"));
+    assert_eq!(tree.stage("commit"), Ok(()));
+    let differ = |(one, other): (&u8, &u8)| one != other;
+    assert_eq!(flash.iter().zip(&tree.sim.flash()).filter(|pair| differ(*pair)).count(), 2);
+    assert_eq!(tree.read("gauge/seal").as_deref(), Ok("sealed\n"));
+    // Where the gauge has nothing it stores nothing, and that is told.
+    assert_eq!(tree.stage("begin\nraw 200/0 01\ncommit"), Err(Errno::EIO));
+}
+
+/// No key, no limit and no other block is reached by bytes.
+#[test]
+fn bytes_reach_what_has_no_parameter_and_nothing_else() {
+    let tree = tree("bq34z100-g1");
+    let transfers = tree.count("transfers");
+    assert_eq!(tree.stage("begin"), Ok(()));
+    for (line, errno, says) in [
+        ("raw 112/24 00", Errno::EPERM, "keys"),
+        ("raw 112/0 00000000", Errno::EPERM, "keys"),
+        ("raw 80/53 0c1c", Errno::EINVAL, "Cell Terminate Voltage stands there"),
+        ("raw 2/9 0000", Errno::EINVAL, "stands there"),
+        ("raw 2/31 0000", Errno::EINVAL, "one block, which ends at offset 31"),
+        ("raw 2/32 00", Errno::EINVAL, "subclass 2 ends with offset 31"),
+        ("raw 200/8192 00", Errno::EINVAL, "subclass 200 ends with offset 8191"),
+        ("raw 0/0 00", Errno::EINVAL, "in subclasses only"),
+        ("raw 2/10", Errno::EINVAL, "HEX"),
+        ("raw 2/10 0", Errno::EINVAL, "HEX"),
+        ("raw 2/10 0g", Errno::EINVAL, "HEX"),
+        ("raw 2/10 00 00", Errno::EINVAL, "HEX"),
+        ("raw 2 00", Errno::EINVAL, "HEX"),
+        ("raw 256/0 00", Errno::EINVAL, "HEX"),
+    ] {
+        assert_eq!(tree.stage(line), Err(errno), "{line}");
+        let told = tree.handle.published().last_error.clone();
+        assert!(told.contains(says), "{line}: {told}");
+    }
+    let long = format!("raw 200/0 {}", "00".repeat(33));
+    assert_eq!(tree.stage(&long), Err(Errno::EINVAL));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok(""));
+    assert_eq!(tree.count("transfers"), transfers, "nothing was sent");
+    let flat = self::tree("bq34110");
+    assert_eq!(flat.stage("begin\nraw flash/0x41f5 00\n"), Err(Errno::EINVAL));
 }
