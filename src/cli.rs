@@ -24,6 +24,7 @@ use crate::probe::{self, ROM_ADDRESS, Reading};
 mod auth;
 mod doctor;
 mod manual;
+mod progress;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -387,7 +388,10 @@ impl Import {
             file.raw_changes(&self.gauge, self.raw).map_err(named)?
         };
         if !self.dry_run {
-            image::apply(&self.gauge, &changes, &raw)?;
+            let bar = progress::Bar::start(&self.gauge);
+            let outcome = image::apply(&self.gauge, &changes, &raw);
+            bar.end();
+            outcome?;
         }
         print(&changes.iter().map(|change| format!("{change}\n")).collect::<String>());
         print(&raw.iter().map(|change| format!("{change}\n")).collect::<String>());

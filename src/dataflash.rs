@@ -205,6 +205,7 @@ impl DataFlash {
         let blocks = Statistics::read(&gauge.statistics.flash_writes) - programmed;
         self.wear.record(gauge.clock.now(), blocks);
         self.learn_from(gauge, changes, &outcome);
+        gauge.statistics.progress.end();
         match changes {
             [change] => outcome.map_err(|error| error.within(&change.subject())),
             _ => outcome,
@@ -268,13 +269,14 @@ impl DataFlash {
             journal.plan(&plan)?;
             self.identity = self.identity.filter(|_| plan.serial.is_none());
         }
+        gauge.statistics.progress.begin(dirty.len());
         visit.begin(gauge)?;
         let (mut touched, mut finished) = (0, false);
         let forward = dirty.iter().try_for_each(|block| {
             if !in_window {
                 sequence(gauge).load(gauge, block.place)?;
             }
-            store(gauge, block, &mut touched)
+            store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
         });
         let forward = forward.and_then(|()| {
             if !reset && !sequence(gauge).always_finishes() {

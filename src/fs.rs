@@ -664,13 +664,17 @@ impl Fs {
                 let rows = entry.handle.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
                 Content::Unread(256 * (1 + rows.sum::<usize>() as u64))
             }
-            Item::Transaction => match self.staged(gauge) {
-                None => Content::Bytes(IDLE.to_vec()),
-                Some(staged) if self.unread(gauge, &staged).is_empty() => {
-                    Content::Bytes(self.difference(gauge, &staged))
+            Item::Transaction => {
+                match self.staged(gauge) {
+                    None => Content::Bytes(entry.handle.progress().map_or(IDLE.to_vec(), |(done, all)| {
+                        format!("committing {done}/{all}\n").into_bytes()
+                    })),
+                    Some(staged) if self.unread(gauge, &staged).is_empty() => {
+                        Content::Bytes(self.difference(gauge, &staged))
+                    }
+                    Some(staged) => Content::Unread(UNREAD + 256 * staged.len() as u64),
                 }
-                Some(staged) => Content::Unread(UNREAD + 256 * staged.len() as u64),
-            },
+            }
             Item::Register(at) => {
                 let register = &entry.handle.chip().registers[usize::from(at)];
                 line(

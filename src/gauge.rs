@@ -77,6 +77,35 @@ pub struct Statistics {
     pub resets: AtomicU64,
     /// Writes that found their values there already.
     pub unchanged_writes: AtomicU64,
+    /// How far the write is that is being made.
+    pub progress: Progress,
+}
+
+/// Blocks that a write has programmed, of how many.
+#[derive(Debug, Default)]
+pub struct Progress(AtomicU64);
+
+impl Progress {
+    /// A write has found that so many blocks are to be programmed.
+    pub fn begin(&self, blocks: usize) {
+        self.0.store(blocks as u64, Ordering::Relaxed);
+    }
+
+    /// One more of them is programmed and verified.
+    pub fn step(&self) {
+        self.0.fetch_add(1 << 32, Ordering::Relaxed);
+    }
+
+    /// The write is over, whatever came of it.
+    pub fn end(&self) {
+        self.0.store(0, Ordering::Relaxed);
+    }
+
+    /// Blocks done, and all; `None` while none is being written.
+    pub fn get(&self) -> Option<(u32, u32)> {
+        let both = self.0.load(Ordering::Relaxed);
+        (both != 0).then_some(((both >> 32) as u32, both as u32))
+    }
 }
 
 impl Statistics {

@@ -265,6 +265,11 @@ impl Handle {
         self.shared.statistics.list()
     }
 
+    /// How many blocks of those that a write needs are programmed; `None` while nothing is written.
+    pub fn progress(&self) -> Option<(u32, u32)> {
+        self.shared.statistics.progress.get()
+    }
+
     /// One line in the log and in `gauge/last_error`, for what was refused before the owner heard of it.
     pub fn note(&self, error: &Error) {
         self.shared.say(error);

@@ -354,6 +354,35 @@ fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
     gaugefs(&["umount", &at]).done();
 }
 
+/// Who looks at the file while somebody else's commit is in it sees the blocks counted, and waits for nothing.
+#[test]
+fn a_commit_shows_how_far_it_is() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    // It programs a block in a third of a second.
+    let chip = Chip::by_name("bq27520-g3").expect("a chip");
+    gaugefs(&["mount", "--sim", chip.name, "--allow-unproven", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let commit = std::thread::spawn({
+        let gauge = gauge.clone();
+        move || {
+            fs::write(format!("{gauge}/df/transaction"), "begin\n48/10 1100\n2/0 560\n34/2 4100\ncommit\n")
+        }
+    });
+    let mut shown = std::collections::BTreeSet::new();
+    while !commit.is_finished() {
+        shown.insert(read(&at, "BAT0/df/transaction"));
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    commit.join().expect("no panic").expect("a commit");
+    assert!(shown.iter().any(|text| text == "committing 1/3"), "{shown:?}");
+    assert_eq!(read(&at, "BAT0/df/transaction"), "idle");
+    gaugefs(&["umount", &at]).done();
+}
+
 /// Bytes between the parameters: the registers of a bq27427 have some, and are exported as they are. A
 /// checksum of the file is that of the whole block.
 #[test]

@@ -1,0 +1,80 @@
+//! How far an import is, on a terminal: the gauge's own count of the blocks that it has programmed.
+
+use std::io::{IsTerminal, Write, stderr};
+use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Between two looks at the gauge's folder, which cost it nothing.
+const LOOK: Duration = Duration::from_millis(100);
+/// Signs in the bar.
+const WIDTH: u32 = 30;
+
+/// A bar that follows `df/transaction` while a commit is under way.
+pub(super) struct Bar(Option<(Sender<()>, JoinHandle<()>)>);
+
+impl Bar {
+    /// Begins to look; nothing is ever shown where standard error is no terminal.
+    pub(super) fn start(gauge: &Path) -> Self {
+        if !stderr().is_terminal() {
+            return Self(None);
+        }
+        let file = gauge.join("df/transaction");
+        let (end, ended) = mpsc::channel::<()>();
+        let thread = std::thread::spawn(move || {
+            let mut shown = false;
+            while ended.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+                if let Some(bar) = std::fs::read_to_string(&file).ok().as_deref().and_then(line) {
+                    shown = true;
+                    // What cannot be shown is no reason to stop.
+                    let _ = write!(stderr(), "\r{bar}");
+                }
+            }
+            if shown {
+                let _ = write!(stderr(), "\r\x1b[K");
+            }
+        });
+        Self(Some((end, thread)))
+    }
+
+    /// Takes the bar away.
+    pub(super) fn end(self) {
+        if let Some((end, thread)) = self.0 {
+            drop(end);
+            let _ = thread.join();
+        }
+    }
+}
+
+/// `committing 12/40` as a line.
+fn line(text: &str) -> Option<String> {
+    let (done, all) = text.trim().strip_prefix("committing ")?.split_once('/')?;
+    let (done, all): (u32, u32) = (done.parse().ok()?, all.parse().ok()?);
+    let filled = done.min(all) * WIDTH / all.max(1);
+    let bar: String = (0..WIDTH).map(|at| if at < filled { '#' } else { '.' }).collect();
+    Some(format!("[{bar}] {done} of {all} blocks"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bar_grows_with_the_blocks() {
+        assert_eq!(line("idle\n"), None);
+        assert_eq!(line("committing x/3\n"), None);
+        assert_eq!(
+            line("committing 0/3\n").as_deref(),
+            Some("[..............................] 0 of 3 blocks")
+        );
+        assert_eq!(
+            line("committing 1/3\n").as_deref(),
+            Some("[##########....................] 1 of 3 blocks")
+        );
+        assert_eq!(
+            line("committing 3/3\n").as_deref(),
+            Some("[##############################] 3 of 3 blocks")
+        );
+    }
+}
