@@ -9,10 +9,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gaugefs::bus::{wire_bits, wire_bytes};
-use gaugefs::chip::{CHIPS, Chip, Tier};
+use gaugefs::chip::{CHIPS, Chip, Kind, Parameter, Tier};
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::codec;
-use gaugefs::dataflash::{Change, DataFlash};
+use gaugefs::codec::{self, WINDOW};
+use gaugefs::dataflash::{Change, DataFlash, Outcome};
 use gaugefs::gauge::{Gauge, Seal, bursts};
 use gaugefs::keys::Keys;
 use gaugefs::sim::{Options, Sim};
@@ -37,21 +37,98 @@ fn main() {
     println!("\none parameter written, found     transfers  bytes");
     for chip in CHIPS {
         for found in [Seal::Sealed, Seal::Unsealed] {
-            if let Some((transfers, bytes)) = write(chip, found) {
+            if let Some((transfers, bytes, _)) = write(chip, found) {
                 println!("{:22} {:9} {transfers:9}  {bytes:5}", chip.name, found.as_str());
             }
         }
     }
+    println!("\na whole image, found sealed  blocks  transfers  bytes  a block  needed  ratio  takes");
+    for chip in CHIPS {
+        let (Some(whole), Some(one)) = (image(chip), write(chip, Seal::Sealed)) else { continue };
+        let Whole { blocks, transfers, bytes, reset, time } = whole;
+        let a_block = |reset| A_BLOCK + if reset { AFTER_A_RESET } else { 0 };
+        // The visit costs what a write of one parameter does beside its block, which stays in the window.
+        let (needed, visit) = (a_block(reset), one.0 - a_block(one.2));
+        println!(
+            "{:27} {blocks:7} {transfers:10} {bytes:6} {:8.2} {needed:7} {:6.2} {:4.1} s",
+            chip.name,
+            (transfers - visit) as f64 / blocks as f64,
+            transfers as f64 / (blocks * needed + visit) as f64,
+            time.as_secs_f64()
+        );
+    }
 }
 
-/// Adds one to the first parameter of two bytes that may be written.
-fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64)> {
+/// Transfers that a block needs however it is done: select and read it, write, checksum, select and read what
+/// is stored.
+const A_BLOCK: u64 = 6;
+/// Where its class takes a reset, it is selected and read once more after it.
+const AFTER_A_RESET: u64 = 2;
+
+/// A simulated gauge, awake, in that seal state, and the engine.
+fn rig(chip: &'static Chip, found: Seal) -> Option<(Arc<SimClock>, Gauge, DataFlash)> {
     let clock = Arc::new(SimClock::new());
     let sim = Sim::new(chip.name, &Options::default(), clock.clone()).ok()?;
     let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
     clock.sleep(Duration::from_secs(2));
     let mut dataflash = DataFlash::default();
     dataflash.go_to(&mut gauge, found, Duration::ZERO).ok()?;
+    Some((clock, gauge, dataflash))
+}
+
+/// Transfers and bytes so far.
+fn cost(gauge: &Gauge) -> (u64, u64) {
+    let list = gauge.statistics.list();
+    let find = |wanted| list.iter().find(|(name, _)| *name == wanted).map_or(0, |(_, count)| *count);
+    (find("transfers"), find("bytes"))
+}
+
+/// What a write that changes every block has cost.
+struct Whole {
+    blocks: u64,
+    transfers: u64,
+    bytes: u64,
+    reset: bool,
+    time: Duration,
+}
+
+/// One bit more or less in one parameter of every block, written as one.
+fn image(chip: &'static Chip) -> Option<Whole> {
+    let (clock, mut gauge, mut dataflash) = rig(chip, Seal::Sealed)?;
+    let mut changes: Vec<Change> = Vec::new();
+    for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
+        let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO).ok()?.remove(0);
+        let block = |one: &Parameter| usize::from(one.offset - subclass.start()) / WINDOW;
+        let may = |one: &&Parameter| {
+            let last = usize::from(one.offset - subclass.start()) + one.kind.size() - 1;
+            one.safe.is_none() && one.kind.bounds().is_some() && last / WINDOW == block(one)
+        };
+        // What the gauge rewrites itself only where a block holds nothing else.
+        let mut rows: Vec<_> = subclass.parameters.iter().filter(may).collect();
+        rows.sort_by_key(|one| (block(one), one.learned));
+        rows.dedup_by_key(|one| block(one));
+        for parameter in rows {
+            let at = usize::from(parameter.offset - subclass.start());
+            let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
+            *bytes.last_mut()? ^= 1;
+            changes.push(Change { subclass, parameter, bytes, saved: false });
+        }
+    }
+    let (before, begun) = (cost(&gauge), clock.now());
+    let written = dataflash.write(&mut gauge, &changes, Duration::ZERO);
+    let outcome = written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;
+    let after = cost(&gauge);
+    let list = gauge.statistics.list();
+    let blocks = list.iter().find(|(name, _)| *name == "flash_writes")?.1;
+    let (transfers, bytes) = (after.0 - before.0, after.1 - before.1);
+    let reset = outcome == Outcome::Written { reset: true };
+    Some(Whole { blocks, transfers, bytes, reset, time: clock.now() - begun })
+}
+
+/// Adds one to the first parameter of two bytes that may be written: transfers, bytes, and whether it took a
+/// reset.
+fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64, bool)> {
+    let (_, mut gauge, mut dataflash) = rig(chip, found)?;
     let rows = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
     let plain = |one: &gaugefs::chip::Parameter| {
         one.kind.size() == 2 && one.safe.is_none() && !one.unproven && !one.learned
@@ -66,14 +143,9 @@ fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64)> {
         bytes: codec::encode(parameter.kind, &Value::Int(value + 1))?,
         saved: false,
     };
-    let cost = |gauge: &Gauge| {
-        let list = gauge.statistics.list();
-        let find = |wanted| list.iter().find(|(name, _)| *name == wanted).map_or(0, |(_, count)| *count);
-        (find("transfers"), find("bytes"))
-    };
     let before = cost(&gauge);
     let written = dataflash.write(&mut gauge, &[change], Duration::ZERO);
-    written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;
+    let outcome = written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;
     let after = cost(&gauge);
-    Some((after.0 - before.0, after.1 - before.1))
+    Some((after.0 - before.0, after.1 - before.1, outcome == Outcome::Written { reset: true }))
 }

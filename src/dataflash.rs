@@ -91,7 +91,10 @@ trait Sequence {
     fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]>;
     /// Brings a block into the window and reads some of its bytes.
     fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()>;
-    /// Changes the bytes that differ, in the gauge's buffer only. The block is in the window.
+    /// Whether the block has to be in the window before its bytes are changed. Not where they go out with their
+    /// address, and the sum that commits them is over both.
+    fn fills_window(&self) -> bool;
+    /// Changes the bytes that differ, in the gauge's buffer only.
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
     /// Sends what makes the gauge store the block. Never sent twice: whoever calls finds out what the
     /// block holds instead.
@@ -273,7 +276,7 @@ impl DataFlash {
         visit.begin(gauge)?;
         let (mut touched, mut finished) = (0, false);
         let forward = dirty.iter().try_for_each(|block| {
-            if !in_window {
+            if !in_window && sequence(gauge).fills_window() {
                 sequence(gauge).load(gauge, block.place)?;
             }
             store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
@@ -515,6 +518,8 @@ fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
             block.written = block.written.start.min(at)..block.written.end.max(at + 1);
         }
     }
+    // Windows of a flat part may overlap: each is verified before the next one's bytes change.
+    dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
 }
 
@@ -653,7 +658,9 @@ impl Visit {
             return Ok(());
         }
         self.begin(gauge)?;
-        sequence(gauge).load(gauge, block.place)?;
+        if sequence(gauge).fills_window() {
+            sequence(gauge).load(gauge, block.place)?;
+        }
         let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
         store(gauge, &back, &mut 0)
     }

@@ -53,6 +53,10 @@ impl Sequence for Block {
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))
     }
 
+    fn fills_window(&self) -> bool {
+        true
+    }
+
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
         let Some(range) = block.differing() else { return Ok(()) };
         let at = BLOCK_DATA + range.start as u8;

@@ -46,6 +46,10 @@ impl Sequence for CfgUpdate {
         Block.read_part(gauge, place, at, into)
     }
 
+    fn fills_window(&self) -> bool {
+        true
+    }
+
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
         Block.fill(gauge, block)
     }

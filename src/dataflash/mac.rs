@@ -44,6 +44,10 @@ impl Sequence for Mac {
         Ok(())
     }
 
+    fn fills_window(&self) -> bool {
+        false
+    }
+
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
         let Some(range) = block.differing() else { return Ok(()) };
         let address = block.place.base + range.start as u16;
