@@ -175,7 +175,7 @@ mod tests {
 
     fn key(text: &str) -> [u8; 16] {
         let line = format!("authentication = {text}");
-        let keys = crate::keys::Keys::parse("keys", line.as_bytes()).expect("a key file");
+        let keys = crate::keys::Keys::parse("keys", line.as_bytes(), "BAT0").expect("a key file");
         keys.authentication.expect("a key")
     }
 

@@ -668,8 +668,7 @@ fn factor(text: &str) -> Result<f64, String> {
 
 /// The name goes into uevent, paths and other people's shell scripts.
 fn name(text: &str) -> Result<String, String> {
-    let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
-    if !text.is_empty() && text.len() <= 64 && text.bytes().all(allowed) && !text.starts_with(['.', '-']) {
+    if keys::is_name(text) {
         Ok(text.to_string())
     } else {
         Err("expected letters, digits and . _ + -, at most 64, no dot or dash first".into())

@@ -453,10 +453,10 @@ impl Opened {
 }
 
 impl Keyring {
-    fn open(&self) -> Result<Keys> {
+    fn open(&self, gauge: &str) -> Result<Keys> {
         let mut keys = match &self.file {
-            Some(path) => Keys::from_file(path)?,
-            None => Keys::from_credential()?.unwrap_or_default(),
+            Some(path) => Keys::from_file(path, gauge)?,
+            None => Keys::from_credential(gauge)?.unwrap_or_default(),
         };
         keys.no_default = self.no_default;
         Ok(keys)

@@ -14,6 +14,77 @@ use zeroize::{Zeroize, Zeroizing};
 
 use crate::error::{Cause, Error, Result};
 
+/// Which key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Name {
+    /// From SEALED to UNSEALED.
+    Unseal,
+    /// From UNSEALED to FULL ACCESS.
+    FullAccess,
+    /// With which the gauge answers a challenge.
+    Authentication,
+}
+
+impl Name {
+    /// All of them.
+    pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
+
+    /// What its line of a key file begins with.
+    pub fn line(self) -> &'static str {
+        match self {
+            Name::Unseal => "unseal",
+            Name::FullAccess => "full_access",
+            Name::Authentication => "authentication",
+        }
+    }
+
+    /// What a key of this name looks like.
+    pub fn form(self) -> &'static str {
+        match self {
+            Name::Unseal | Name::FullAccess => WORDS,
+            Name::Authentication => DIGITS,
+        }
+    }
+}
+
+/// One key as it is typed: two words in the order in which they are sent, each with its most significant
+/// byte first, or the 16 bytes of an authentication key. On the heap, so that a move leaves no copy behind.
+#[derive(PartialEq, Eq)]
+pub struct Secret(Zeroizing<Vec<u8>>);
+
+impl Secret {
+    /// Reads what was typed.
+    pub fn parse(name: Name, text: &str) -> Option<Self> {
+        Some(match name {
+            Name::Unseal | Name::FullAccess => Self::of_words(words(text)?),
+            Name::Authentication => Self(Zeroizing::new(Zeroizing::new(digits(text)?).to_vec())),
+        })
+    }
+
+    /// A key of two words.
+    pub fn of_words([first, second]: [u16; 2]) -> Self {
+        let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
+        Self(Zeroizing::new(vec![a, b, c, d]))
+    }
+
+    /// Its bytes.
+    pub fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// Its two words.
+    pub fn words(&self) -> [u16; 2] {
+        let word = |at: usize| u16::from_be_bytes([self.0[at], self.0[at + 1]]);
+        [word(0), word(2)]
+    }
+}
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("hidden")
+    }
+}
+
 /// The keys of one gauge.
 #[derive(Clone, Default)]
 pub struct Keys {
@@ -43,12 +114,12 @@ impl fmt::Debug for Keys {
 
 /// Name of the systemd credential that takes the place of a key file.
 pub const CREDENTIAL: &str = "gaugefs-keys";
-/// A key file has a few lines; more than this is some other file.
-const LONGEST: usize = 4096;
+/// A key file has a few lines a gauge; more than this is some other file.
+const LONGEST: usize = 16384;
 
 impl Keys {
-    /// The keys of a file that nobody but its owner may read.
-    pub fn from_file(path: &Path) -> Result<Self> {
+    /// The keys that a file has for the gauge of that name. Nobody but the file's owner may read it.
+    pub fn from_file(path: &Path, gauge: &str) -> Result<Self> {
         let name = path.display().to_string();
         let (file, status) = open(path, &name)?;
         let me = nix::unistd::geteuid().as_raw();
@@ -63,11 +134,12 @@ impl Keys {
             let mode = status.mode() & 0o777;
             return refuse(format!("others may read the key file (mode {mode:03o}); chmod 600 {name}"));
         }
-        Self::parse(&name, &read(file, &name)?)
+        Self::parse(&name, &read(file, &name)?, gauge)
     }
 
-    /// The keys that systemd hands to the service, where it does. Who may read them is its business.
-    pub fn from_credential() -> Result<Option<Self>> {
+    /// The keys that systemd hands to the service for the gauge of that name, where it does. Who may read
+    /// them is its business.
+    pub fn from_credential(gauge: &str) -> Result<Option<Self>> {
         let Some(folder) = std::env::var_os("CREDENTIALS_DIRECTORY") else { return Ok(None) };
         let path = PathBuf::from(folder).join(CREDENTIAL);
         if !path.exists() {
@@ -75,12 +147,16 @@ impl Keys {
         }
         let name = path.display().to_string();
         let (file, _) = open(&path, &name)?;
-        Self::parse(&name, &read(file, &name)?).map(Some)
+        Self::parse(&name, &read(file, &name)?, gauge).map(Some)
     }
 
-    /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment.
-    pub fn parse(name: &str, text: &[u8]) -> Result<Self> {
-        let mut keys = Self::default();
+    /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section are for
+    /// all gauges, those below `[NAME]` for the gauge of that name, where they count instead.
+    pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
+        let (mut general, mut own) = (Self::default(), Self::default());
+        let mut sections: Vec<&str> = Vec::new();
+        // The keys of the present section, to find those that are given twice.
+        let mut present = Self::default();
         for (number, line) in (1..).zip(text.split(|&byte| byte == b'\n')) {
             let refuse = |why: &str| Error::new(format!("{name}: line {number}"), Cause::Invalid(why.into()));
             let line = std::str::from_utf8(line).map_err(|_| refuse("not text"))?;
@@ -88,33 +164,71 @@ impl Keys {
             if line.is_empty() {
                 continue;
             }
+            if let Some(rest) = line.strip_prefix('[') {
+                let section = rest.strip_suffix(']').map(str::trim).filter(|section| is_name(section));
+                let section =
+                    section.ok_or_else(|| refuse("expected a gauge's name in brackets, such as [BAT0]"))?;
+                if sections.contains(&section) {
+                    return Err(refuse("this gauge had a section before"));
+                }
+                sections.push(section);
+                present = Self::default();
+                continue;
+            }
             let Some((key, value)) = line.split_once('=') else {
                 return Err(refuse("not of the form `name = value`"));
             };
-            let twice = match key.trim() {
-                "unseal" => {
-                    let words = words(value).ok_or_else(|| refuse(WORDS))?;
-                    keys.unseal.replace(words).is_some()
-                }
-                "full_access" => {
-                    let words = words(value).ok_or_else(|| refuse(WORDS))?;
-                    keys.full_access.replace(words).is_some()
-                }
-                "authentication" => {
-                    let digits = digits(value).ok_or_else(|| refuse("expected 32 hexadecimal digits"))?;
-                    keys.authentication.replace(digits).is_some()
-                }
-                _ => return Err(refuse("the name is none of: unseal, full_access, authentication")),
-            };
-            if twice {
+            let key = Name::ALL.into_iter().find(|known| known.line() == key.trim());
+            let key =
+                key.ok_or_else(|| refuse("the name is none of: unseal, full_access, authentication"))?;
+            let secret = Secret::parse(key, value).ok_or_else(|| refuse(key.form()))?;
+            if present.secret(key).is_some() {
                 return Err(refuse("this key was given on a line before"));
             }
+            present.set(key, &secret);
+            match sections.last() {
+                None => general.set(key, &secret),
+                Some(&section) if section == gauge => own.set(key, &secret),
+                Some(_) => {}
+            }
         }
-        Ok(keys)
+        for key in Name::ALL {
+            if let Some(secret) = own.secret(key) {
+                general.set(key, &secret);
+            }
+        }
+        Ok(general)
+    }
+
+    /// The key of that name.
+    pub fn secret(&self, name: Name) -> Option<Secret> {
+        match name {
+            Name::Unseal => self.unseal.map(Secret::of_words),
+            Name::FullAccess => self.full_access.map(Secret::of_words),
+            Name::Authentication => {
+                self.authentication.as_ref().map(|key| Secret(Zeroizing::new(key.to_vec())))
+            }
+        }
+    }
+
+    /// From now on this one.
+    pub fn set(&mut self, name: Name, secret: &Secret) {
+        match name {
+            Name::Unseal => self.unseal = Some(secret.words()),
+            Name::FullAccess => self.full_access = Some(secret.words()),
+            Name::Authentication => self.authentication = secret.bytes().try_into().ok(),
+        }
     }
 }
 
+/// Whether a gauge's folder may be called so.
+pub fn is_name(text: &str) -> bool {
+    let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
+    !text.is_empty() && text.len() <= 64 && text.bytes().all(allowed) && !text.starts_with(['.', '-'])
+}
+
 const WORDS: &str = "expected two words of four hexadecimal digits, such as 0414 3672";
+const DIGITS: &str = "expected 32 hexadecimal digits";
 
 /// Two key words such as `0414 3672`, in the order they are sent.
 pub fn words(text: &str) -> Option<[u16; 2]> {
@@ -128,7 +242,10 @@ pub fn words(text: &str) -> Option<[u16; 2]> {
 }
 
 fn digits(text: &str) -> Option<[u8; 16]> {
-    let text = Zeroizing::new(text.split_ascii_whitespace().collect::<String>());
+    // Reserved at once: growing would leave copies behind that nobody wipes.
+    let mut tight = Zeroizing::new(String::with_capacity(text.len()));
+    text.split_ascii_whitespace().for_each(|word| tight.push_str(word));
+    let text = tight;
     if text.len() != 32 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return None;
     }
@@ -169,18 +286,18 @@ mod tests {
     use super::*;
 
     fn error(text: &str) -> String {
-        Keys::parse("keys", text.as_bytes()).expect_err("a bad key file").to_string()
+        Keys::parse("keys", text.as_bytes(), "BAT0").expect_err("a bad key file").to_string()
     }
 
     #[test]
     fn a_key_file_has_names_words_and_comments() {
         let text = "# pack 7\nunseal = 0414 3672\n\nfull_access=FFFF ffff # as it came\r\n\
                     authentication = 0123456789abcdef FEDCBA9876543210";
-        let keys = Keys::parse("keys", text.as_bytes()).expect("a good key file");
+        let keys = Keys::parse("keys", text.as_bytes(), "BAT0").expect("a good key file");
         assert_eq!(keys.unseal, Some([0x0414, 0x3672]));
         assert_eq!(keys.full_access, Some([0xffff, 0xffff]));
         assert_eq!(keys.authentication.map(|key| (key[0], key[8])), Some((0x01, 0xfe)));
-        assert!(Keys::parse("keys", b"").expect("an empty one").unseal.is_none());
+        assert!(Keys::parse("keys", b"", "BAT0").expect("an empty one").unseal.is_none());
     }
 
     #[test]
@@ -200,6 +317,36 @@ mod tests {
             "keys: line 2: this key was given on a line before"
         );
         assert_eq!(error("unseal = +123 5678 1"), error("unseal = 1"));
+    }
+
+    #[test]
+    fn a_section_is_for_one_gauge() {
+        let text = b"unseal = 1111 2222\nfull_access = 3333 4444\n[BAT0]\nunseal = 5555 6666 # its own\n\n\
+                     [ PACK-7 ]\nauthentication = 000102030405060708090a0b0c0d0e0f\n";
+        let keys = |gauge| Keys::parse("keys", text, gauge).expect("a good key file");
+        assert_eq!(keys("BAT0").unseal, Some([0x5555, 0x6666]));
+        assert_eq!(keys("BAT0").full_access, Some([0x3333, 0x4444]));
+        assert!(keys("BAT0").authentication.is_none());
+        assert_eq!(keys("PACK-7").unseal, Some([0x1111, 0x2222]));
+        assert_eq!(keys("PACK-7").authentication.map(|key| key[15]), Some(15));
+        assert_eq!(keys("BAT").unseal, Some([0x1111, 0x2222]));
+    }
+
+    #[test]
+    fn a_bad_section_is_refused_whoever_it_is_for() {
+        for (text, line, why) in [
+            ("[BAT0\n", 1, "expected a gauge's name in brackets"),
+            ("\n[a/b]", 2, "expected a gauge's name in brackets"),
+            ("[]", 1, "expected a gauge's name in brackets"),
+            ("[BAT0]\n[BAT1]\n[BAT0]", 3, "this gauge had a section before"),
+            ("[BAT1]\nunseal = 1234", 2, "expected two words"),
+            ("[BAT1]\nunseal = 1234 5678\nunseal = 1234 5678", 3, "this key was given on a line before"),
+            ("[BAT1]\nbeef = 1234", 2, "the name is none of"),
+        ] {
+            let told = error(text);
+            assert!(told.starts_with(&format!("keys: line {line}: {why}")), "{told}");
+            assert!(!told.contains("1234") && !told.contains("beef") && !told.contains("BAT1"), "{told}");
+        }
     }
 
     #[test]

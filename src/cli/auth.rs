@@ -35,7 +35,7 @@ pub(super) struct Auth {
 impl Auth {
     /// What to print about a genuine pack; an error for any other.
     pub(super) fn run(&self) -> Result<String> {
-        let keys = Keys::from_file(&self.key_file)?;
+        let keys = Keys::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let Some(key) = &keys.authentication else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
@@ -66,6 +66,12 @@ impl Auth {
     fn wrong(&self, why: &str) -> Error {
         Error::new(self.gauge.display().to_string(), Cause::NotPermitted(why.into()))
     }
+}
+
+/// The name of a gauge's folder, however it was reached.
+fn folder_name(gauge: &Path) -> String {
+    let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
+    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The order of bytes that the gauge is mounted with.

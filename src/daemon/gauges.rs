@@ -47,7 +47,7 @@ type Begun = Receiver<Result<()>>;
 impl Opening {
     /// The one gauge of a mount.
     pub(super) fn one(&self, name: String, gauge: Gauge) -> Result<Ready> {
-        let keys = gauge.keyring.open()?;
+        let keys = gauge.keyring.open(&name)?;
         let subject = gauge.source.to_string();
         let (ready, begun) = self.begin(name, gauge, keys, Place::default(), false)?;
         let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
@@ -59,7 +59,7 @@ impl Opening {
     /// what they are, and else left out; `aloud` has that said on standard error too.
     pub(super) fn many(&self, gauges: Vec<(String, Gauge)>, aloud: bool) -> Result<Vec<Ready>> {
         // What the configuration names and cannot be used is not the gauge's fault.
-        let keys = gauges.iter().map(|(_, gauge)| gauge.keyring.open()).collect::<Result<Vec<_>>>()?;
+        let keys = gauges.iter().map(|(name, gauge)| gauge.keyring.open(name)).collect::<Result<Vec<_>>>()?;
         let names: Vec<String> = gauges.iter().map(|(name, _)| name.clone()).collect();
         let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| gauge.source.chip().is_some()).collect();
         let (tell, opened) = mpsc::channel();
