@@ -89,17 +89,30 @@ pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duratio
         return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())));
     };
     gauge.limit(Some(LIMIT.saturating_sub(waited)));
-    let outcome = gauge.claim().and_then(|()| {
-        let sent = order.turn(*challenge);
-        // Nothing is stored by it, so all of it may be done again.
-        let first = attempt(gauge, waits, &sent);
-        first.or_else(|_| {
-            Statistics::count(&gauge.statistics.retries);
-            attempt(gauge, waits, &sent)
-        })
-    });
+    let outcome = gauge.claim().and_then(|()| exchange_twice(gauge, waits, challenge, order));
     gauge.limit(None);
-    outcome.map(|digest| order.turn(digest)).map_err(|error| error.within("authenticate"))
+    outcome.map_err(|error| error.within("authenticate"))
+}
+
+/// The same inside of something larger, which has its own limit of time.
+pub(crate) fn answered(gauge: &mut Gauge, challenge: &Message, order: Order) -> Result<Message> {
+    let waits = gauge.chip.authentication.as_ref().expect("asked of parts that have it");
+    exchange_twice(gauge, waits, challenge, order)
+}
+
+fn exchange_twice(
+    gauge: &mut Gauge,
+    waits: &Authentication,
+    challenge: &Message,
+    order: Order,
+) -> Result<Message> {
+    let sent = order.turn(*challenge);
+    // Nothing is stored by it, so all of it may be done again.
+    let digest = attempt(gauge, waits, &sent).or_else(|_| {
+        Statistics::count(&gauge.statistics.retries);
+        attempt(gauge, waits, &sent)
+    })?;
+    Ok(order.turn(digest))
 }
 
 fn attempt(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {

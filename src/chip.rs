@@ -400,6 +400,45 @@ pub struct Security {
     pub seal: u16,
     /// Silence that the gauge wants before keys that it refused once.
     pub key_silence: Duration,
+    /// Where the keys are kept, for whoever changes them.
+    pub storage: KeyStorage,
+}
+
+/// Where and how a part keeps its keys.
+#[derive(Debug)]
+pub enum KeyStorage {
+    /// They are not changed here, and why.
+    Fixed(&'static str),
+    /// Together in one block of data flash.
+    Flash(KeyBlock),
+}
+
+/// The part of a block that holds keys and nothing else. Places count from its first byte.
+#[derive(Debug)]
+pub struct KeyBlock {
+    /// Subclass id, or [`FLAT`].
+    pub subclass: u8,
+    /// Offset, or address, of its first byte.
+    pub start: u16,
+    /// Bytes.
+    pub length: usize,
+    /// The unseal key.
+    pub unseal: usize,
+    /// The full-access key.
+    pub full_access: usize,
+    /// The authentication key, most significant byte first; `None` where there is none that can be tried.
+    pub authentication: Option<usize>,
+    /// How the two words of a key lie there.
+    pub order: KeyOrder,
+}
+
+/// How two key words lie in data flash, beside the order in which they are sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KeyOrder {
+    /// All four bytes as they pass over the wire, reversed: the second word, then the first.
+    Reversed,
+    /// The first word, then the second, each with its most significant byte first.
+    AsSent,
 }
 
 /// Where and how the seal state shows.

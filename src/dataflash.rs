@@ -21,6 +21,7 @@ use crate::value::Value;
 
 mod block;
 mod cfgupdate;
+mod keychange;
 mod mac;
 mod preflight;
 mod settle;

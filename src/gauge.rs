@@ -12,7 +12,7 @@ pub use crate::chip::Answers;
 use crate::chip::{Chip, Register, SealStatus, Tier};
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result, Step};
-use crate::keys::Keys;
+use crate::keys::{Keys, Name, Secret};
 
 /// Address of Control().
 const CONTROL: u8 = 0x00;
@@ -30,6 +30,9 @@ const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
 /// So many bytes behind Control() are read along with it at most.
 pub const BEHIND: usize = 14;
+
+/// The full-access key of every part that has one, as it leaves the factory.
+pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 
 /// How often an idempotent transfer is tried, and the pause before each further try: the gauge
 /// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
@@ -425,8 +428,7 @@ impl Gauge {
                 "SEALED, and the key was refused before; mount again with the right --key-file",
             ));
         }
-        let silence = self.chip.security.key_silence;
-        if self.try_key(key, Seal::Unsealed)? || (self.quiet(silence) && self.try_key(key, Seal::Unsealed)?) {
+        if self.takes(key, Seal::Unsealed)? {
             return Ok(());
         }
         self.refused = true;
@@ -441,30 +443,32 @@ impl Gauge {
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
     pub fn full_access(&mut self) -> Result<()> {
-        let key = self.keys.full_access.or(if self.keys.no_default { None } else { Some([0xffff; 2]) });
+        let key =
+            self.keys.full_access.or(if self.keys.no_default { None } else { Some(DEFAULT_FULL_ACCESS) });
         let refuse =
             |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
         if !self.chip.security.full_access {
             return Err(refuse("this part has no FULL ACCESS"));
         }
         let key = key.ok_or_else(|| refuse("no full-access key is given; name a file with --key-file"))?;
-        let silence = self.chip.security.key_silence;
-        if self.try_key(key, Seal::FullAccess)?
-            || (self.quiet(silence) && self.try_key(key, Seal::FullAccess)?)
-        {
+        if self.takes(key, Seal::FullAccess)? {
             return Ok(());
         }
         Err(Error::new(self.chip.model, Cause::NotPermitted("the gauge refused the full-access key".into()))
             .at(Step::Unseal))
     }
 
-    fn quiet(&self, time: Duration) -> bool {
-        self.wait(time);
-        true
+    /// Sends a key, once more after a silence where it was refused, and tells whether the state followed.
+    pub fn takes(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
+        if self.try_key(key, goal)? {
+            return Ok(true);
+        }
+        self.wait(self.chip.security.key_silence);
+        self.try_key(key, goal)
     }
 
     /// Sends both words of a key and tells whether the state followed.
-    fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
+    pub fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
         self.bus.hush(true);
         let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
         self.bus.hush(false);
@@ -512,6 +516,28 @@ impl Gauge {
         Statistics::count(&self.statistics.resets);
         self.expected = Some(Seal::Sealed);
         self.command(RESET).map_err(|error| error.at(Step::Reset))
+    }
+
+    /// The key that would be sent: the one given, or the manual's where that may be tried.
+    pub fn key(&self, name: Name) -> Option<Secret> {
+        let default = match name {
+            Name::Unseal => Some(self.chip.security.default_unseal),
+            Name::FullAccess => Some(DEFAULT_FULL_ACCESS),
+            Name::Authentication => None,
+        };
+        let default = default.filter(|_| !self.keys.no_default).map(Secret::of_words);
+        self.keys.secret(name).or(default)
+    }
+
+    /// The gauge has another key now.
+    pub fn set_key(&mut self, name: Name, key: &Secret) {
+        self.keys.set(name, key);
+        self.refused = false;
+    }
+
+    /// What passes from now on is a secret (`true`), or no longer (`false`).
+    pub fn hush(&mut self, secret: bool) {
+        self.bus.hush(secret);
     }
 
     /// Forgets that a key was refused: the gauge may be another one of the same kind.

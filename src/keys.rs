@@ -29,6 +29,15 @@ impl Name {
     /// All of them.
     pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
 
+    /// The word that stands for it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Name::Unseal => "unseal",
+            Name::FullAccess => "full-access",
+            Name::Authentication => "authentication",
+        }
+    }
+
     /// What its line of a key file begins with.
     pub fn line(self) -> &'static str {
         match self {
@@ -61,6 +70,16 @@ impl Secret {
         })
     }
 
+    /// The same key once more.
+    pub fn clone_of(other: &Self) -> Self {
+        Self(other.0.clone())
+    }
+
+    /// A key of these bytes.
+    pub fn of_bytes(bytes: &[u8]) -> Self {
+        Self(Zeroizing::new(bytes.to_vec()))
+    }
+
     /// A key of two words.
     pub fn of_words([first, second]: [u16; 2]) -> Self {
         let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
@@ -77,11 +96,68 @@ impl Secret {
         let word = |at: usize| u16::from_be_bytes([self.0[at], self.0[at + 1]]);
         [word(0), word(2)]
     }
+
+    /// As it is typed.
+    pub fn text(&self) -> Zeroizing<String> {
+        let mut text = Zeroizing::new(String::with_capacity(2 * self.0.len() + 1));
+        for (at, byte) in self.0.iter().enumerate() {
+            if at == 2 && self.0.len() == 4 {
+                text.push(' ');
+            }
+            for half in [byte >> 4, byte & 0xf] {
+                text.push(char::from(b"0123456789abcdef"[usize::from(half)]));
+            }
+        }
+        text
+    }
 }
 
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("hidden")
+    }
+}
+
+/// What is written to `gauge/keys`: another key in place of the old one, which proves who asks.
+#[derive(Debug)]
+pub struct Change {
+    /// Which key.
+    pub name: Name,
+    /// The one that the gauge has.
+    pub old: Secret,
+    /// The one that it shall have.
+    pub new: Secret,
+}
+
+impl Change {
+    /// Reads `unseal OLD NEW`. An error does not say what stands there.
+    pub fn parse(text: &[u8]) -> Result<Self> {
+        let change = Self::parse_line(text);
+        wipe_stack();
+        change
+    }
+
+    fn parse_line(text: &[u8]) -> Result<Self> {
+        let refuse = |why: String| Error::new("keys", Cause::Invalid(why));
+        let one_line = || {
+            refuse(
+                "expected `NAME OLD NEW` in one write, NAME one of unseal, full-access, authentication"
+                    .into(),
+            )
+        };
+        let text = std::str::from_utf8(text).map_err(|_| one_line())?.trim();
+        let (word, keys) = text.split_once(' ').ok_or_else(one_line)?;
+        let name = Name::ALL.into_iter().find(|name| name.as_str() == word).ok_or_else(one_line)?;
+        let keys = keys.trim();
+        // Two keys of the same form: as many words in the one as in the other.
+        let count = keys.split_ascii_whitespace().count();
+        let middle = keys.split_ascii_whitespace().nth(count / 2).filter(|_| count % 2 == 0);
+        let at = middle.map(|word| word.as_ptr() as usize - keys.as_ptr() as usize).ok_or_else(one_line)?;
+        let key = |text| {
+            Secret::parse(name, text)
+                .ok_or_else(|| refuse(format!("{} twice, the old key and the new one", name.form())))
+        };
+        Ok(Self { name, old: key(&keys[..at])?, new: key(&keys[at..])? })
     }
 }
 
@@ -110,6 +186,12 @@ impl fmt::Debug for Keys {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Keys { hidden }")
     }
+}
+
+/// Wipes what functions that have returned left of keys where their frames were.
+#[inline(never)]
+pub fn wipe_stack() {
+    [0u128; 4 * 1024].zeroize();
 }
 
 /// Name of the systemd credential that takes the place of a key file.
@@ -350,8 +432,48 @@ mod tests {
     }
 
     #[test]
+    fn a_change_is_a_name_and_two_keys() {
+        let change = |text: &str| Change::parse(text.as_bytes());
+        let one = change("unseal 0414 3672  1234 abCD\n").expect("a change");
+        assert_eq!(
+            (one.name, one.old.words(), one.new.words()),
+            (Name::Unseal, [0x0414, 0x3672], [0x1234, 0xabcd])
+        );
+        assert_eq!(&*one.new.text(), "1234 abcd");
+        let digits = "0123456789abcdeffedcba9876543210";
+        let spaced = "01234567 89abcdef fedcba98 76543211";
+        let one =
+            change(&format!("authentication {spaced} {}", spaced.replace("11", "12"))).expect("a change");
+        assert_eq!((one.old.bytes()[15], one.new.bytes()[15]), (0x11, 0x12));
+        let one = change(&format!("authentication {digits} {}", digits.replace('7', "8"))).expect("a change");
+        assert_eq!(&*one.old.text(), digits);
+        for text in [
+            "",
+            "unseal",
+            "unseal 0414 3672",
+            "unseal 0414 3672 1234",
+            "unseal 0414 3672 1234 567",
+            "unseal 0414 3672 1234 5678 9abc",
+            "full_access ffff ffff 1234 5678",
+            &format!("authentication {digits}"),
+            &format!("unseal {digits} {digits}"),
+        ] {
+            let error = change(text).expect_err("no change");
+            assert_eq!(error.errno(), Errno::EINVAL);
+            assert!(
+                !["0414", "1234", "567", "0123", "ffff"]
+                    .iter()
+                    .any(|key| { error.to_string().replace("0414 3672", "").contains(key) }),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
     fn keys_do_not_show_themselves() {
         let keys = Keys { unseal: Some([0xbeef, 0xcafe]), ..Keys::default() };
         assert_eq!(format!("{keys:?}"), "Keys { hidden }");
+        let change = Change::parse(b"unseal 0414 3672 beef cafe").expect("a change");
+        assert_eq!(format!("{change:?}"), "Change { name: Unseal, old: hidden, new: hidden }");
     }
 }

@@ -10,8 +10,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Identity, Learning, Mode, Pack, Parameter as P, Preflight,
-    Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
+    Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -113,6 +113,7 @@ pub(super) const SECURITY: Security = Security {
     seal: 0x0020,
     // 6.4.5.1.1: a gauge that sealed itself at the end of CONFIG UPDATE takes no key for so long.
     key_silence: Duration::from_secs(4),
+    storage: KeyStorage::Fixed("its only key is in ROM"),
 };
 
 pub(super) const ACCESS: Access = Access {

@@ -16,8 +16,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Gate, Identity, Mode, Pack, Parameter as P, Preflight, Register,
-    Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
+    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass,
+    Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
@@ -58,6 +59,17 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // TI's advice to owners whose keys were refused.
         key_silence: Duration::from_secs(4),
+        // SLUS914A 4.5: the bytes are entered the other way round than they lie in data flash, Key 1 first.
+        // It has an authentication key in no source.
+        storage: KeyStorage::Flash(KeyBlock {
+            subclass: 112,
+            start: 0,
+            length: 8,
+            unseal: 0,
+            full_access: 4,
+            authentication: None,
+            order: KeyOrder::Reversed,
+        }),
     },
     access: Access {
         scheme: Scheme::Block,

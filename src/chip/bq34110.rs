@@ -18,8 +18,8 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Mode, Parameter as P, Preflight, Register,
-    Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
+    Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -58,6 +58,9 @@ pub static CHIP: Chip = Chip {
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
         key_silence: Duration::from_secs(4),
+        storage: KeyStorage::Fixed(
+            "it shows them at SECURITY_KEYS, and how they are written there is in no document at hand",
+        ),
     },
     access: Access {
         scheme: Scheme::Mac,

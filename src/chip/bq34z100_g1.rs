@@ -10,9 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, Learning, Mode, Pack,
-    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand,
-    Word,
+    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
+    Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security,
+    Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -56,6 +56,18 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // TI's advice to owners whose keys were refused; not in the datasheet.
         key_silence: Duration::from_secs(4),
+        // Table 7-11 and a real part's image: 36 72 04 14 for keys that are sent as 14 04, 72 36; four
+        // different bytes, so there is one way only. 7.3.15.2 has the authentication key at 0x4C, where it
+        // would run over the block's end; the table and the image have it at 8.
+        storage: KeyStorage::Flash(KeyBlock {
+            subclass: 112,
+            start: 0,
+            length: 24,
+            unseal: 0,
+            full_access: 4,
+            authentication: Some(8),
+            order: KeyOrder::Reversed,
+        }),
     },
     access: Access {
         scheme: Scheme::Block,

@@ -17,8 +17,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, Mode, Pack, Parameter as P, Preflight,
-    Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
+    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass,
+    Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
@@ -62,6 +63,17 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // E2E 888302: a full-access key right after the unseal key was refused, 10 s later it was taken.
         key_silence: Duration::from_secs(10),
+        // An owner read 04 14 36 72 from a part (E2E 668766), though one address lower; what a part holds is
+        // compared with its keys before it is changed. Its authentication key cannot be tried.
+        storage: KeyStorage::Flash(KeyBlock {
+            subclass: FLAT,
+            start: 0x41CC,
+            length: 8,
+            unseal: 0,
+            full_access: 4,
+            authentication: None,
+            order: KeyOrder::AsSent,
+        }),
     },
     access: Access {
         scheme: Scheme::Mac,

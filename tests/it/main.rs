@@ -7,6 +7,7 @@ mod faults;
 mod gauge;
 mod input;
 mod journal;
+mod keychange;
 mod manual;
 mod mount;
 mod over;

@@ -1,0 +1,588 @@
+//! A key changed: the one write to the Security subclass there is.
+//!
+//! A gauge whose key nobody knows is lost for ever, so nothing is taken for granted. The old key is proven
+//! by using it. What the gauge keeps is compared with the keys that it took: that tells, on this very
+//! gauge, that the table has the right place and the right order of bytes. The block is read back while
+//! FULL ACCESS still lets it be put right, and only then the gauge is sealed and opened with the new key.
+//!
+//! Until the block is committed an error means that no key was changed. From then on the answer is
+//! success, [`Cause::RolledBack`] (the old key is back, and was used) or [`Cause::Unknown`], which says what
+//! is known of the keys.
+
+use std::time::Duration;
+
+use zeroize::{Zeroize, Zeroizing};
+
+use super::{DataFlash, Dirty, Place, RESTORES, sequence};
+use crate::authentication::{self, LENGTH, Order};
+use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
+use crate::keys::{Change, Name, Secret, wipe_stack};
+
+/// The way forward, and the way back, without the silences that a gauge wants before a key it refused.
+const WAY: Duration = Duration::from_secs(8);
+/// As many of those there can be on either way.
+const SILENCES: u32 = 10;
+/// For so long a gauge that does not answer may be starting again.
+const START: Duration = Duration::from_secs(3);
+/// After a start Voltage() is valid about 1 s later (E2E 1059347).
+const MEASURED: Duration = Duration::from_secs(1);
+/// Between two looks at a gauge that does not answer, or did not do as it was told.
+const LOOK: Duration = Duration::from_millis(200);
+/// Below this a word is, or may become, a subcommand of every part.
+const SUBCOMMANDS: u16 = 0x0100;
+/// Words that ManufacturerAccessControl() takes for addresses.
+const ADDRESSES: std::ops::Range<u16> = 0x4000..0x4400;
+/// What flash holds that was erased and not programmed.
+const ERASED: u16 = 0xffff;
+
+/// The keys of a gauge, from SEALED up.
+struct Ring {
+    unseal: Secret,
+    full_access: Secret,
+}
+
+impl Ring {
+    /// The keys in their order, where each leads, and whether a gauge in that state needs it no more.
+    fn rungs(&self, from: Seal) -> [(Name, &Secret, Seal, bool); 2] {
+        [
+            (Name::Unseal, &self.unseal, Seal::Unsealed, from != Seal::Sealed),
+            (Name::FullAccess, &self.full_access, Seal::FullAccess, from == Seal::FullAccess),
+        ]
+    }
+}
+
+/// One change on its way.
+struct Task<'a> {
+    block: &'a KeyBlock,
+    change: &'a Change,
+    /// Where in the window the key stands.
+    at: usize,
+    /// In which order challenges are sent.
+    order: Order,
+    found: Seal,
+    /// Something was sent that may have changed the seal.
+    moved: bool,
+}
+
+impl DataFlash {
+    /// Changes a key. `waited` is how long ago this was asked for.
+    pub fn change_key(
+        &mut self,
+        gauge: &mut Gauge,
+        change: &Change,
+        order: Order,
+        waited: Duration,
+    ) -> Result<()> {
+        let name = change.name.as_str();
+        let programmed = Statistics::read(&gauge.statistics.flash_writes);
+        let outcome = self.change_key_unnamed(gauge, change, order, waited);
+        let blocks = Statistics::read(&gauge.statistics.flash_writes) - programmed;
+        self.wear.record(gauge.clock.now(), blocks);
+        gauge.limit(None);
+        wipe_stack();
+        outcome.map_err(|error| error.within(&format!("{name} key")))
+    }
+
+    fn change_key_unnamed(
+        &mut self,
+        gauge: &mut Gauge,
+        change: &Change,
+        order: Order,
+        waited: Duration,
+    ) -> Result<()> {
+        let (block, at) = place(gauge.chip, change.name)?;
+        check_new(gauge, change)?;
+        if let Some(told) = self.settle(gauge, waited)? {
+            log::warn!("{}: {told}", gauge.chip.name);
+        }
+        gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
+        gauge.claim()?;
+        let found = self.preflight(gauge, &[])?;
+        let mut task = Task { block, change, at, order, found: found.seal, moved: false };
+        let outcome = task.run(self, gauge, found.voltage_mv);
+        task.close(gauge, outcome)
+    }
+}
+
+/// Where the table says that a key is kept, or why it is not changed.
+fn place(chip: &'static Chip, name: Name) -> Result<(&'static KeyBlock, usize)> {
+    let refuse = |why: &str| {
+        let why = format!("cannot be changed here: {why}");
+        Err(Error::new(chip.model, Cause::NotPermitted(why)).at(Step::Check))
+    };
+    let block = match &chip.security.storage {
+        KeyStorage::Fixed(why) => return refuse(why),
+        KeyStorage::Flash(block) => block,
+    };
+    match name {
+        Name::Unseal => Ok((block, block.unseal)),
+        Name::FullAccess => Ok((block, block.full_access)),
+        Name::Authentication => match block.authentication.filter(|_| chip.authentication.is_some()) {
+            Some(at) => Ok((block, at)),
+            None => {
+                refuse("this part has no authentication that gaugefs knows, so a new key could not be tried")
+            }
+        },
+    }
+}
+
+/// Keys with which a gauge would be open to all, or do something else. The manual's own are fine: whoever
+/// gives a pack away puts them back.
+fn check_new(gauge: &Gauge, change: &Change) -> Result<()> {
+    let refuse =
+        |why: &str| Err(Error::new("", Cause::OutOfRange(format!("the new key {why}"))).at(Step::Check));
+    if change.new == change.old {
+        let why = "the new key is the old one";
+        return Err(Error::new("", Cause::Invalid(why.into())).at(Step::Check));
+    }
+    let (default, other) = match change.name {
+        Name::Unseal => (gauge.chip.security.default_unseal, gauge.key(Name::FullAccess)),
+        Name::FullAccess => (DEFAULT_FULL_ACCESS, gauge.key(Name::Unseal)),
+        Name::Authentication => {
+            let bytes = change.new.bytes();
+            return if bytes.iter().all(|byte| *byte == bytes[0]) {
+                refuse("is one byte sixteen times, which is the first that anybody tries")
+            } else {
+                Ok(())
+            };
+        }
+    };
+    let words = change.new.words();
+    if other.is_some_and(|other| other == change.new) {
+        return refuse("is the other key as well: sent twice it would open the gauge wide");
+    }
+    if words == default {
+        return Ok(());
+    }
+    if words.contains(&0) || words.contains(&ERASED) {
+        return refuse("has a word of zeros or ones, as a bus or a flash has that fails");
+    }
+    if words[0] == words[1] {
+        return refuse("is one word twice: a transfer that is repeated would open the gauge");
+    }
+    let known = |word: &u16| gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word);
+    if words.iter().any(|word| *word < SUBCOMMANDS || known(word)) {
+        return refuse("has a word that is a subcommand, which the manual forbids");
+    }
+    if gauge.chip.access.scheme == Scheme::Mac && words.iter().any(|word| ADDRESSES.contains(word)) {
+        return refuse("has a word that is an address of data flash (0x4000 to 0x43ff)");
+    }
+    Ok(())
+}
+
+impl Task<'_> {
+    fn run(&mut self, dataflash: &mut DataFlash, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
+        let (name, old, new) = (self.change.name, &self.change.old, &self.change.new);
+        let tried = self.enter(gauge)?;
+        sequence(gauge).enable(gauge)?;
+        dataflash.check_signature(gauge)?;
+        dataflash.check_gate(gauge, voltage_mv)?;
+        let before = self.read(gauge)?;
+        let held = match tried {
+            Some(held) => held,
+            None => self.held(gauge, &before)?,
+        };
+        let ring = self.ring(gauge, &held)?;
+        self.compare_with(&before, &ring, &held)?;
+        // Whoever puts the gauge back as it was found needs it.
+        gauge.set_key(name, &held);
+        if name != Name::Authentication && self.found != Seal::Sealed {
+            self.moved = true;
+            gauge.go_to(Seal::Sealed)?;
+            self.climb(gauge, &ring, Seal::Sealed)?;
+        }
+        sequence(gauge).enable(gauge)?;
+        let (mut after, mut back) = (before.clone(), before);
+        self.put(&mut after, new);
+        self.put(&mut back, old);
+        let mut touched = 0;
+        let written = self.write(gauge, &after, &mut touched);
+        let proven = written.and_then(|()| self.prove(gauge, new));
+        let Err(error) = proven else {
+            gauge.set_key(name, new);
+            return Ok(());
+        };
+        if touched == 0 {
+            return Err(error);
+        }
+        gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
+        Err(self.back(gauge, &back, &error))
+    }
+
+    /// Goes to FULL ACCESS from the seal state in which the gauge was found, with the key that it has.
+    /// Returns it, where it was needed.
+    fn enter(&mut self, gauge: &mut Gauge) -> Result<Option<Secret>> {
+        let ring = self.ring(gauge, &self.change.old)?;
+        let mut held = None;
+        for (name, key, goal, above) in ring.rungs(self.found) {
+            if above {
+                continue;
+            }
+            self.moved = true;
+            let found = self.find(gauge, name, key, goal)?;
+            let why = || match name == self.change.name {
+                true => "the gauge takes neither the old key nor the new one".to_string(),
+                false => format!("the gauge refused the mount's {} key", name.as_str()),
+            };
+            let found = found
+                .ok_or_else(|| Error::new(gauge.chip.model, Cause::NotPermitted(why())).at(Step::Unseal))?;
+            if name == self.change.name {
+                held = Some(found);
+            }
+        }
+        Ok(held)
+    }
+
+    /// The key that the gauge has, where no key was needed to come here: the old one, the new one, or what
+    /// a change left behind that was cut short.
+    fn held(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
+        let Change { name, old, new } = self.change;
+        let stands = |key: &Secret| self.stands(window, key, self.at);
+        for key in [old, new] {
+            if stands(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
+                return Ok(Secret::clone_of(key));
+            }
+        }
+        let present = &window[self.at..self.at + old.bytes().len()];
+        let (was, shall) = (self.stored(old, self.block.order), self.stored(new, self.block.order));
+        let word = |at: usize| {
+            [&was[at..at + 2], &shall[at..at + 2], &ERASED.to_be_bytes()].contains(&&present[at..at + 2])
+        };
+        if *name == Name::Authentication && (0..present.len()).step_by(2).all(word) && !stands(old) {
+            return Ok(Secret::of_bytes(present));
+        }
+        let why = "the gauge has neither the old key nor the new one; nothing was changed";
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check))
+    }
+
+    /// The keys with which the gauge opens, while the one that is changed is `key`.
+    fn ring(&self, gauge: &Gauge, key: &Secret) -> Result<Ring> {
+        let get = |name: Name| {
+            if name == self.change.name {
+                return Ok(Secret::clone_of(key));
+            }
+            gauge.key(name).ok_or_else(|| {
+                let why =
+                    format!("the {} key is needed too; give it in the mount's --key-file", name.as_str());
+                Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check)
+            })
+        };
+        Ok(Ring { unseal: get(Name::Unseal)?, full_access: get(Name::FullAccess)? })
+    }
+
+    /// Goes from a seal state to FULL ACCESS with these keys.
+    fn climb(&mut self, gauge: &mut Gauge, ring: &Ring, from: Seal) -> Result<()> {
+        for (name, key, goal, above) in ring.rungs(from) {
+            if above {
+                continue;
+            }
+            self.moved = true;
+            if !gauge.takes(key.words(), goal)? {
+                let which = if name == self.change.name { "this" } else { "the mount's" };
+                let why = format!("the gauge refused {which} {} key", name.as_str());
+                return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Unseal));
+            }
+        }
+        Ok(())
+    }
+
+    /// A random challenge, answered as only this key answers it.
+    fn challenge(&self, gauge: &mut Gauge, key: &Secret) -> Result<()> {
+        let mut challenge = [0; LENGTH];
+        getrandom::fill(&mut challenge)
+            .map_err(|error| Error::host("random numbers", nix::errno::Errno::EIO, error.to_string()))?;
+        let digest = authentication::answered(gauge, &challenge, self.order)?;
+        let key = Zeroizing::new(key.bytes().try_into().expect("an authentication key has 16 bytes"));
+        if authentication::fits(&key, &challenge, &digest, self.order).is_some() {
+            return Ok(());
+        }
+        let why = "the gauge answers a challenge otherwise than with this key";
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Verify))
+    }
+
+    /// Whether the gauge takes the key, found out by using it. Sealed and opened again.
+    fn prove(&mut self, gauge: &mut Gauge, key: &Secret) -> Result<()> {
+        if self.change.name == Name::Authentication {
+            return self.challenge(gauge, key);
+        }
+        let ring = self.ring(gauge, key)?;
+        gauge.go_to(Seal::Sealed)?;
+        self.climb(gauge, &ring, Seal::Sealed)
+    }
+
+    fn place(&self) -> Place {
+        Place { subclass: self.block.subclass, base: self.block.start }
+    }
+
+    /// The block as it is now. Only what is keys counts: behind them may be what the gauge rewrites.
+    fn read(&self, gauge: &mut Gauge) -> Result<Zeroizing<[u8; WINDOW]>> {
+        quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place()).map(Zeroizing::new))
+    }
+
+    /// A key as the gauge keeps it.
+    fn stored(&self, key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
+        let mut bytes = Zeroizing::new(key.bytes().to_vec());
+        if let (KeyOrder::Reversed, [a, b, c, d]) = (order, bytes.as_slice()) {
+            let turned = [*c, *d, *a, *b];
+            bytes.copy_from_slice(&turned);
+        }
+        bytes
+    }
+
+    /// Whether a key stands there, as the table has it.
+    fn stands(&self, window: &[u8; WINDOW], key: &Secret, at: usize) -> bool {
+        let bytes = self.stored(key, self.block.order);
+        window[at..at + bytes.len()] == **bytes
+    }
+
+    fn put(&self, window: &mut [u8; WINDOW], key: &Secret) {
+        let bytes = self.stored(key, self.block.order);
+        window[self.at..self.at + bytes.len()].copy_from_slice(&bytes);
+    }
+
+    /// The keys that the gauge took stand where the table says, in the order that it says, and at least one
+    /// of them could not stand so in another.
+    fn compare_with(&self, window: &[u8; WINDOW], ring: &Ring, held: &Secret) -> Result<()> {
+        let refuse = |why: &str| {
+            let why = format!("{why}; nothing was changed");
+            Err(Error::new("", Cause::NotPermitted(why)).at(Step::Check))
+        };
+        let KeyBlock { unseal, full_access, .. } = *self.block;
+        let places = [(&ring.unseal, unseal), (&ring.full_access, full_access), (held, self.at)];
+        if !places.into_iter().all(|(key, at)| self.stands(window, key, at)) {
+            return refuse("this gauge does not keep the keys it takes where and how its manual says");
+        }
+        let tells = |key: &Secret| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|at| key.bytes()[at]);
+            ![[c, d, a, b], [b, a, d, c], [d, c, b, a]].contains(&[a, b, c, d])
+        };
+        if self.change.name != Name::Authentication && !tells(&ring.unseal) && !tells(&ring.full_access) {
+            return refuse("neither of its keys shows in which order of bytes this gauge keeps them");
+        }
+        Ok(())
+    }
+
+    /// Writes the keys and reads them back. `touched` counts the commits.
+    fn write(&self, gauge: &mut Gauge, keys: &[u8; WINDOW], touched: &mut usize) -> Result<()> {
+        quietly(gauge, |gauge| {
+            let length = self.block.length;
+            let present = Zeroizing::new(sequence(gauge).load(gauge, self.place())?);
+            if present[..length] == keys[..length] {
+                return Ok(());
+            }
+            let mut block = Dirty { place: self.place(), old: *present, new: *present, written: 0..length };
+            // What is behind the keys stays as it is at this moment.
+            block.new[..length].copy_from_slice(&keys[..length]);
+            let stored = self.commit(gauge, &block, touched);
+            block.old.zeroize();
+            block.new.zeroize();
+            stored
+        })
+    }
+
+    fn commit(&self, gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
+        sequence(gauge).fill(gauge, block)?;
+        *touched += 1;
+        Statistics::count(&gauge.statistics.flash_writes);
+        let committed = sequence(gauge).commit(gauge, block);
+        let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
+        let length = self.block.length;
+        let matches = present.map_err(|error| error.at(Step::Verify)).and_then(|present| {
+            if present[..length] == block.new[..length] {
+                return Ok(());
+            }
+            let why = "the gauge keeps other keys than were written";
+            Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
+        });
+        // A checksum whose acknowledgement was lost may have done its work all the same.
+        matches.map_err(|error| committed.err().unwrap_or(error))
+    }
+
+    /// After a failure behind the commit: finds out which keys open the gauge, puts the old block back and
+    /// tries it. Always an error, which says what is known.
+    fn back(&mut self, gauge: &mut Gauge, before: &[u8; WINDOW], error: &Error) -> Error {
+        let (mut state, mut known) = (Keyhole::Silent, Worked::Neither);
+        for _ in 0..RESTORES {
+            state = self.open_again(gauge);
+            match state {
+                Keyhole::Open(Worked::Neither) => {}
+                Keyhole::Open(worked) => known = worked,
+                Keyhole::Shut(_) => break,
+                Keyhole::Silent => continue,
+            }
+            let mut touched = 0;
+            let put_back = sequence(gauge)
+                .enable(gauge)
+                .and_then(|()| self.write(gauge, before, &mut touched))
+                .and_then(|()| self.prove(gauge, &self.change.old));
+            if put_back.is_ok() {
+                gauge.set_key(self.change.name, &self.change.old);
+                let why = format!("{error}; the old key was put back, and the gauge takes it");
+                return Error::new("", Cause::RolledBack(why));
+            }
+            if touched > 0 {
+                known = Worked::Neither;
+            }
+            // A gauge that has just started stores nothing before it has measured its voltage.
+            gauge.wait(MEASURED);
+        }
+        let Change { name, new, .. } = self.change;
+        let known = match (state, known) {
+            (Keyhole::Open(_), Worked::Old) => {
+                "the gauge took the old key, but what it keeps could not be put in order and tried again"
+            }
+            (Keyhole::Open(_), Worked::New) => {
+                // Whatever stands in the key file, the daemon can go on.
+                gauge.set_key(*name, new);
+                "the gauge takes the new key, and the old one could not be put back"
+            }
+            (Keyhole::Open(_), Worked::Neither) => {
+                "the gauge was open, but the old key could not be put back: which key it takes is not known; do not \
+                 cut its power, and make the same change once more"
+            }
+            (Keyhole::Shut(shut), _) if shut == *name => {
+                "the gauge takes neither the old key nor the new one"
+            }
+            (Keyhole::Shut(_), _) => "the gauge does not take its other key any more",
+            (Keyhole::Silent, _) => {
+                "the gauge does not answer: it has the old key or the new one, or a part of each; when it answers again, \
+                 make the same change once more"
+            }
+        };
+        Error::new("", Cause::Unknown(format!("{error}; {known}")))
+    }
+
+    /// Goes to FULL ACCESS by whatever key leads there.
+    fn open_again(&mut self, gauge: &mut Gauge) -> Keyhole {
+        let limit = gauge.clock.now() + START;
+        let now = loop {
+            match gauge.seal() {
+                Ok(now) => break now,
+                Err(_) if gauge.clock.now() < limit => gauge.wait(LOOK),
+                Err(_) => return Keyhole::Silent,
+            }
+        };
+        let Ok(ring) = self.ring(gauge, &self.change.old) else { return Keyhole::Silent };
+        let mut worked = Worked::Neither;
+        for (name, key, goal, above) in ring.rungs(now) {
+            if above {
+                continue;
+            }
+            match self.find(gauge, name, key, goal) {
+                Ok(Some(found)) if name == self.change.name => worked = self.which(&found),
+                Ok(Some(_)) => {}
+                Ok(None) => return Keyhole::Shut(name),
+                Err(_) => return Keyhole::Silent,
+            }
+        }
+        if self.change.name == Name::Authentication {
+            let keys = [&self.change.new, &self.change.old];
+            let answers = keys.into_iter().find(|key| self.challenge(gauge, key).is_ok());
+            worked = answers.map_or(Worked::Neither, |key| self.which(key));
+        }
+        Keyhole::Open(worked)
+    }
+
+    fn which(&self, key: &Secret) -> Worked {
+        match key {
+            key if *key == self.change.old => Worked::Old,
+            key if *key == self.change.new => Worked::New,
+            _ => Worked::Neither,
+        }
+    }
+
+    /// The key that leads to a seal state. Of the one that is changed that is the old one, the new one, or
+    /// what is left of both where power failed between one word and the next.
+    fn find(&self, gauge: &mut Gauge, name: Name, key: &Secret, goal: Seal) -> Result<Option<Secret>> {
+        if gauge.takes(key.words(), goal)? {
+            return Ok(Some(Secret::clone_of(key)));
+        }
+        if name != self.change.name {
+            return Ok(None);
+        }
+        let ([old_first, old_second], [first, second]) = (self.change.old.words(), self.change.new.words());
+        // Stored word by word, the one that stands first before the other.
+        let candidates = match self.block.order {
+            KeyOrder::Reversed => [[first, second], [old_first, second], [ERASED, second]],
+            KeyOrder::AsSent => [[first, second], [first, old_second], [first, ERASED]],
+        };
+        for words in candidates {
+            gauge.wait(gauge.chip.security.key_silence);
+            if gauge.try_key(words, goal)? {
+                return Ok(Some(Secret::of_words(words)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The way out: the gauge is left sealed, or open, as it was found.
+    fn close(self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
+        gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
+        let limit = gauge.clock.now() + START;
+        let mut closed = gauge.go_to(self.found);
+        while closed.is_err() && gauge.clock.now() < limit {
+            gauge.wait(LOOK);
+            gauge.forget_refusal();
+            closed = gauge.go_to(self.found);
+        }
+        let found = self.found.as_str();
+        match (outcome, closed) {
+            (outcome, Ok(())) => outcome,
+            // It does not answer, and nothing was sent that could have changed its state.
+            (Err(first), Err(_)) if !self.moved => Err(first),
+            (Ok(()), Err(error)) => {
+                let why =
+                    format!("the gauge takes the new key, but could not be left {found} as it was: {error}");
+                Err(Error::new("", Cause::Unknown(why)))
+            }
+            (Err(first), Err(second)) => {
+                let key = match first.cause() {
+                    Cause::RolledBack(_) | Cause::Unknown(_) => "",
+                    _ => "no key was changed, but ",
+                };
+                let why = format!("{first}; {key}the gauge could not be left {found} as it was: {second}");
+                Err(Error::new("", Cause::Unknown(why)))
+            }
+        }
+    }
+}
+
+/// What a gauge does that may have one key or another.
+enum Keyhole {
+    /// It is in FULL ACCESS, and this was the key.
+    Open(Worked),
+    /// No key of that name fits.
+    Shut(Name),
+    /// It does not answer.
+    Silent,
+}
+
+#[derive(Clone, Copy)]
+enum Worked {
+    Old,
+    New,
+    /// Neither was needed, or a mixture of both led there.
+    Neither,
+}
+
+/// Runs what carries keys over the bus: nothing of it is recorded, and no error repeats what it read.
+fn quietly<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
+    gauge.hush(true);
+    let outcome = run(gauge);
+    gauge.hush(false);
+    outcome.map_err(|error| {
+        let cause = match error.cause() {
+            Cause::BadChecksum(_) => Cause::BadChecksum("the block of the keys does not add up".into()),
+            Cause::Protocol(_) => Cause::Protocol("the block of the keys is not what it should be".into()),
+            cause => cause.clone(),
+        };
+        let plain = Error::new("", cause);
+        match error.step() {
+            Some(step) => plain.at(step),
+            None => plain,
+        }
+    })
+}
