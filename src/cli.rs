@@ -23,6 +23,7 @@ use crate::probe::{self, ROM_ADDRESS, Reading};
 
 mod auth;
 mod doctor;
+mod keys;
 mod manual;
 mod progress;
 
@@ -116,6 +117,7 @@ enum Command {
     Diff(Diff),
     Lint(Lint),
     Auth(auth::Auth),
+    Keys(keys::Command),
     Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
@@ -297,6 +299,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Diff(diff) => diff.run(),
         Command::Lint(lint) => lint.run(),
         Command::Auth(auth) => auth.run().map(|told| {
+            print(&told);
+            ExitCode::SUCCESS
+        }),
+        Command::Keys(keys) => keys.run().map(|told| {
             print(&told);
             ExitCode::SUCCESS
         }),

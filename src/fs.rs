@@ -16,6 +16,7 @@ use crate::chip::{
 use crate::codec;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
+use crate::keys;
 use crate::poll::{Answers, Done, Handle, Published, Request, Seal, Snapshot};
 use crate::text;
 
@@ -186,6 +187,8 @@ pub enum State {
     Seal,
     /// A subcommand to send.
     Control,
+    /// A key to change.
+    Keys,
     /// A challenge to write, and the gauge's answer to it.
     Authenticate,
     /// The order of bytes in which challenges are sent.
@@ -209,6 +212,7 @@ const STATES: &[State] = &[
     State::Itpor,
     State::Seal,
     State::Control,
+    State::Keys,
     State::Authenticate,
     State::AuthOrder,
     State::PollInterval,
@@ -228,6 +232,7 @@ impl State {
             State::Itpor => "itpor",
             State::Seal => "seal",
             State::Control => "control",
+            State::Keys => "keys",
             State::Authenticate => "authenticate",
             State::AuthOrder => "auth_order",
             State::PollInterval => "poll_interval",
@@ -391,6 +396,8 @@ impl Fs {
                 kept(6)
             }
             Item::State(State::Control | State::Refresh) => kept(2),
+            // A group that may write values may not shut the owner out.
+            Item::State(State::Keys) => 0o200,
             Item::Knob(knob) => {
                 let writable =
                     self.knobs(gauge).get(usize::from(knob)).is_some_and(|(_, writable)| *writable);
@@ -507,6 +514,7 @@ impl Fs {
                     State::Authenticate | State::AuthOrder => {
                         chip.authentication.is_some() && published.sibling.is_none()
                     }
+                    State::Keys => published.sibling.is_none(),
                     _ => true,
                 };
                 list.extend(STATES.iter().filter(there).map(|state| of(state.name(), Item::State(*state))));
@@ -727,7 +735,7 @@ impl Fs {
             State::AgeMs => self.entry(gauge).handle.age().map(|age| age.as_millis().to_string()),
             State::LastError if published.last_error.is_empty() => return Content::Bytes(Vec::new()),
             State::LastError => Some(published.last_error.to_string()),
-            State::Control | State::Refresh => return Content::Bytes(Vec::new()),
+            State::Control | State::Keys | State::Refresh => return Content::Bytes(Vec::new()),
         };
         match text {
             Some(text) => Content::Bytes((text + "\n").into_bytes()),
@@ -892,6 +900,12 @@ impl Fs {
             },
             Item::State(State::Control) => match subcommand(handle.chip(), word()) {
                 Ok(code) => handle.submit(Request::Control(code, done)),
+                Err(error) => self.refuse(gauge, error, done),
+            },
+            // Blanks take the place of a key in the buffers that a write passes through.
+            Item::State(State::Keys) if data.trim_ascii().is_empty() => done(Ok(())),
+            Item::State(State::Keys) => match keys::Change::parse(data) {
+                Ok(change) => handle.submit(Request::ChangeKey(change, done)),
                 Err(error) => self.refuse(gauge, error, done),
             },
             Item::State(State::Authenticate) => match authentication::from_hex(data) {

@@ -21,7 +21,7 @@ use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
 use crate::gauge::{Gauge, Statistics, bursts};
 use crate::journal::Journal;
-use crate::keys::Keys;
+use crate::keys::{self, Keys};
 use crate::probe;
 use crate::value::Value;
 
@@ -106,6 +106,8 @@ pub enum Request {
     Seal(Seal, Done<()>),
     /// Send a subcommand that the table marks safe.
     Control(u16, Done<()>),
+    /// Change one of its keys.
+    ChangeKey(keys::Change, Done<()>),
     /// Publish the gauge's answer to a challenge.
     Authenticate(Message, Done<()>),
     /// Poll now and drop kept data flash.
@@ -121,15 +123,16 @@ impl Request {
     fn refuse(self, error: Error) {
         match self {
             Request::ReadSubclass(_, done) => done(Err(error)),
-            Request::ReadAll(done) | Request::ReadSome(_, done) | Request::Write(.., done) => {
-                done(Err(error))
-            }
-            Request::WriteAll(_, done) | Request::Seal(_, done) | Request::Control(_, done) => {
-                done(Err(error))
-            }
-            Request::Authenticate(_, done) | Request::Refresh(done) | Request::Interval(_, done) => {
-                done(Err(error));
-            }
+            Request::ReadAll(done)
+            | Request::ReadSome(_, done)
+            | Request::Write(.., done)
+            | Request::WriteAll(_, done)
+            | Request::Seal(_, done)
+            | Request::Control(_, done)
+            | Request::ChangeKey(_, done)
+            | Request::Authenticate(_, done)
+            | Request::Refresh(done)
+            | Request::Interval(_, done) => done(Err(error)),
             Request::Look => {}
         }
     }
@@ -780,6 +783,7 @@ impl Owner {
             (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
                 return done(Err(out_of_bounds(sibling)));
             }
+            (Some(sibling), Request::ChangeKey(_, done)) => return done(Err(out_of_bounds(sibling))),
             (Some(sibling), Request::Authenticate(_, done)) => return done(Err(out_of_bounds(sibling))),
             (_, request) => request,
         };
@@ -788,6 +792,7 @@ impl Owner {
             Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
             Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
             Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
+            Request::ChangeKey(_, done) if late => done(Err(self.too_late())),
             Request::Authenticate(_, done) if late => done(Err(self.too_late())),
             Request::ReadSubclass(index, done) => {
                 done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
@@ -821,6 +826,13 @@ impl Owner {
                     self.told(outcome)
                         .map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
                 );
+            }
+            Request::ChangeKey(change, done) => {
+                let order = self.shared.auth_order;
+                let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, waited);
+                self.look_at_seal();
+                let name = change.name.as_str();
+                done(self.told(outcome).map(|()| log::info!("{name} key: changed and tried")));
             }
             Request::Authenticate(challenge, done) => {
                 // Whatever comes of it, the digest before is no answer to this challenge.

@@ -10,6 +10,8 @@ use crate::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 use crate::error::{Cause, Error, Result};
 use crate::keys::Keys;
 
+use super::keys::folder_name;
+
 const AUTH: &str = "\
 The key is the line `authentication = 32 hexadecimal digits` of the key file. It stays in this
 process: the gauge gets a random challenge and answers with a digest that only a gauge with the
@@ -66,12 +68,6 @@ impl Auth {
     fn wrong(&self, why: &str) -> Error {
         Error::new(self.gauge.display().to_string(), Cause::NotPermitted(why.into()))
     }
-}
-
-/// The name of a gauge's folder, however it was reached.
-fn folder_name(gauge: &Path) -> String {
-    let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
-    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The order of bytes that the gauge is mounted with.

@@ -96,6 +96,8 @@ fn help_is_for_people() {
             "diff --help",
             "lint --help",
             "auth --help",
+            "keys --help",
+            "keys change --help",
             "doctor --help",
             "completions --help",
         ],
@@ -137,6 +139,9 @@ fn misuse_is_told_apart() {
             "export",
             "import /tmp/x",
             "import /tmp/x /tmp/y --exclude keys",
+            "keys",
+            "keys change /tmp/x",
+            "keys change /tmp/x seal",
             "export --format hex /tmp/x",
             "diff /tmp/x",
             "lint",
@@ -444,7 +449,7 @@ fn a_key_file_that_others_may_read_is_refused() {
 }
 
 /// A temporary folder; mounts in it end with it.
-pub(crate) struct Folder(PathBuf);
+pub(crate) struct Folder(pub(crate) PathBuf);
 
 impl Folder {
     pub(crate) fn new() -> Self {

@@ -8,6 +8,7 @@ mod gauge;
 mod input;
 mod journal;
 mod keychange;
+mod keys;
 mod manual;
 mod mount;
 mod over;
