@@ -5,6 +5,8 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
+#[cfg(feature = "screen")]
+use std::time::Duration;
 
 use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -26,6 +28,14 @@ mod doctor;
 mod keys;
 mod manual;
 mod progress;
+#[cfg(feature = "screen")]
+mod sample;
+#[cfg(feature = "screen")]
+mod thin;
+#[cfg(feature = "screen")]
+mod top;
+#[cfg(feature = "screen")]
+mod watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -118,6 +128,8 @@ enum Command {
     Lint(Lint),
     Auth(auth::Auth),
     Keys(keys::Command),
+    #[cfg(feature = "screen")]
+    Top(top::Top),
     Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
@@ -302,6 +314,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             print(&told);
             ExitCode::SUCCESS
         }),
+        #[cfg(feature = "screen")]
+        Command::Top(top) => top.run(),
         Command::Keys(keys) => keys.run().map(|told| {
             print(&told);
             ExitCode::SUCCESS
@@ -740,6 +754,15 @@ fn align<const N: usize>(rows: &[[String; N]]) -> String {
         let _ = writeln!(table, "{}", line.trim_end());
     }
     table
+}
+
+/// Time between two looks at files, which may be as rare as one likes.
+#[cfg(feature = "screen")]
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse() {
+        Ok(seconds @ 0.1..=86400.0) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("expected 0.1 to 86400 seconds".into()),
+    }
 }
 
 #[cfg(test)]

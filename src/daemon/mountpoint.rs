@@ -111,7 +111,7 @@ pub fn unmount(path: &Path) -> Result<()> {
         }),
         Mounted::Dead => detach(&path, true),
         Mounted::Nothing => {
-            let there = list();
+            let there: Vec<_> = list().iter().map(|path| path.display().to_string()).collect();
             let why = match there.len() {
                 0 => "no gaugefs is mounted there, nor anywhere else".to_string(),
                 _ => format!("no gaugefs is mounted there; there is one at {}", there.join(", ")),
@@ -201,10 +201,10 @@ pub fn ours(kind: &str, source: &str) -> bool {
 }
 
 /// Where gaugefs is mounted.
-fn list() -> Vec<String> {
+pub fn list() -> Vec<PathBuf> {
     let table = fs::read("/proc/self/mountinfo").unwrap_or_default();
     let ours = entries(&table).filter(|(_, kind, source)| ours(kind, source));
-    ours.map(|(path, ..)| path.display().to_string()).collect()
+    ours.map(|(path, ..)| path).collect()
 }
 
 /// File system and source of what was mounted last at a path.

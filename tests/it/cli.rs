@@ -15,6 +15,9 @@ use gaugefs::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
+#[cfg(feature = "screen")]
+mod watching;
+
 pub(crate) const CHIP: &str = "bq34z100-g1";
 
 /// A run that has ended.
@@ -100,6 +103,7 @@ fn help_is_for_people() {
             "keys change --help",
             "doctor --help",
             "completions --help",
+            "top --help",
         ],
     );
 }
@@ -149,6 +153,8 @@ fn misuse_is_told_apart() {
             "auth /tmp/x",
             "completions",
             "completions csh",
+            "top --count 3",
+            "top --interval 0",
         ],
     );
 }

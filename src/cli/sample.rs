@@ -1,0 +1,221 @@
+//! One look at a mounted gauge: what the files of its folder say, all from one poll.
+//!
+//! Only files are read that cost no transfer; data flash is not among them.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
+use nix::errno::Errno;
+
+use crate::clock::{Clock, RealClock};
+
+/// The kernel's copies of the attributes follow a poll by a moment. Polls are at least 0.5 s apart.
+const SETTLED: Duration = Duration::from_millis(200);
+/// How often a poll may come in between before a look is taken as it is.
+const TRIES: u32 = 3;
+/// Less than what lies between two polls, more than what rounding an age to milliseconds takes.
+const SLACK: Duration = Duration::from_millis(100);
+
+/// What the files said.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    /// When the poll was that all this is from; of a gauge that is gone, when it was looked at.
+    pub(super) time: Timestamp,
+    /// The same for telling polls apart; `None` while the gauge is gone.
+    pub(super) moment: Option<Moment>,
+    /// `gauge/age_ms`.
+    pub(super) age: Option<Duration>,
+    /// The attributes of `uevent`, by their file names.
+    pub(super) attributes: Vec<(String, String)>,
+    /// Words of bits that the gauge itself sets, and the names of those that are set.
+    pub(super) words: Vec<(String, String)>,
+    /// `gauge/registers`, words of bits left out.
+    pub(super) registers: Vec<(String, i64)>,
+    /// `gauge/seal`, for who may read it.
+    pub(super) seal: Option<String>,
+    /// `gauge/poll_interval`, for who may read it.
+    pub(super) interval: Option<Duration>,
+    /// `gauge/last_error`.
+    pub(super) last_error: String,
+}
+
+/// When a poll was, as closely as its age tells.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moment {
+    earliest: Instant,
+    latest: Instant,
+}
+
+impl Moment {
+    /// Whether both are perhaps the same poll.
+    pub(super) fn is(self, other: Self) -> bool {
+        self.earliest <= other.latest + SLACK && other.earliest <= self.latest + SLACK
+    }
+
+    /// A poll so many seconds after this one.
+    #[cfg(test)]
+    pub(super) fn later(self, seconds: u32) -> Self {
+        let time = Duration::from_secs(seconds.into());
+        Self { earliest: self.earliest + time, latest: self.latest + time }
+    }
+}
+
+impl Sample {
+    /// Looks at a gauge's folder. Waits for a fraction of a second where a poll has just been.
+    pub(super) fn read(folder: &Path) -> io::Result<Self> {
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let before = age(folder)?;
+            if let Some((age, _)) = before.filter(|(age, _)| *age < SETTLED) {
+                RealClock::new().sleep(SETTLED - age);
+            }
+            let sample = Self::once(folder, before)?;
+            let after = age(folder)?;
+            let same = match (before, after) {
+                (Some((_, before)), Some((_, after))) => before.is(after),
+                (before, after) => before.is_none() && after.is_none(),
+            };
+            if same || tries == TRIES {
+                return Ok(sample);
+            }
+        }
+    }
+
+    fn once(folder: &Path, polled: Option<(Duration, Moment)>) -> io::Result<Self> {
+        let age = polled.map(|(_, moment)| moment.latest.elapsed());
+        let time =
+            Timestamp::now() - jiff::SignedDuration::try_from(age.unwrap_or_default()).unwrap_or_default();
+        let uevent = fs::read_to_string(folder.join("uevent"))?;
+        let attributes = uevent.lines().filter_map(|line| {
+            let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
+            Some((name.to_lowercase(), value.to_string()))
+        });
+        let gauge = folder.join("gauge");
+        let names = |folder: &Path| -> io::Result<Vec<String>> {
+            let Some(entries) = there(fs::read_dir(folder))? else { return Ok(Vec::new()) };
+            let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
+            let mut names: Vec<_> = names.collect();
+            names.sort();
+            Ok(names)
+        };
+        let (mut words, mut registers) = (Vec::new(), Vec::new());
+        let (files, all) = (names(&gauge)?, names(&gauge.join("registers"))?);
+        for name in files.iter().filter(|name| *name == "control_status" || all.contains(name)) {
+            // What a person has configured is not news.
+            if name.ends_with("config") || name.ends_with("configuration") {
+                continue;
+            }
+            words.extend(text(&gauge.join(name))?.map(|bits| (name.clone(), bits)));
+        }
+        for name in all.iter().filter(|name| !files.contains(name)) {
+            let value = text(&gauge.join("registers").join(name))?.and_then(|text| text.parse().ok());
+            registers.extend(value.map(|value| (name.clone(), value)));
+        }
+        let interval = text(&gauge.join("poll_interval"))?.and_then(|text| text.parse().ok());
+        Ok(Self {
+            time,
+            moment: polled.map(|(_, moment)| moment),
+            age,
+            attributes: attributes.collect(),
+            words,
+            registers,
+            seal: text(&gauge.join("seal"))?,
+            interval: interval.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()),
+            last_error: text(&gauge.join("last_error"))?.unwrap_or_default(),
+        })
+    }
+
+    /// An attribute's text.
+    pub(super) fn attribute(&self, name: &str) -> Option<&str> {
+        self.attributes.iter().find(|(found, _)| found == name).map(|(_, value)| value.as_str())
+    }
+
+    /// An attribute's number.
+    pub(super) fn number(&self, name: &str) -> Option<i64> {
+        self.attribute(name)?.parse().ok()
+    }
+
+    /// When the next poll can be looked at, where the gauge tells how often it is polled.
+    pub(super) fn next_poll(&self) -> Option<Duration> {
+        Some(self.interval?.saturating_sub(self.age?) + SETTLED)
+    }
+
+    /// Whether the gauge is there.
+    pub(super) fn present(&self) -> bool {
+        self.attribute("present") == Some("1") && self.moment.is_some()
+    }
+
+    /// `Status` as a person reads it; uevent has no spaces.
+    pub(super) fn status(&self) -> String {
+        match self.attribute("status") {
+            Some(status) if self.present() => status.replace('_', " "),
+            _ => "absent".into(),
+        }
+    }
+}
+
+/// Age of the values now shown, and when their poll was.
+fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
+    let before = Instant::now();
+    let Some(age) = text(&folder.join("gauge/age_ms"))?.and_then(|text| text.parse().ok()) else {
+        return Ok(None);
+    };
+    let age = Duration::from_millis(age);
+    let after = Instant::now();
+    let moment = before.checked_sub(age).zip(after.checked_sub(age));
+    Ok(moment.map(|(earliest, latest)| (age, Moment { earliest, latest })))
+}
+
+/// A file's one line; `None` where the value is not there now, or not for this user.
+fn text(path: &Path) -> io::Result<Option<String>> {
+    Ok(there(fs::read_to_string(path))?.map(|text| text.trim_end().to_string()))
+}
+
+fn there<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+    match outcome {
+        Ok(value) => Ok(Some(value)),
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => Ok(None),
+        Err(error) if error.raw_os_error() == Some(Errno::ENODEV as i32) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Millionths and tenths as decimals, exact, with at least so many places.
+pub(super) fn decimal(value: i64, places: usize, least: usize) -> String {
+    let digits = format!("{:0width$}", value.unsigned_abs(), width = places + 1);
+    let (whole, fraction) = digits.split_at(digits.len() - places);
+    let mut kept = fraction.trim_end_matches('0').len().max(least);
+    kept = kept.min(places);
+    let sign = if value < 0 { "-" } else { "" };
+    let point = if kept > 0 { "." } else { "" };
+    format!("{sign}{whole}{point}{}", &fraction[..kept])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decimals_are_exact() {
+        assert_eq!(decimal(3_855_000, 6, 3), "3.855");
+        assert_eq!(decimal(-500, 6, 3), "-0.0005");
+        assert_eq!(decimal(-5, 1, 1), "-0.5");
+        assert_eq!(decimal(0, 6, 3), "0.000");
+        assert_eq!(decimal(i64::MIN, 0, 0), i64::MIN.to_string());
+    }
+
+    #[test]
+    fn two_looks_at_one_poll_are_one_poll() {
+        let now = Instant::now();
+        let at = |ms: u64| Moment {
+            earliest: now + Duration::from_millis(ms),
+            latest: now + Duration::from_millis(ms + 3),
+        };
+        assert!(at(10).is(at(12)) && at(12).is(at(10)));
+        assert!(!at(0).is(at(500)) && !at(500).is(at(0)));
+    }
+}

@@ -1,0 +1,149 @@
+//! `gaugefs top`: a screen of all gauges that are mounted, or the same as JSON, a line each.
+//!
+//! Only files are read that cost no transfer. Data flash is read when a key asks for it, and while the
+//! gauge is found unsealed and what it has learned is on the screen, once a minute.
+
+use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use nix::errno::Errno;
+
+use super::sample::Sample;
+use super::watch::{Seen, Watch};
+use crate::error::{Error, Result};
+use crate::json;
+
+mod draw;
+mod history;
+mod model;
+mod picture;
+mod terminal;
+#[cfg(test)]
+mod tests;
+
+const TOP: &str = "\
+Keys: q quit, arrows or tab select a gauge, v i c t quantity, + - time span, l learning,
+p pause, r poll now, ? help. Looking costs the gauge nothing: only files are read that come
+from polls. Data flash is read when d is pressed, which unseals a sealed gauge and seals it
+again, and by itself only while the gauge is found unsealed and l shows it.
+
+Examples:
+  gaugefs top
+  gaugefs top /run/gauges/BAT0
+  gaugefs top --json --interval 10 --count 6";
+
+/// Show all mounted gauges and their history
+#[derive(Args, Debug)]
+#[command(after_help = TOP)]
+pub(super) struct Top {
+    /// A mount point, or a mounted gauge's folder [default: all that gaugefs has mounted]
+    gauge: Option<PathBuf>,
+    /// Print JSON instead, an object a line for each gauge and look
+    #[arg(long)]
+    json: bool,
+    /// Time between two looks
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = super::seconds)]
+    interval: Duration,
+    /// End after so many objects of each gauge
+    #[arg(long, value_name = "N", requires = "json", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    /// Write the screen to this file as SVG when it is left
+    #[arg(long, value_name = "FILE", hide = true, conflicts_with = "json")]
+    screenshot: Option<PathBuf>,
+}
+
+impl Top {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let terminal = io::stdout().is_terminal() && io::stdin().is_terminal();
+        if !(self.json || terminal) {
+            let why = "not a terminal; for a program there is --json";
+            return Err(Error::host("standard output", Errno::ENOTTY, why));
+        }
+        let watch = Watch::start(self.gauge.as_deref(), Some(self.interval))?;
+        if self.json {
+            return self.stream(watch);
+        }
+        terminal::run(watch, self.interval, self.screenshot.as_deref())?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn stream(&self, mut watch: Watch) -> Result<ExitCode> {
+        let mut printed: Vec<(PathBuf, u64)> = Vec::new();
+        let mut looked = Instant::now();
+        loop {
+            let Ok(report) = watch.reports.recv_timeout(self.interval) else {
+                watch.look_for_mounts()?;
+                continue;
+            };
+            if looked.elapsed() >= self.interval {
+                looked = Instant::now();
+                watch.look_for_mounts()?;
+            }
+            let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
+            let path = report.gauge.display().to_string();
+            let line = match &report.seen {
+                Seen::Sample(sample) => object(&report.gauge, sample),
+                Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
+                    return Err(Error::host(path, Errno::ENOENT, why));
+                }
+                Seen::Trouble(why) => {
+                    json::object(&[("path", json::text(&path)), ("error", json::text(why))])
+                }
+                Seen::Learned(_) | Seen::Refused(_) => continue,
+            };
+            let at = known.unwrap_or_else(|| {
+                printed.push((report.gauge, 0));
+                printed.len() - 1
+            });
+            if self.count.is_some_and(|count| printed[at].1 >= count) {
+                continue;
+            }
+            printed[at].1 += 1;
+            let mut out = io::stdout().lock();
+            match writeln!(out, "{line}").and_then(|()| out.flush()) {
+                Ok(()) => {}
+                // The reader has seen enough.
+                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(ExitCode::SUCCESS),
+                Err(error) => return Err(Error::io("standard output", "cannot write to it", &error)),
+            }
+            // Every mount has been heard of, and every gauge often enough.
+            let heard = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));
+            let enough = self.count.is_some_and(|count| printed.iter().all(|(_, done)| *done >= count));
+            if enough && watch.roots.iter().all(heard) {
+                return Ok(ExitCode::SUCCESS);
+            }
+        }
+    }
+}
+
+/// One look at a gauge; attributes by the kernel's names and in its units.
+fn object(gauge: &std::path::Path, sample: &Sample) -> String {
+    let number = |value: &str| match value.parse::<i64>() {
+        Ok(number) => number.to_string(),
+        Err(_) => json::text(value),
+    };
+    let mut members = vec![
+        ("time", json::text(&format!("{:.3}", sample.time))),
+        ("path", json::text(&gauge.display().to_string())),
+    ];
+    members.extend(sample.age.map(|age| ("age_ms", age.as_millis().to_string())));
+    members.extend(sample.attributes.iter().map(|(name, value)| match name.as_str() {
+        "name" | "type" | "model_name" | "manufacturer" => (name.as_str(), json::text(value)),
+        _ => (name.as_str(), number(value)),
+    }));
+    let words: Vec<_> = sample
+        .words
+        .iter()
+        .map(|(name, bits)| (name.as_str(), json::array(bits.split_whitespace().map(json::text))))
+        .collect();
+    let registers: Vec<_> =
+        sample.registers.iter().map(|(name, value)| (name.as_str(), value.to_string())).collect();
+    members.push(("bits", json::object(&words)));
+    members.push(("registers", json::object(&registers)));
+    members.extend(sample.seal.as_ref().map(|seal| ("seal", json::text(seal))));
+    members.push(("last_error", json::text(&sample.last_error)));
+    json::object(&members)
+}

@@ -1,0 +1,440 @@
+//! What the screen looks like, from 40 columns and 10 lines up.
+
+use ratatui::Frame;
+use ratatui::layout::{Alignment, Constraint, Layout, Margin, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{
+    Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, TableState, Wrap,
+};
+
+use super::super::sample::{Sample, decimal};
+use super::super::watch::state_of_learning;
+use super::model::{Gauge, Model};
+use crate::chip::{CHIPS, snake_case};
+
+/// Keys, the most wanted first: a narrow screen has room for some.
+const KEYS: [(&str, &str); 9] = [
+    ("q", "quit"),
+    ("?", "help"),
+    ("l", "learning"),
+    ("v i c t", "quantity"),
+    ("+ -", "span"),
+    ("arrows", "gauge"),
+    ("p", "pause"),
+    ("r", "poll"),
+    ("d", "data flash"),
+];
+
+/// What the names of registers have in them that tell of learning; these come first.
+const LEARNING: [&str; 6] = ["passed", "qmax", "true", "dod", "accumulated", "unfiltered"];
+
+const HELP: &str = "\
+q        quit
+arrows   another gauge; tab too
+v i c t  voltage, current, capacity, temperature
++ -      a longer or shorter time
+l        state of learning: learned values, registers, and what has changed
+         (+QEN: the bit was set; -VOK: it was cleared)
+p        pause; polls go on and are remembered
+r        poll the gauge now
+d        read from data flash what it has learned, once: a sealed gauge is
+         unsealed for it and sealed again. While the gauge is found unsealed
+         and l is on, that is done once a minute.
+
+Nothing else here costs the gauge a transfer.";
+
+/// Draws everything.
+pub(super) fn screen(frame: &mut Frame<'_>, model: &Model, now: f64) {
+    let area = frame.area();
+    // Most of the screen is for the gauge that is looked at.
+    let rows = model.gauges.len().clamp(1, usize::from(area.height / 4).max(1)) as u16;
+    let [title, table, body, keys] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(rows + 1),
+        Constraint::Min(0),
+        Constraint::Length(1),
+    ])
+    .areas(area);
+    frame.render_widget(headline(model, now, title.width), title);
+    gauges(frame, model, now, table);
+    if model.help {
+        let help = Paragraph::new(HELP).wrap(Wrap { trim: false });
+        frame.render_widget(help.block(Block::new().title("Help").title_style(bold())), body);
+    } else if let Some(gauge) = model.gauge() {
+        one(frame, model, gauge, now, body);
+    }
+    frame.render_widget(bottom(model, keys.width), keys);
+}
+
+fn bold() -> Style {
+    Style::new().add_modifier(Modifier::BOLD)
+}
+
+/// A colour of the terminal's own sixteen, where colours are wanted.
+fn coloured(model: &Model, colour: Color) -> Style {
+    if model.colour { Style::new().fg(colour) } else { Style::new() }
+}
+
+fn headline(model: &Model, now: f64, width: u16) -> Line<'static> {
+    let time = jiff::Timestamp::from_second(model.paused.unwrap_or(now) as i64).unwrap_or_default();
+    let paused = if model.paused.is_some() { "  paused" } else { "" };
+    let count = match model.gauges.len() {
+        1 => "1 gauge".to_string(),
+        count => format!("gauge {} of {count}", model.selected + 1),
+    };
+    let left = format!("gaugefs top  {count}{paused}");
+    let time = time.to_string();
+    let gap = usize::from(width).saturating_sub(left.len() + time.len());
+    if gap < 2 {
+        return Line::styled(left, bold());
+    }
+    Line::from(vec![Span::styled(left, bold()), Span::raw(" ".repeat(gap) + &time)])
+}
+
+fn bottom(model: &Model, width: u16) -> Line<'static> {
+    if !model.message.is_empty() {
+        return Line::styled(model.message.clone(), coloured(model, Color::Yellow));
+    }
+    let mut spans = Vec::new();
+    let mut left = usize::from(width);
+    for (key, does) in KEYS {
+        let gap = if spans.is_empty() { 0 } else { 2 };
+        let length = gap + key.len() + 1 + does.len();
+        if length > left {
+            break;
+        }
+        left -= length;
+        spans.push(Span::raw(" ".repeat(gap)));
+        spans.push(Span::styled(key, bold()));
+        spans.push(Span::raw(format!(" {does}")));
+    }
+    Line::from(spans)
+}
+
+/// A column of the table: title, width, the narrowest screen that has it, right-aligned.
+const COLUMNS: [(&str, u16, u16, bool); 10] = [
+    ("GAUGE", 0, 0, false),
+    ("MODEL", 12, 60, false),
+    ("STATUS", 12, 0, false),
+    ("V", 6, 0, true),
+    ("A", 7, 0, true),
+    ("Ah", 13, 72, true),
+    ("%", 4, 0, true),
+    ("°C", 5, 50, true),
+    ("TIME", 15, 94, true),
+    ("SEAL", 11, 106, false),
+];
+
+fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
+    let wanted: Vec<_> = COLUMNS.iter().map(|(_, _, least, _)| area.width >= *least).collect();
+    let keep = |cells: Vec<Cell<'static>>| {
+        let shown = cells.into_iter().zip(&wanted).filter(|(_, wanted)| **wanted);
+        Row::new(shown.map(|(cell, _)| cell).collect::<Vec<_>>())
+    };
+    let aligned = |at: usize, text: String, style: Style| {
+        let line = Line::styled(text, style);
+        let line = if COLUMNS[at].3 { line.alignment(Alignment::Right) } else { line };
+        Cell::from(line)
+    };
+    let titles = COLUMNS.iter().enumerate();
+    let header = keep(titles.map(|(at, column)| aligned(at, column.0.into(), bold())).collect());
+    // What the other columns leave, and no more than the longest name.
+    let others: u16 =
+        COLUMNS.iter().zip(&wanted).filter(|(_, wanted)| **wanted).map(|(column, _)| column.1 + 1).sum();
+    let longest =
+        model.gauges.iter().map(|gauge| label(model, gauge).chars().count()).max().unwrap_or(0) as u16;
+    let first = longest.max(6).min((area.width + 1).saturating_sub(others)).max(4);
+    let widths = COLUMNS.iter().zip(&wanted).filter(|(_, wanted)| **wanted);
+    let widths: Vec<_> =
+        widths.map(|(column, _)| Constraint::Length(if column.1 == 0 { first } else { column.1 })).collect();
+    let cut = |name: String| {
+        let over = name.chars().count().saturating_sub(usize::from(first));
+        // The end of a path tells more than its beginning.
+        if over == 0 { name } else { "\u{2026}".chars().chain(name.chars().skip(over + 1)).collect() }
+    };
+    let rows = model.gauges.iter().enumerate().map(|(number, gauge)| {
+        let (mut texts, colour) = cells(model, gauge, now);
+        // The row of the selected one is reversed as a whole.
+        let plain = number == model.selected && model.gauges.len() > 1;
+        texts[0] = cut(label(model, gauge));
+        let style = |at: usize| if at == 2 && !plain { coloured(model, colour) } else { Style::new() };
+        keep(texts.into_iter().enumerate().map(|(at, text)| aligned(at, text, style(at))).collect())
+    });
+    let table = Table::new(rows, widths)
+        .header(header)
+        .row_highlight_style(Style::new().add_modifier(Modifier::REVERSED));
+    let mut state = TableState::new().with_selected(Some(model.selected).filter(|_| model.gauges.len() > 1));
+    frame.render_stateful_widget(table, area, &mut state);
+}
+
+/// A gauge's name; its folder where another one has the same name.
+fn label(model: &Model, gauge: &Gauge) -> String {
+    let name = gauge.name();
+    let alike = model.gauges.iter().filter(|other| other.name() == name).count();
+    if alike > 1 { gauge.folder.display().to_string() } else { name }
+}
+
+/// A gauge's row but for its name, and the colour of its status.
+fn cells(model: &Model, gauge: &Gauge, now: f64) -> ([String; 10], Color) {
+    let mut row: [String; 10] = Default::default();
+    if model.silence(gauge, now).is_some() {
+        row[2] = "no answer".into();
+        return (row, Color::Red);
+    }
+    let Some(sample) = &gauge.shown else {
+        row[2] = if gauge.trouble.is_some() { "gone" } else { "..." }.into();
+        return (row, Color::Red);
+    };
+    let millionths = |name, places| sample.number(name).map(|value| rounded(value, 6, places));
+    row[1] = sample.attribute("model_name").unwrap_or_default().into();
+    row[2] = sample.status();
+    row[3] = millionths("voltage_now", 3).unwrap_or_default();
+    row[4] = millionths("current_now", 3).unwrap_or_default();
+    let charge = millionths("charge_now", 3).zip(millionths("charge_full", 3));
+    row[5] = charge.map(|(now, full)| format!("{now}/{full}")).unwrap_or_default();
+    row[6] = sample.number("capacity").map(|value| value.to_string()).unwrap_or_default();
+    row[7] = sample.number("temp").map(|value| decimal(value, 1, 1)).unwrap_or_default();
+    row[8] = time_left(sample).unwrap_or_default();
+    row[9] = sample.seal.clone().unwrap_or_default();
+    let colour = match row[2].as_str() {
+        "Charging" | "Full" => Color::Green,
+        "Discharging" => Color::Yellow,
+        "absent" => Color::Red,
+        _ => Color::Reset,
+    };
+    (row, colour)
+}
+
+/// A decimal with so many places, rounded.
+fn rounded(value: i64, places: usize, wanted: usize) -> String {
+    let step = 10i64.pow((places - wanted) as u32);
+    let half = if value < 0 { -step / 2 } else { step / 2 };
+    decimal(value.saturating_add(half) / step, wanted, wanted)
+}
+
+fn time_left(sample: &Sample) -> Option<String> {
+    let clock = |seconds: i64| format!("{}:{:02}", seconds / 3600, seconds / 60 % 60);
+    let empty = sample.number("time_to_empty_now").map(|seconds| format!("{} h to empty", clock(seconds)));
+    empty.or_else(|| Some(format!("{} h to full", clock(sample.number("time_to_full_now")?))))
+}
+
+/// The gauge that is selected.
+fn one(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
+    let details = details(model, gauge, now, area.width);
+    let height = details.len().min(usize::from(if area.height >= 12 { 7 } else { area.height / 4 })) as u16;
+    let [top, rest] = Layout::vertical([Constraint::Length(height), Constraint::Min(0)]).areas(area);
+    frame.render_widget(Paragraph::new(details), top);
+    let wide = area.width >= 120;
+    if model.learning && wide {
+        let [left, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(66)]).areas(rest);
+        chart(frame, model, gauge, now, left);
+        let right = right.inner(Margin { horizontal: 1, vertical: 0 });
+        learning(frame, gauge, now, right);
+    } else if model.learning {
+        learning(frame, gauge, now, rest);
+    } else {
+        chart(frame, model, gauge, now, rest);
+    }
+}
+
+/// What there is to say in words, the most urgent first.
+fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'static>> {
+    let warn = coloured(model, Color::Red).add_modifier(Modifier::BOLD);
+    let mut lines = Vec::new();
+    if let Some(silent) = model.silence(gauge, now) {
+        let why = format!("{}: does not answer for {silent:.0} s", gauge.folder.display());
+        lines.extend(wrapped(&why, width).into_iter().map(|line| Line::styled(line, warn)));
+        return lines;
+    }
+    if let Some(why) = &gauge.trouble {
+        let why = format!("{}: {why}", gauge.folder.display());
+        lines.extend(wrapped(&why, width).into_iter().map(|line| Line::styled(line, warn)));
+    }
+    let Some(sample) = &gauge.shown else { return lines };
+    let mut facts = Vec::new();
+    let polled = (model.paused.unwrap_or(now) - super::history::seconds(sample.time)).max(0.0);
+    facts.push(if sample.moment.is_some() { format!("polled {polled:.0} s ago") } else { "absent".into() });
+    facts.extend(sample.seal.clone());
+    facts.extend(time_left(sample));
+    facts.extend(sample.attribute("health").map(|health| format!("health {}", health.replace('_', " "))));
+    facts.extend(sample.number("cycle_count").map(|count| format!("{count} cycles")));
+    facts.extend(sample.number("state_of_health").map(|percent| format!("state of health {percent} %")));
+    let mut line = String::new();
+    for fact in facts {
+        let gap = if line.is_empty() { "" } else { ", " };
+        if line.chars().count() + gap.len() + fact.chars().count() <= usize::from(width) {
+            line += gap;
+            line += &fact;
+        }
+    }
+    lines.push(Line::raw(line));
+    let widest = sample.words.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    for (name, bits) in &sample.words {
+        let name = Span::styled(format!("{name:widest$}  "), bold());
+        let bits = if bits.is_empty() { "-" } else { bits };
+        lines.push(Line::from(vec![name, Span::raw(bits.to_string())]));
+    }
+    if !sample.last_error.is_empty() {
+        let told = wrapped(&format!("last error: {}", sample.last_error), width);
+        let at = usize::from(lines.len() > 1);
+        for line in told.into_iter().take(2).rev() {
+            lines.insert(at, Line::styled(line, coloured(model, Color::Red)));
+        }
+    }
+    lines
+}
+
+/// Lines no longer than the screen is wide.
+fn wrapped(text: &str, width: u16) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let line = lines.last_mut().expect("there is always one");
+        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > usize::from(width) {
+            lines.push(word.to_string());
+        } else {
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    lines
+}
+
+fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
+    if area.height < 3 || area.width < 20 {
+        return;
+    }
+    let now = model.paused.unwrap_or(now);
+    let quantity = model.quantity;
+    let (span, words) = model.span();
+    // Two dots of braille a column.
+    let lines = gauge.history.lines(quantity, now, span, usize::from(area.width) * 2);
+    let title = format!("{} in {}, last {words}", quantity.name(), quantity.unit());
+    let block = Block::new().title(title).title_style(bold());
+    let values = || lines.iter().flatten().map(|(_, value)| *value);
+    if values().next().is_none() {
+        let told = if gauge.shown.is_some() { "nothing to draw yet" } else { "" };
+        frame.render_widget(Paragraph::new(told).block(block), area);
+        return;
+    }
+    let (bounds, places) = axis(values(), quantity.least_span());
+    let label = |value: f64| Line::raw(format!("{value:.places$}"));
+    let middle = (bounds[0] + bounds[1]) / 2.0;
+    let mut labels = vec![label(bounds[0]), label(bounds[1])];
+    if area.height >= 8 {
+        labels.insert(1, label(middle));
+    }
+    let style = coloured(model, Color::Cyan);
+    let sets = lines.iter().map(|line| {
+        let kind = if line.len() > 1 { GraphType::Line } else { GraphType::Scatter };
+        Dataset::default().marker(Marker::Braille).graph_type(kind).style(style).data(line)
+    });
+    // On a low screen the line is worth more than the time below it.
+    let ago = if area.height < 7 { Vec::new() } else { vec![format!("-{words}"), "now".to_string()] };
+    let axes = coloured(model, Color::DarkGray);
+    let chart = Chart::new(sets.collect())
+        .block(block)
+        .x_axis(Axis::default().bounds([-span, 0.0]).labels(ago).style(axes))
+        .y_axis(Axis::default().bounds(bounds).labels(labels).style(axes));
+    frame.render_widget(chart, area);
+}
+
+/// Bounds that are round numbers around all values, and the places that they need.
+fn axis(values: impl Iterator<Item = f64> + Clone, least: f64) -> ([f64; 2], usize) {
+    let low = values.clone().fold(f64::INFINITY, f64::min);
+    let high = values.fold(f64::NEG_INFINITY, f64::max);
+    let middle = (low + high) / 2.0;
+    let half = ((high - low) / 2.0).max(least / 2.0);
+    let raw = half / 2.0;
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= raw);
+    let step = step.unwrap_or(10.0 * power);
+    let bounds = [((middle - half) / step).floor() * step, ((middle + half) / step).ceil() * step];
+    // The middle lies half a step between.
+    let places = (-(step / 2.0).log10()).ceil().clamp(0.0, 6.0) as usize;
+    (bounds, places)
+}
+
+/// What can be seen of learning: data flash where it was read, registers, and what has changed.
+fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
+    let Some(sample) = &gauge.shown else { return };
+    let mut lines = vec![];
+    let heading = |text: String| Line::styled(text, bold());
+    let model_name = sample.attribute("model_name").unwrap_or_default();
+    let known = !state_of_learning(model_name).is_empty();
+    let why = match (&gauge.learned, gauge.unsealed()) {
+        (Some(Ok(_)), Some(true)) => "read once a minute while unsealed",
+        (Some(Ok(_)), _) => "d reads it again: unseals, seals",
+        (Some(Err(why)), _) => why.as_str(),
+        (None, _) if !known => "no parameter of this part is known to show it",
+        (None, Some(true)) => "unsealed: being read",
+        (None, Some(false)) => "sealed: not read; d reads it once, which unseals and seals it",
+        (None, None) => "not read; the mount's owner may, with d",
+    };
+    let age = gauge.learned_at.map(|at| format!(", {:.0} s ago", (now - at).max(0.0))).unwrap_or_default();
+    lines.push(heading(format!("Learned (data flash){age}")));
+    // On a low screen values are worth more than how they are read.
+    if area.height >= 8 || !matches!(gauge.learned, Some(Ok(_))) {
+        lines.extend(wrapped(why, area.width).into_iter().map(Line::raw));
+    }
+    let mut cells = Vec::new();
+    if let Some(Ok(rows)) = &gauge.learned {
+        cells.extend(
+            rows.iter().map(|row| (row.name.to_string(), format!("{} {}", row.value, unit(row.unit)))),
+        );
+    }
+    lines.extend(columns(&cells, area.width));
+    lines.push(heading("Registers".into()));
+    let mut registers: Vec<_> = registers(model_name, sample).collect();
+    registers.sort_by_key(|(name, _)| !LEARNING.iter().any(|word| name.contains(word)));
+    lines.extend(columns(&registers, area.width));
+    // Changes get what is left, and a few lines whatever there is.
+    let room = usize::from(area.height);
+    let least = (room / 3).min(gauge.changes.len().max(1) + 1);
+    lines.truncate(room.saturating_sub(least));
+    lines.push(heading("Changes".into()));
+    for (time, told) in &gauge.changes {
+        let time = jiff::Timestamp::from_second(*time as i64).unwrap_or_default().to_string();
+        let clock = time.get(11..19).unwrap_or_default();
+        lines.push(Line::raw(format!("{clock}  {told}")));
+    }
+    if gauge.changes.is_empty() {
+        lines.push(Line::raw("none since top was started"));
+    }
+    frame.render_widget(Paragraph::new(lines), area);
+}
+
+/// Registers that no attribute shows, with their units.
+fn registers<'a>(model: &str, sample: &'a Sample) -> impl Iterator<Item = (String, String)> + 'a {
+    let table = CHIPS.iter().find(|chip| chip.model == model).map_or(&[][..], |chip| chip.registers);
+    sample.registers.iter().filter_map(move |(name, value)| {
+        let row = table.iter().find(|row| snake_case(row.name) == *name);
+        let shown = row.is_some_and(|row| row.role.is_some());
+        let unit = row.map_or("", |row| unit(row.unit));
+        (!shown).then(|| (name.replace('_', " "), format!("{value} {unit}")))
+    })
+}
+
+/// Units that say nothing are left out.
+fn unit(unit: &str) -> &str {
+    if ["-", "Num", "num", "hex", "Hex"].contains(&unit) { "" } else { unit }
+}
+
+/// Names and values in as many columns as there is room for.
+fn columns(cells: &[(String, String)], width: u16) -> Vec<Line<'static>> {
+    let name = cells.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+    let value = cells.iter().map(|(_, value)| value.trim_end().chars().count()).max().unwrap_or(0);
+    let count = ((usize::from(width) + 3) / (name + value + 4)).max(1);
+    let rows = cells.len().div_ceil(count);
+    let cell = |at: usize| cells.get(at).map(|(key, text)| format!("{key:name$} {:value$}", text.trim_end()));
+    // Row by row: what does not fit is the last.
+    (0..rows)
+        .map(|row| {
+            let across: Vec<_> = (0..count).filter_map(|column| cell(row * count + column)).collect();
+            Line::raw(across.join("   "))
+        })
+        .collect()
+}

@@ -1,0 +1,305 @@
+//! What `top` knows and what its keys change. It reads no file and draws nothing.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+
+use super::super::sample::Sample;
+use super::super::watch::{Learned, Order, Report, Seen};
+use super::history::{History, QUANTITIES, Quantity, seconds};
+
+/// The spans that a chart can show, in seconds.
+const SPANS: [(f64, &str); 10] = [
+    (60.0, "1 min"),
+    (300.0, "5 min"),
+    (900.0, "15 min"),
+    (3600.0, "1 h"),
+    (3.0 * 3600.0, "3 h"),
+    (6.0 * 3600.0, "6 h"),
+    (12.0 * 3600.0, "12 h"),
+    (86_400.0, "1 d"),
+    (3.0 * 86_400.0, "3 d"),
+    (7.0 * 86_400.0, "7 d"),
+];
+/// A mount that has not been heard of for so many seconds longer than it is looked at hangs.
+const SILENCE: f64 = 5.0;
+/// What was learned is read again so often while the gauge is found unsealed, in seconds.
+const LEARNED_EVERY: f64 = 60.0;
+/// How many changes of bits and learned values are remembered.
+const MOST_CHANGES: usize = 500;
+
+/// One gauge.
+pub(super) struct Gauge {
+    pub(super) folder: PathBuf,
+    root: usize,
+    /// The last look, and the one on the screen: another while paused.
+    latest: Option<Sample>,
+    pub(super) shown: Option<Sample>,
+    /// Why there is no look.
+    pub(super) trouble: Option<String>,
+    pub(super) history: History,
+    /// Changes of bits and of learned values, the newest first.
+    pub(super) changes: VecDeque<(f64, String)>,
+    pub(super) learned: Option<Result<Vec<Learned>, String>>,
+    /// When they were asked for, and when they came.
+    asked: Option<f64>,
+    pub(super) learned_at: Option<f64>,
+}
+
+impl Gauge {
+    /// The folder's name, such as `BAT0`.
+    pub(super) fn name(&self) -> String {
+        self.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Whether it may be read without a change of its seal; unknown to who may not see the seal.
+    pub(super) fn unsealed(&self) -> Option<bool> {
+        let seal = self.latest.as_ref()?.seal.as_ref()?;
+        Some(seal != "sealed")
+    }
+}
+
+/// What a key asks of whoever runs the screen.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Wish {
+    Nothing,
+    Quit,
+    /// Control-Z.
+    Suspend,
+}
+
+/// All of it.
+pub(super) struct Model {
+    pub(super) gauges: Vec<Gauge>,
+    pub(super) selected: usize,
+    pub(super) quantity: Quantity,
+    span: usize,
+    /// Since when nothing moves.
+    pub(super) paused: Option<f64>,
+    pub(super) help: bool,
+    pub(super) learning: bool,
+    /// Of the last key, until the next.
+    pub(super) message: String,
+    /// Colours may be used.
+    pub(super) colour: bool,
+    /// Time between two looks.
+    every: f64,
+    /// When each mount was last heard of.
+    heard: Vec<f64>,
+    orders: Vec<(usize, Order)>,
+}
+
+impl Model {
+    pub(super) fn new(every: f64, colour: bool) -> Self {
+        Self {
+            gauges: Vec::new(),
+            selected: 0,
+            quantity: Quantity::Voltage,
+            span: 1,
+            paused: None,
+            help: false,
+            learning: false,
+            message: String::new(),
+            colour,
+            every,
+            heard: Vec::new(),
+            orders: Vec::new(),
+        }
+    }
+
+    /// Span of the chart in seconds, and in words.
+    pub(super) fn span(&self) -> (f64, &'static str) {
+        SPANS[self.span]
+    }
+
+    pub(super) fn gauge(&self) -> Option<&Gauge> {
+        self.gauges.get(self.selected)
+    }
+
+    /// What is looked at, from the start or since now: silence counts from here.
+    pub(super) fn expect(&mut self, roots: &[PathBuf], now: f64) {
+        for (at, root) in roots.iter().enumerate().skip(self.heard.len()) {
+            self.heard.push(now);
+            if !self.gauges.iter().any(|gauge| gauge.root == at) {
+                self.gauges.push(Gauge::new(root, at));
+            }
+        }
+    }
+
+    /// How long a gauge's mount has been silent, where that is too long.
+    pub(super) fn silence(&self, gauge: &Gauge, now: f64) -> Option<f64> {
+        Some(now - self.heard.get(gauge.root)?).filter(|silent| *silent > self.every + SILENCE)
+    }
+
+    pub(super) fn hear(&mut self, report: Report, now: f64) {
+        if let Some(heard) = self.heard.get_mut(report.root) {
+            *heard = now;
+        }
+        let paused = self.paused.is_some();
+        if let Seen::Trouble(why) = &report.seen {
+            let all = self.gauges.iter_mut().filter(|gauge| gauge.root == report.root);
+            for gauge in all.filter(|gauge| gauge.folder.starts_with(&report.gauge)) {
+                gauge.trouble = Some(why.clone());
+                gauge.latest = None;
+                gauge.shown = gauge.shown.take().filter(|_| paused);
+                gauge.history.gap(now);
+            }
+            return;
+        }
+        let gauge = self.find(&report);
+        match report.seen {
+            Seen::Sample(sample) => gauge.see(*sample, paused),
+            Seen::Learned(outcome) => gauge.learn(outcome, now),
+            Seen::Refused(why) => self.message = why,
+            Seen::Trouble(_) => {}
+        }
+    }
+
+    /// The gauge of a report; the first of a mount takes the place that was kept for it.
+    fn find(&mut self, report: &Report) -> &mut Gauge {
+        let same = |gauge: &Gauge| gauge.root == report.root && gauge.folder == report.gauge;
+        let kept = |gauge: &Gauge| {
+            gauge.root == report.root && gauge.latest.is_none() && report.gauge.starts_with(&gauge.folder)
+        };
+        let at = self.gauges.iter().position(same).or_else(|| self.gauges.iter().position(kept));
+        let at = at.unwrap_or_else(|| {
+            self.gauges.push(Gauge::new(&report.gauge, report.root));
+            self.gauges.len() - 1
+        });
+        self.gauges[at].folder.clone_from(&report.gauge);
+        &mut self.gauges[at]
+    }
+
+    /// What the threads are to be asked now. Data flash is asked for by itself only of a gauge that is
+    /// found unsealed, and only while somebody looks at it.
+    pub(super) fn orders(&mut self, now: f64) -> Vec<(usize, Order)> {
+        let learning = self.learning && self.paused.is_none();
+        if let Some(gauge) = self.gauges.get_mut(self.selected).filter(|_| learning) {
+            let due = gauge.asked.is_none_or(|asked| now - asked >= LEARNED_EVERY);
+            if due && gauge.unsealed() == Some(true) {
+                gauge.asked = Some(now);
+                self.orders.push((gauge.root, Order::ReadLearned(gauge.folder.clone())));
+            }
+        }
+        std::mem::take(&mut self.orders)
+    }
+
+    /// Does what a key says.
+    pub(super) fn key(&mut self, key: KeyEvent, now: f64) -> Wish {
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        self.message.clear();
+        let count = self.gauges.len().max(1);
+        match key.code {
+            KeyCode::Char('c') if control => return Wish::Quit,
+            KeyCode::Char('z') if control => return Wish::Suspend,
+            _ if control => {}
+            KeyCode::Char('?' | 'h') => self.help = !self.help,
+            KeyCode::Esc if self.help || self.learning => (self.help, self.learning) = (false, false),
+            KeyCode::Char('q') | KeyCode::Esc => return Wish::Quit,
+            KeyCode::Down | KeyCode::Right | KeyCode::Tab => self.selected = (self.selected + 1) % count,
+            KeyCode::Up | KeyCode::Left | KeyCode::BackTab => {
+                self.selected = (self.selected + count - 1) % count;
+            }
+            KeyCode::Char('v') => self.quantity = QUANTITIES[0],
+            KeyCode::Char('i') => self.quantity = QUANTITIES[1],
+            KeyCode::Char('c') => self.quantity = QUANTITIES[2],
+            KeyCode::Char('t') => self.quantity = QUANTITIES[3],
+            KeyCode::Char('+' | '=') => self.span = (self.span + 1).min(SPANS.len() - 1),
+            KeyCode::Char('-') => self.span = self.span.saturating_sub(1),
+            KeyCode::Char('l') => self.learning = !self.learning,
+            KeyCode::Char('p' | ' ') => self.pause(now),
+            KeyCode::Char('r') => self.order(Order::Refresh, "polling now"),
+            KeyCode::Char('d') => {
+                self.learning = true;
+                self.order(Order::ReadLearned, "reading data flash");
+            }
+            _ => {}
+        }
+        Wish::Nothing
+    }
+
+    fn order(&mut self, order: fn(PathBuf) -> Order, told: &str) {
+        if let Some(gauge) = self.gauges.get(self.selected).filter(|gauge| gauge.latest.is_some()) {
+            self.orders.push((gauge.root, order(gauge.folder.clone())));
+            self.message = format!("{}: {told}", gauge.name());
+        }
+    }
+
+    fn pause(&mut self, now: f64) {
+        self.paused = if self.paused.is_some() { None } else { Some(now) };
+        for gauge in self.gauges.iter_mut().filter(|_| self.paused.is_none()) {
+            gauge.shown.clone_from(&gauge.latest);
+        }
+    }
+}
+
+impl Gauge {
+    fn new(folder: &Path, root: usize) -> Self {
+        Self {
+            folder: folder.to_path_buf(),
+            root,
+            latest: None,
+            shown: None,
+            trouble: None,
+            history: History::default(),
+            changes: VecDeque::new(),
+            learned: None,
+            asked: None,
+            learned_at: None,
+        }
+    }
+
+    fn see(&mut self, sample: Sample, paused: bool) {
+        self.trouble = None;
+        let time = seconds(sample.time);
+        if !sample.present() {
+            self.history.gap(time);
+        } else {
+            let before = self.latest.as_ref();
+            let same =
+                before.and_then(|before| before.moment).zip(sample.moment).is_some_and(|(a, b)| a.is(b));
+            if !same {
+                self.history.add(&sample);
+            }
+        }
+        for (name, bits) in &sample.words {
+            let before =
+                self.latest.as_ref().and_then(|before| before.words.iter().find(|(old, _)| old == name));
+            if let Some((_, before)) = before.filter(|(_, before)| before != bits) {
+                let difference = difference(before, bits);
+                self.change(time, format!("{name}: {difference}"));
+            }
+        }
+        if !paused {
+            self.shown = Some(sample.clone());
+        }
+        self.latest = Some(sample);
+    }
+
+    fn learn(&mut self, outcome: Result<Vec<Learned>, String>, now: f64) {
+        if let (Some(Ok(before)), Ok(after)) = (&self.learned, &outcome) {
+            let pairs = before.iter().zip(after).filter(|(before, after)| before.value != after.value);
+            let told: Vec<_> = pairs
+                .map(|(before, after)| format!("{}: {} -> {}", after.name, before.value, after.value))
+                .collect();
+            told.into_iter().for_each(|told| self.change(now, told));
+        }
+        self.learned = Some(outcome);
+        self.learned_at = Some(now);
+    }
+
+    fn change(&mut self, time: f64, told: String) {
+        self.changes.push_front((time, told));
+        self.changes.truncate(MOST_CHANGES);
+    }
+}
+
+/// What came and what went, `+QEN -VOK`.
+fn difference(before: &str, after: &str) -> String {
+    let (before, after): (Vec<_>, Vec<_>) =
+        (before.split_whitespace().collect(), after.split_whitespace().collect());
+    let came = after.iter().filter(|bit| !before.contains(bit)).map(|bit| format!("+{bit}"));
+    let went = before.iter().filter(|bit| !after.contains(bit)).map(|bit| format!("-{bit}"));
+    came.chain(went).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,99 @@
+//! The terminal: made ready, drawn to, and given back as it was, however `top` ends.
+
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use crossterm::event::{self, Event, KeyEventKind};
+use crossterm::execute;
+use crossterm::terminal::{Clear, ClearType, EnterAlternateScreen, enable_raw_mode};
+use nix::sys::signal::{Signal, raise};
+use ratatui::backend::CrosstermBackend;
+use ratatui::{DefaultTerminal, Terminal};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+
+use super::super::watch::Watch;
+use super::history::seconds;
+use super::model::{Model, Wish};
+use super::{draw, picture};
+use crate::error::{Error, Result};
+
+/// How soon a report or a signal is seen.
+const STEP: Duration = Duration::from_millis(100);
+
+fn failed(error: &io::Error) -> Error {
+    Error::io("terminal", "cannot use it", error)
+}
+
+/// Shows the screen until it is left. A panic restores the terminal too: ratatui sees to that.
+pub(super) fn run(watch: Watch, every: Duration, screenshot: Option<&Path>) -> Result<()> {
+    let ends = Arc::new(AtomicBool::new(false));
+    let stops = Arc::new(AtomicBool::new(false));
+    for signal in [SIGTERM, SIGINT, SIGHUP] {
+        signal_hook::flag::register(signal, ends.clone()).map_err(|error| failed(&error))?;
+    }
+    signal_hook::flag::register(SIGTSTP, stops.clone()).map_err(|error| failed(&error))?;
+    let mut terminal = ratatui::try_init().map_err(|error| failed(&error))?;
+    let outcome = show(&mut terminal, watch, every, screenshot, &ends, &stops);
+    ratatui::try_restore().map_err(|error| failed(&error))?;
+    outcome
+}
+
+fn show(
+    terminal: &mut DefaultTerminal,
+    mut watch: Watch,
+    every: Duration,
+    screenshot: Option<&Path>,
+    ends: &AtomicBool,
+    stops: &AtomicBool,
+) -> Result<()> {
+    let colour = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    let mut model = Model::new(every.as_secs_f64(), colour);
+    let mut drawn = 0.0;
+    let mut changed = true;
+    loop {
+        let now = seconds(jiff::Timestamp::now());
+        model.expect(&watch.roots, now);
+        while let Ok(report) = watch.reports.try_recv() {
+            model.hear(report, now);
+            changed = true;
+        }
+        for (root, order) in model.orders(now) {
+            watch.order(root, order);
+        }
+        // Ages are told in seconds.
+        if changed || (now - drawn).abs() >= 1.0 {
+            watch.look_for_mounts()?;
+            terminal.draw(|frame| draw::screen(frame, &model, now)).map_err(|error| failed(&error))?;
+            (drawn, changed) = (now, false);
+        }
+        let mut wish = Wish::Nothing;
+        if event::poll(STEP).map_err(|error| failed(&error))? {
+            changed = true;
+            match event::read().map_err(|error| failed(&error))? {
+                Event::Key(key) if key.kind != KeyEventKind::Release => wish = model.key(key, now),
+                _ => {}
+            }
+        }
+        if wish == Wish::Quit || ends.load(Ordering::SeqCst) {
+            let Some(file) = screenshot else { return Ok(()) };
+            let frame = terminal.draw(|frame| draw::screen(frame, &model, now));
+            let svg = picture::svg(frame.map_err(|error| failed(&error))?.buffer);
+            let name = file.display().to_string();
+            return std::fs::write(file, svg).map_err(|error| Error::io(name, "cannot be written", &error));
+        }
+        if wish == Wish::Suspend || stops.swap(false, Ordering::SeqCst) {
+            terminal.show_cursor().and_then(|()| ratatui::try_restore()).map_err(|error| failed(&error))?;
+            // SIGTSTP itself is only noted here; this one stops the process at once.
+            raise(Signal::SIGSTOP).map_err(|errno| failed(&errno.into()))?;
+            let again = enable_raw_mode()
+                .and_then(|()| execute!(io::stdout(), EnterAlternateScreen, Clear(ClearType::All)));
+            // What is on the screen now is not what was drawn last.
+            let again = again.and_then(|()| Terminal::new(CrosstermBackend::new(io::stdout())));
+            *terminal = again.map_err(|error| failed(&error))?;
+            changed = true;
+        }
+    }
+}

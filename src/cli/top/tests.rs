@@ -1,0 +1,300 @@
+//! Screens of a folder of plain files, compared with `tests/it/golden/top`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::buffer::Buffer;
+use ratatui::style::Color;
+
+use super::super::sample::Sample;
+use super::super::watch::{Learned, Order, Report, Seen};
+use super::model::{Model, Wish};
+use super::{draw, picture};
+
+/// 2026-01-01T12:00:00Z
+const NOON: f64 = 1_767_268_800.0;
+const ERROR: &str = "Cell Terminate Voltage: 9999 is outside 1000 to 3700 mV";
+
+/// A gauge's folder as a mount shows it.
+struct Tree(PathBuf);
+
+impl Tree {
+    fn new(name: &str, current_ua: i64) -> Self {
+        let root = std::env::temp_dir().join(format!("gaugefs top {} {name}", std::process::id()));
+        let tree = Self(root);
+        let status = if current_ua < 0 { "Discharging" } else { "Charging" };
+        tree.file(
+            "uevent",
+            &format!(
+                "POWER_SUPPLY_NAME={name}\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_STATUS={status}\n\
+                 POWER_SUPPLY_PRESENT=1\nPOWER_SUPPLY_HEALTH=Good\nPOWER_SUPPLY_CAPACITY=60\n\
+                 POWER_SUPPLY_VOLTAGE_NOW=3855000\nPOWER_SUPPLY_CURRENT_NOW={current_ua}\n\
+                 POWER_SUPPLY_CHARGE_NOW=600000\nPOWER_SUPPLY_CHARGE_FULL=1000000\n\
+                 POWER_SUPPLY_TEMP=251\nPOWER_SUPPLY_TIME_TO_EMPTY_NOW=4320\nPOWER_SUPPLY_CYCLE_COUNT=12\n\
+                 POWER_SUPPLY_STATE_OF_HEALTH=97\nPOWER_SUPPLY_MODEL_NAME=bq34z100-G1\n"
+            ),
+        );
+        for (name, text) in [
+            ("age_ms", "400\n"),
+            ("seal", "sealed\n"),
+            ("last_error", ""),
+            ("poll_interval", "30\n"),
+            ("control_status", "FAS SS VOK QEN\n"),
+            ("flags", "CHG OCVTAKEN DSG\n"),
+            ("flags_b", "\n"),
+            ("pack_configuration", "SLEEP\n"),
+            ("registers/flags", "257\n"),
+            ("registers/flags_b", "0\n"),
+            ("registers/pack_configuration", "32\n"),
+            ("registers/passed_charge", "-325\n"),
+            ("registers/true_fcc", "1000\n"),
+            ("registers/voltage", "3855\n"),
+            ("registers/grid_number", "5\n"),
+        ] {
+            tree.file(&format!("gauge/{name}"), text);
+        }
+        tree
+    }
+
+    fn file(&self, name: &str, text: &str) {
+        let path = self.0.join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a temporary folder");
+        fs::write(path, text).expect("a file");
+    }
+
+    /// What is seen, as if the poll had been then.
+    fn sample(&self, time: f64) -> Sample {
+        let mut sample = Sample::read(&self.0).expect("a gauge");
+        sample.time = jiff::Timestamp::from_millisecond((time * 1000.0) as i64).expect("a time");
+        sample
+    }
+}
+
+impl Drop for Tree {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn report(gauge: &str, seen: Seen) -> Report {
+    Report { root: 0, gauge: Path::new("/run/gauges").join(gauge), seen }
+}
+
+fn sample(sample: &Sample) -> Seen {
+    Seen::Sample(Box::new(sample.clone()))
+}
+
+/// Two gauges; one has been discharged for four minutes, with a minute's absence, the other is charged.
+fn model(colour: bool) -> Model {
+    let mut model = Model::new(1.0, colour);
+    model.expect(&[PathBuf::from("/run/gauges")], NOON);
+    let (first, second) = (Tree::new("PACK-A", -500_000), Tree::new("PACK-B", 250_000));
+    let seen = first.sample(NOON);
+    for at in 0..=240u32 {
+        let time = NOON - 240.0 + f64::from(at);
+        let mut seen = seen.clone();
+        seen.time = jiff::Timestamp::from_second(time as i64).expect("a time");
+        seen.moment = seen.moment.map(|moment| moment.later(at));
+        let voltage = 3_900_000 - i64::from(at) * 187;
+        for (name, value) in &mut seen.attributes {
+            match name.as_str() {
+                "voltage_now" => *value = voltage.to_string(),
+                "present" if (100..160).contains(&at) => *value = "0".into(),
+                _ => {}
+            }
+        }
+        if at == 0 {
+            seen.words
+                .iter_mut()
+                .for_each(|(_, bits)| *bits = bits.replace(" QEN", "").replace("SS", "SS RUP_DIS"));
+        }
+        model.hear(report("PACK-A", sample(&seen)), time);
+    }
+    model.hear(report("PACK-B", sample(&second.sample(NOON))), NOON);
+    model
+}
+
+fn press(model: &mut Model, key: char) -> Wish {
+    model.key(KeyEvent::new(KeyCode::Char(key), KeyModifiers::NONE), NOON)
+}
+
+fn drawn(model: &Model, width: u16, height: u16, now: f64) -> Buffer {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a screen");
+    terminal.draw(|frame| draw::screen(frame, model, now)).expect("drawn");
+    terminal.backend().buffer().clone()
+}
+
+fn text(buffer: &Buffer) -> String {
+    let rows = buffer.content().chunks(usize::from(buffer.area.width));
+    let row = |cells: &[ratatui::buffer::Cell]| cells.iter().map(|cell| cell.symbol()).collect::<String>();
+    rows.map(|cells| row(cells).trim_end().to_string() + "\n").collect()
+}
+
+#[track_caller]
+fn golden(name: &str, now: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/golden/top").join(name);
+    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+        fs::write(&path, now).expect("the golden file");
+    }
+    let then = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        now == then,
+        "{}: another screen; where it is meant, GAUGEFS_GOLDEN=write\n{now}",
+        path.display()
+    );
+}
+
+#[test]
+fn screens_of_all_sizes() {
+    let mut model = model(true);
+    for (width, height) in [(80, 24), (40, 10), (200, 50)] {
+        golden(&format!("{width}x{height}"), &text(&drawn(&model, width, height, NOON)));
+    }
+    press(&mut model, 'l');
+    let learned = |name, value: &str, unit| Learned { name, value: value.into(), unit };
+    let before = vec![learned("Qmax Cell 0", "1000", "mAh"), learned("Update Status", "0x04", "Num")];
+    let after = vec![learned("Qmax Cell 0", "1012", "mAh"), learned("Update Status", "0x05", "Num")];
+    golden("80x24-learning-sealed", &text(&drawn(&model, 80, 24, NOON)));
+    model.hear(report("PACK-A", Seen::Learned(Ok(before))), NOON - 60.0);
+    model.hear(report("PACK-A", Seen::Learned(Ok(after))), NOON);
+    let mut later = Tree::new("PACK-A", -500_000).sample(NOON + 5.0);
+    later.moment = model.gauge().and_then(|gauge| gauge.shown.as_ref()?.moment);
+    model.hear(report("PACK-A", sample(&later)), NOON + 6.0);
+    golden("80x24-learning", &text(&drawn(&model, 80, 24, NOON + 7.0)));
+    golden("200x50-learning", &text(&drawn(&model, 200, 50, NOON + 7.0)));
+    golden("40x10-learning", &text(&drawn(&model, 40, 10, NOON + 7.0)));
+    press(&mut model, '?');
+    golden("80x24-help", &text(&drawn(&model, 80, 24, NOON)));
+}
+
+/// No size makes it panic, and none is overdrawn.
+#[test]
+fn screens_of_odd_sizes() {
+    let mut model = model(true);
+    for keys in ["", "l", "?"] {
+        for key in keys.chars() {
+            press(&mut model, key);
+        }
+        for (width, height) in [(1, 1), (2, 3), (19, 4), (41, 7), (300, 5), (10, 90)] {
+            assert_eq!(drawn(&model, width, height, NOON).area.width, width);
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_is_on_the_screen() {
+    let mut model = model(true);
+    let tree = Tree::new("PACK-A", -500_000);
+    tree.file("gauge/last_error", &format!("{ERROR}\n"));
+    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    let screen = text(&drawn(&model, 80, 24, NOON));
+    assert!(screen.contains(&format!("last error: {ERROR}")), "{screen}");
+
+    // The mount hangs.
+    let screen = text(&drawn(&model, 80, 24, NOON + 20.0));
+    assert!(screen.contains("no answer") && screen.contains("does not answer for 20 s"), "{screen}");
+    // Its daemon was killed.
+    let why = "its daemon is gone; take it away with: gaugefs umount /run/gauges";
+    let gone = Report { root: 0, gauge: "/run/gauges".into(), seen: Seen::Trouble(why.into()) };
+    model.hear(gone, NOON + 21.0);
+    let screen = text(&drawn(&model, 80, 24, NOON + 21.0));
+    assert!(screen.contains("gone") && screen.contains("gaugefs umount"), "{screen}");
+    assert!(!screen.contains("3.855") && !screen.contains("Discharging"), "{screen}");
+    // The gauge alone.
+    let tree = Tree::new("PACK-A", -500_000);
+    tree.file("uevent", "POWER_SUPPLY_NAME=PACK-A\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_PRESENT=0\n");
+    fs::remove_file(tree.0.join("gauge/age_ms")).expect("a file");
+    model.hear(report("PACK-A", sample(&tree.sample(NOON + 22.0))), NOON + 22.0);
+    let screen = text(&drawn(&model, 80, 24, NOON + 22.0));
+    assert!(screen.contains("absent"), "{screen}");
+}
+
+#[test]
+fn data_flash_is_asked_for_by_a_key_or_found_unsealed() {
+    let mut model = model(true);
+    let orders = |model: &mut Model, now| {
+        let orders = model.orders(now);
+        orders.iter().filter(|(_, order)| matches!(order, Order::ReadLearned(_))).count()
+    };
+    assert_eq!(orders(&mut model, NOON), 0);
+    press(&mut model, 'l');
+    assert_eq!(orders(&mut model, NOON), 0, "it is sealed");
+    press(&mut model, 'd');
+    assert_eq!(orders(&mut model, NOON), 1);
+    assert_eq!(orders(&mut model, NOON + 600.0), 0, "once");
+
+    let tree = Tree::new("PACK-A", -500_000);
+    tree.file("gauge/seal", "unsealed\n");
+    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    assert_eq!(orders(&mut model, NOON), 1);
+    assert_eq!(orders(&mut model, NOON + 59.0), 0);
+    assert_eq!(orders(&mut model, NOON + 61.0), 1, "a minute later");
+    press(&mut model, 'l');
+    assert_eq!(orders(&mut model, NOON + 200.0), 0, "nobody looks at it");
+
+    // Who may not see the seal does not know that it is open.
+    press(&mut model, 'l');
+    fs::remove_file(tree.0.join("gauge/seal")).expect("a file");
+    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    assert_eq!(orders(&mut model, NOON + 400.0), 0);
+}
+
+#[test]
+fn a_pause_holds_the_screen_and_forgets_nothing() {
+    let mut model = model(true);
+    let before = text(&drawn(&model, 80, 24, NOON));
+    press(&mut model, 'p');
+    let tree = Tree::new("PACK-A", -900_000);
+    model.hear(report("PACK-A", sample(&tree.sample(NOON + 30.0))), NOON + 30.0);
+    let paused = text(&drawn(&model, 80, 24, NOON + 31.0));
+    assert_eq!(paused.replace("  paused", "        "), before);
+    press(&mut model, 'p');
+    assert!(text(&drawn(&model, 80, 24, NOON + 31.0)).contains("-0.900"));
+}
+
+#[test]
+fn keys_do_what_the_bottom_line_says() {
+    let mut model = model(true);
+    for (key, name) in
+        [('i', "current in A"), ('c', "capacity in %"), ('t', "temperature in °C"), ('v', "voltage in V")]
+    {
+        press(&mut model, key);
+        assert!(text(&drawn(&model, 80, 24, NOON)).contains(&format!("{name}, last 5 min")));
+    }
+    press(&mut model, '+');
+    assert!(text(&drawn(&model, 80, 24, NOON)).contains("last 15 min"));
+    for _ in 0..20 {
+        press(&mut model, '-');
+    }
+    assert!(text(&drawn(&model, 80, 24, NOON)).contains("last 1 min"));
+    let mut key = |code, modifiers| model.key(KeyEvent::new(code, modifiers), NOON);
+    assert_eq!(key(KeyCode::Tab, KeyModifiers::NONE), Wish::Nothing);
+    assert_eq!(key(KeyCode::Char('z'), KeyModifiers::CONTROL), Wish::Suspend);
+    assert_eq!(key(KeyCode::Char('c'), KeyModifiers::CONTROL), Wish::Quit);
+    assert_eq!(key(KeyCode::Char('q'), KeyModifiers::NONE), Wish::Quit);
+    assert_eq!(model.gauge().expect("a gauge").name(), "PACK-B");
+}
+
+#[test]
+fn without_colour_there_is_none() {
+    let colours = |model: &Model| {
+        let buffer = drawn(model, 80, 24, NOON);
+        buffer.content().iter().any(|cell| cell.fg != Color::Reset || cell.bg != Color::Reset)
+    };
+    assert!(colours(&model(true)));
+    assert!(!colours(&model(false)));
+}
+
+#[test]
+fn a_picture_of_the_screen_has_what_is_on_it() {
+    let svg = picture::svg(&drawn(&model(true), 80, 24, NOON));
+    assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n"));
+    for text in
+        ["PACK-A", ">Discharging<", ">-0.500<", ">voltage in V, last 5 min<", "stroke-linecap=\"round\""]
+    {
+        assert!(svg.contains(text), "{text}");
+    }
+}

@@ -1,0 +1,302 @@
+//! `gaugefs top` on mounted gauges, and on a terminal.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::os::fd::OwnedFd;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use nix::pty::{Winsize, openpty};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, within};
+
+/// Far longer than anything takes on an idle machine.
+const LONG: Duration = Duration::from_secs(60);
+
+/// `gaugefs top` on a terminal of its own.
+struct Screen {
+    child: Child,
+    keys: File,
+    terminal: OwnedFd,
+    shown: Arc<Mutex<vt100::Parser>>,
+    settings: String,
+}
+
+fn stty(terminal: &OwnedFd, arguments: &[&str]) -> String {
+    let terminal = terminal.try_clone().expect("a terminal");
+    let output = Command::new("stty").args(arguments).stdin(terminal).output().expect("stty runs");
+    String::from_utf8(output.stdout).expect("text")
+}
+
+impl Screen {
+    fn new(arguments: &[&str]) -> Self {
+        let size = Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
+        let pty = openpty(&size, None).expect("a terminal");
+        let settings = stty(&pty.slave, &["-g"]);
+        let end = || Stdio::from(pty.slave.try_clone().expect("a terminal"));
+        let child = Command::new("setsid")
+            .args(["--ctty", env!("CARGO_BIN_EXE_gaugefs"), "top"])
+            .args(arguments)
+            .env("TERM", "xterm")
+            .stdin(end())
+            .stdout(end())
+            .stderr(end())
+            .spawn()
+            .expect("setsid runs");
+        let shown = Arc::new(Mutex::new(vt100::Parser::new(24, 80, 0)));
+        let mut master = File::from(pty.master);
+        let keys = master.try_clone().expect("a terminal");
+        let parser = shown.clone();
+        std::thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            while let Ok(count @ 1..) = master.read(&mut bytes) {
+                parser.lock().expect("a screen").process(&bytes[..count]);
+            }
+        });
+        Self { child, keys, terminal: pty.slave, shown, settings }
+    }
+
+    fn text(&self) -> String {
+        self.shown.lock().expect("a screen").screen().contents()
+    }
+
+    #[track_caller]
+    fn shows(&self, what: &str) {
+        let start = Instant::now();
+        while !self.text().contains(what) {
+            assert!(start.elapsed() < LONG, "`{what}` is not on the screen:\n{}", self.text());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).expect("keys are taken");
+    }
+
+    fn resize(&self, rows: u16, columns: u16) {
+        self.shown.lock().expect("a screen").screen_mut().set_size(rows, columns);
+        stty(&self.terminal, &["rows", &rows.to_string(), "cols", &columns.to_string()]);
+    }
+
+    fn send(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).expect("it runs");
+    }
+
+    /// As the shell left it: main screen, cursor, echo and all else.
+    #[track_caller]
+    fn is_restored(&self) {
+        within(LONG, "the terminal is restored", || {
+            let shown = self.shown.lock().expect("a screen");
+            !shown.screen().alternate_screen() && !shown.screen().hide_cursor()
+        });
+        assert_eq!(stty(&self.terminal, &["-g"]), self.settings);
+    }
+
+    #[track_caller]
+    fn ends(&mut self) {
+        let start = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                break status;
+            }
+            assert!(start.elapsed() < LONG, "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        };
+        assert_eq!(status.code(), Some(0), "{}", self.text());
+        self.is_restored();
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn top_is_used_and_left() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, picture) = (folder.file("m"), folder.file("top.svg"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    let mut screen = Screen::new(&[&at, "--screenshot", &picture]);
+    screen.shows("bq34z100-G1");
+    screen.shows("voltage in V, last 5 min");
+    screen.press("i+");
+    screen.shows("current in A, last 15 min");
+    fs::write(format!("{at}/BAT0/sim/load_ma"), "700").expect("a knob");
+    screen.shows("-0.700");
+    screen.shows("Discharging");
+    screen.press("l");
+    screen.shows("passed charge");
+    screen.resize(10, 40);
+    screen.shows("? help");
+    screen.resize(50, 132);
+    screen.shows("d data flash");
+    screen.press("?");
+    screen.shows("read from data flash what it has learned, once");
+    fs::write(format!("{at}/BAT0/sim/power"), "off").expect("a knob");
+    screen.shows("absent");
+    screen.press("q");
+    screen.ends();
+    let svg = fs::read_to_string(picture).expect("the picture");
+    assert!(svg.contains(">absent<"), "{svg}");
+
+    // A signal, a stop and a continuation.
+    let mut screen = Screen::new(&[&at]);
+    screen.shows("GAUGE");
+    let state = || {
+        let stat = fs::read_to_string(format!("/proc/{}/stat", screen.child.id())).expect("a process");
+        stat.rsplit(')').next().and_then(|rest| rest.split_whitespace().next()).map(str::to_string)
+    };
+    screen.send(Signal::SIGTSTP);
+    within(LONG, "it stops", || state().as_deref() == Some("T"));
+    screen.is_restored();
+    screen.send(Signal::SIGCONT);
+    within(LONG, "it is back", || screen.shown.lock().expect("a screen").screen().alternate_screen());
+    screen.shows("GAUGE");
+    screen.send(Signal::SIGTERM);
+    screen.ends();
+}
+
+#[test]
+fn top_tells_a_mount_that_hangs_and_one_that_ends() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mut daemon = Foreground::new(&at, &[]);
+    let mut screen = Screen::new(&[&at]);
+    screen.shows("bq34z100-G1");
+    daemon.send(Signal::SIGSTOP);
+    screen.shows("does not answer for");
+    screen.press("q");
+    screen.ends();
+
+    daemon.send(Signal::SIGCONT);
+    let mut screen = Screen::new(&[&at]);
+    screen.shows("bq34z100-G1");
+    daemon.send(Signal::SIGKILL);
+    daemon.ends();
+    screen.shows("its daemon is gone");
+    gaugefs(&["umount", &at]).done();
+    screen.shows("not mounted");
+    screen.press("q");
+    screen.ends();
+}
+
+/// What it costs a sealed gauge to be looked at: nothing, until a key asks for data flash.
+#[test]
+fn top_leaves_a_sealed_gauge_alone() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    // After the first two polls there is none while this test runs.
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
+    let statistic =
+        |name: &str| read(&at, &format!("BAT0/gauge/statistics/{name}")).parse::<u64>().expect("a number");
+    within(LONG, "two polls", || statistic("polls") == 2);
+    let transfers = statistic("transfers");
+
+    let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "5", &at]).done();
+    assert_eq!(out.lines().count(), 5);
+    let mut screen = Screen::new(&[&format!("{at}/BAT0"), "--interval", "0.1"]);
+    screen.shows("bq34z100-G1");
+    screen.press("l");
+    screen.shows("sealed: not read");
+    screen.shows("grid number");
+    let asked = Instant::now();
+    within(LONG, "some looks", || asked.elapsed() > Duration::from_secs(2));
+    assert_eq!((statistic("transfers"), statistic("polls")), (transfers, 2));
+    assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
+
+    screen.press("d");
+    screen.shows("Update Status");
+    screen.shows("Qmax Cell 0");
+    assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
+    let once = statistic("transfers");
+    assert!(once > transfers);
+    let asked = Instant::now();
+    within(LONG, "some looks", || asked.elapsed() > Duration::from_secs(2));
+    assert_eq!(statistic("transfers"), once, "it was asked for once");
+    screen.press("q");
+    screen.ends();
+
+    // Found unsealed, it is read without being asked for.
+    fs::write(format!("{at}/BAT0/gauge/seal"), "unsealed").expect("the default key fits");
+    let mut screen = Screen::new(&[&at]);
+    screen.shows("unsealed");
+    screen.press("l");
+    screen.shows("Update Status");
+    screen.press("r");
+    within(LONG, "a poll", || statistic("polls") == 3);
+    assert_eq!(read(&at, "BAT0/gauge/seal"), "unsealed");
+    screen.press("q");
+    screen.ends();
+}
+
+#[test]
+fn top_says_that_a_gauge_without_a_key_stays_sealed() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--no-default-keys", &at]).done();
+    let mut screen = Screen::new(&[&at]);
+    screen.shows("bq34z100-G1");
+    screen.press("d");
+    screen.shows("sealed: no key");
+    screen.press("q");
+    screen.ends();
+}
+
+#[test]
+fn top_prints_json_until_its_reader_has_seen_enough() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let passed = Path::new(&at).join("BAT0/gauge/registers/passed_charge");
+    within(LONG, "the second poll", || passed.exists());
+    let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "2", &at]).done();
+    for line in out.lines() {
+        assert!(line.starts_with("{\"time\": \"") && line.ends_with('}'), "{line}");
+        for text in [
+            "\"path\": \"",
+            "\"name\": \"BAT0\"",
+            "\"voltage_now\": 3855000",
+            "\"status\": \"Not_charging\"",
+            "\"flags\": [\"CHG\", \"OCVTAKEN\"]",
+            "\"passed_charge\": 0",
+            "\"seal\": \"sealed\"",
+        ] {
+            assert!(line.contains(text), "{text} is not in {line}");
+        }
+    }
+    // The reader takes one line and goes.
+    let mut child = command(&["top", "--json", "--interval", "0.1", &at])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("gaugefs runs");
+    let mut first = [0; 10];
+    child.stdout.take().expect("a pipe").read_exact(&mut first).expect("a line");
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!((output.status.code(), output.stderr.as_slice()), (Some(0), &b""[..]));
+
+    gaugefs(&["top", "--json", &folder.file("none")]).failed(&["none: not mounted"]);
+    gaugefs(&["top", &at]).failed(&["not a terminal", "--json"]);
+}
