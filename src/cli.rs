@@ -26,7 +26,11 @@ use crate::probe::{self, ROM_ADDRESS, Reading};
 mod auth;
 mod doctor;
 mod keys;
+#[cfg(feature = "screen")]
+mod log;
 mod manual;
+#[cfg(feature = "screen")]
+mod plot;
 mod progress;
 #[cfg(feature = "screen")]
 mod sample;
@@ -130,6 +134,10 @@ enum Command {
     Keys(keys::Command),
     #[cfg(feature = "screen")]
     Top(top::Top),
+    #[cfg(feature = "screen")]
+    Log(log::Log),
+    #[cfg(feature = "screen")]
+    Plot(plot::Plot),
     Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
@@ -316,6 +324,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         }),
         #[cfg(feature = "screen")]
         Command::Top(top) => top.run(),
+        #[cfg(feature = "screen")]
+        Command::Log(log) => log.run(),
+        #[cfg(feature = "screen")]
+        Command::Plot(plot) => plot.run(),
         Command::Keys(keys) => keys.run().map(|told| {
             print(&told);
             ExitCode::SUCCESS

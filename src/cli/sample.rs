@@ -129,6 +129,21 @@ impl Sample {
         })
     }
 
+    /// What there is to say of a gauge whose mount has ended.
+    pub(super) fn absent() -> Self {
+        Self {
+            time: Timestamp::now(),
+            moment: None,
+            age: None,
+            attributes: Vec::new(),
+            words: Vec::new(),
+            registers: Vec::new(),
+            seal: None,
+            interval: None,
+            last_error: String::new(),
+        }
+    }
+
     /// An attribute's text.
     pub(super) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(found, _)| found == name).map(|(_, value)| value.as_str())

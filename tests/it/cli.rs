@@ -104,6 +104,8 @@ fn help_is_for_people() {
             "doctor --help",
             "completions --help",
             "top --help",
+            "log --help",
+            "plot --help",
         ],
     );
 }
@@ -155,6 +157,10 @@ fn misuse_is_told_apart() {
             "completions csh",
             "top --count 3",
             "top --interval 0",
+            "log",
+            "log /tmp/x --count 0",
+            "plot",
+            "plot /tmp/x --width 10",
         ],
     );
 }

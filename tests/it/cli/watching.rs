@@ -1,4 +1,4 @@
-//! `gaugefs top` on mounted gauges, and on a terminal.
+//! `gaugefs top`, `log` and `plot` on mounted gauges, and on a terminal.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -12,7 +12,7 @@ use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, within};
+use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, golden, read, within};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);
@@ -299,4 +299,115 @@ fn top_prints_json_until_its_reader_has_seen_enough() {
 
     gaugefs(&["top", "--json", &folder.file("none")]).failed(&["none: not mounted"]);
     gaugefs(&["top", &at]).failed(&["not a terminal", "--json"]);
+}
+
+/// Rows of a CSV whose cells hold no quotes.
+fn rows(file: &str) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(file).unwrap_or_default();
+    assert!(text.is_empty() || text.ends_with("\r\n"), "whole rows: {text:?}");
+    text.lines().map(|line| line.split(',').map(str::to_string).collect()).collect()
+}
+
+#[test]
+fn log_writes_each_poll_once_and_continues() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("history.csv"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    fs::write(format!("{at}/BAT0/sim/load_ma"), "500").expect("a knob");
+    gaugefs(&["log", &at, "-o", &file, "--count", "4"]).done();
+    gaugefs(&["log", &format!("{at}/BAT0"), "-o", &file, "--count", "2"]).done();
+    let written = rows(&file);
+    assert_eq!(written.len(), 7, "one header: {written:?}");
+    assert_eq!(written[0][..4], ["time (UTC)", "gauge", "status", "voltage (V)"]);
+    let times: Vec<jiff::Timestamp> =
+        written[1..].iter().map(|row| row[0].parse().expect("a time")).collect();
+    for pair in times.windows(2) {
+        assert!(pair[1].as_millisecond() - pair[0].as_millisecond() >= 400, "one poll twice: {times:?}");
+    }
+    let last = &written[6];
+    assert_eq!((last[1].as_str(), last[2].as_str(), last[4].as_str()), ("BAT0", "Discharging", "-0.500"));
+
+    // To standard output, and to a reader that goes.
+    let out = gaugefs(&["log", &at, "--count", "1"]).done();
+    assert_eq!(out.lines().count(), 2);
+    let script = format!("'{}' log '{at}' | head -n 1", env!("CARGO_BIN_EXE_gaugefs"));
+    let output = Command::new("sh").args(["-c", &script]).output().expect("a shell");
+    assert_eq!(output.stderr, b"");
+
+    // A row that was cut short stays alone, and the plot leaves it out.
+    let text = fs::read_to_string(&file).expect("the log");
+    fs::write(&file, &text[..text.len() - 20]).expect("a file");
+    gaugefs(&["log", &at, "-o", &file, "--count", "1"]).done();
+    assert_eq!(rows(&file).len(), 8);
+    gaugefs(&["plot", &file, "-o", &folder.file("history.svg")]).done();
+
+    fs::write(&file, "some,other,columns\n1,2,3\n").expect("a file");
+    gaugefs(&["log", &at, "-o", &file]).failed(&[&file, "has other columns"]);
+    assert_eq!(fs::read_to_string(&file).expect("it"), "some,other,columns\n1,2,3\n");
+    gaugefs(&["log", &at, "-o", "/dev/full"]).failed(&["/dev/full", "No space left on device"]);
+    gaugefs(&["log", &folder.file("none")]).failed(&["not mounted"]);
+}
+
+#[test]
+fn log_survives_an_absence() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("history.csv"));
+    let knob = |name: &str, text: &str| fs::write(format!("{at}/BAT0/sim/{name}"), text).expect("a knob");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    let child = command(&["log", &at, "-o", &file]).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+    let mut log = Foreground(child);
+    let there = |row: &[String]| !row[3].is_empty();
+    let count = |what: fn(&[String]) -> bool| rows(&file).iter().skip(1).filter(|row| what(row)).count();
+    within(LONG, "two rows", || count(there) >= 2);
+    // The gauge goes and comes back.
+    knob("power", "off");
+    within(LONG, "a row with empty fields", || count(|row| row[3].is_empty()) == 1);
+    let before = count(there);
+    knob("power", "on");
+    within(LONG, "rows again", || count(there) >= before + 2);
+    // The mount goes and comes back.
+    gaugefs(&["umount", &at]).done();
+    within(LONG, "another one", || count(|row| row[3].is_empty()) == 2);
+    let before = count(there);
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    within(LONG, "rows again", || count(there) >= before + 2);
+    log.0.kill().expect("it still runs");
+    log.ends();
+    gaugefs(&["umount", &at]).done();
+
+    let svg = folder.file("history.svg");
+    gaugefs(&["plot", &file, "--columns", "voltage", "-o", &svg]).done();
+    let drawn = fs::read_to_string(svg).expect("the plot");
+    // Each stretch of time a line of its own.
+    assert_eq!(drawn.matches("stroke=\"#0072b2\"").count(), 3, "{drawn}");
+}
+
+#[test]
+fn plot_draws_what_was_logged() {
+    golden(
+        "plot",
+        &[
+            "plot tests/it/images/history.csv",
+            "plot tests/it/images/history.csv --columns charge --width 640 --height 300",
+            "plot tests/it/images/history.csv --columns speed",
+            "plot tests/it/images/history.csv --height 200",
+            "plot tests/it/images/history.csv -o history.gif",
+            "plot tests/it/images/pack.gg.csv",
+            "plot tests/it/images/none",
+        ],
+    );
+    let folder = Folder::new();
+    let png = folder.file("history.png");
+    gaugefs(&["plot", "tests/it/images/history.csv", "-o", &png, "--width", "800", "--height", "600"]).done();
+    let bytes = fs::read(Path::new(&png)).expect("the picture");
+    assert_eq!(bytes[..8], *b"\x89PNG\r\n\x1a\n");
+    assert_eq!((&bytes[16..20], &bytes[20..24]), (&800u32.to_be_bytes()[..], &600u32.to_be_bytes()[..]));
+    // White paper alone would be a few hundred bytes.
+    assert!(bytes.len() > 5000, "{}", bytes.len());
 }

@@ -1,0 +1,69 @@
+//! `gaugefs plot`: draws what `gaugefs log` has written.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+
+use crate::error::{Cause, Error, Result};
+
+mod png;
+mod scene;
+mod svg;
+mod table;
+mod ticks;
+
+const PLOT: &str = "\
+Columns with the same unit share a panel, and all panels share the time axis. Where the gauge was
+away the line has a gap.
+
+Examples:
+  gaugefs plot history.csv -o history.svg
+  gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.png";
+
+/// Draw a history that `gaugefs log` has written
+#[derive(Args, Debug)]
+#[command(after_help = PLOT)]
+pub(super) struct Plot {
+    /// The CSV file
+    file: PathBuf,
+    /// Picture to write, SVG or by its name PNG [default: SVG to standard output]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// What to draw, by the names in the file's first line [default: voltage, current, capacity and
+    /// temperature, as far as they were logged]
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    columns: Vec<String>,
+    /// Width in pixels
+    #[arg(long, value_name = "PIXELS", default_value = "960", value_parser = clap::value_parser!(u16).range(320..=8000))]
+    width: u16,
+    /// Height in pixels [default: by the number of panels]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(160..=8000))]
+    height: Option<u16>,
+}
+
+impl Plot {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let name = self.file.display().to_string();
+        let text = std::fs::read(&self.file).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        let panels = table::panels(&text, &self.columns).map_err(|error| error.within(&name))?;
+        let scene = scene::lay_out(&panels, self.width, self.height).map_err(|error| error.within(&name))?;
+        let kind = self.output.as_ref().and_then(|path| path.extension()).unwrap_or_default();
+        let picture = match kind.to_string_lossy().to_lowercase().as_str() {
+            "png" => png::render(&scene)?,
+            "svg" | "" => svg::render(&scene).into_bytes(),
+            _ => {
+                let name = self.output.unwrap_or_default().display().to_string();
+                return Err(Error::new(name, Cause::Invalid("is neither .svg nor .png".into())));
+            }
+        };
+        match self.output {
+            Some(file) => std::fs::write(&file, picture)
+                .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
+            // A reader that has seen enough is no failure.
+            None => drop(std::io::stdout().write_all(&picture)),
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
