@@ -132,18 +132,29 @@ enum Command {
     Lint(Lint),
     Auth(auth::Auth),
     Keys(keys::Command),
-    #[cfg(feature = "screen")]
-    Top(top::Top),
-    #[cfg(feature = "screen")]
-    Log(log::Log),
-    #[cfg(feature = "screen")]
-    Plot(plot::Plot),
+    #[command(flatten)]
+    Screen(Watch),
     Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
     #[command(hide = true)]
     Man,
 }
+
+/// What looks at mounted gauges and shows them.
+#[derive(Debug, Subcommand)]
+enum Watch {
+    #[cfg(feature = "screen")]
+    Top(top::Top),
+    #[cfg(feature = "screen")]
+    Log(log::Log),
+    #[cfg(feature = "screen")]
+    Plot(plot::Plot),
+}
+
+/// A command of `gaugefs-screen`.
+#[derive(Debug)]
+pub struct Screen(Watch);
 
 /// Mount gauges; returns once they are mounted and have been read
 #[derive(Args, Debug)]
@@ -291,9 +302,40 @@ struct Completions {
     shell: Shell,
 }
 
-/// Does what the arguments say; the exit code is 0 for done, 1 for failed, 2 for misuse.
-pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let cli = match Cli::try_parse_from(arguments) {
+impl Screen {
+    /// Shows what it was told to.
+    pub fn run(self) -> Result<ExitCode> {
+        match self.0 {
+            #[cfg(feature = "screen")]
+            Watch::Top(top) => top.run(),
+            #[cfg(feature = "screen")]
+            Watch::Log(log) => log.run(),
+            #[cfg(feature = "screen")]
+            Watch::Plot(plot) => plot.run(),
+        }
+    }
+}
+
+/// Becomes `gaugefs-screen` with the same arguments. It is looked for beside this program, and where a
+/// package puts what nobody starts by hand.
+pub fn hand_over(arguments: Vec<OsString>) -> Result<ExitCode> {
+    use std::os::unix::process::CommandExt;
+    const NAME: &str = "gaugefs-screen";
+    let own = std::env::current_exe().map_err(|error| Error::io(NAME, "cannot be looked for", &error))?;
+    let beside = own.with_file_name(NAME);
+    let packaged = own.with_file_name("../libexec/gaugefs").join(NAME);
+    let program = if packaged.exists() { packaged } else { beside };
+    let error = std::process::Command::new(&program).args(&arguments[1..]).exec();
+    Err(Error::io(program.display().to_string(), "cannot be started; install gaugefs as a whole", &error))
+}
+
+/// Does what the arguments say; the exit code is 0 for done, 1 for failed, 2 for misuse. What a screen is
+/// for is left to `screen`, with all arguments.
+pub fn run(
+    arguments: Vec<OsString>,
+    screen: impl FnOnce(Screen, Vec<OsString>) -> Result<ExitCode>,
+) -> ExitCode {
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             let text = error.to_string();
@@ -322,12 +364,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             print(&told);
             ExitCode::SUCCESS
         }),
-        #[cfg(feature = "screen")]
-        Command::Top(top) => top.run(),
-        #[cfg(feature = "screen")]
-        Command::Log(log) => log.run(),
-        #[cfg(feature = "screen")]
-        Command::Plot(plot) => plot.run(),
+        Command::Screen(watch) => screen(Screen(watch), arguments),
         Command::Keys(keys) => keys.run().map(|told| {
             print(&told);
             ExitCode::SUCCESS

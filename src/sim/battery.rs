@@ -124,7 +124,7 @@ impl Battery {
         let moved = current * seconds / 3600.0;
         self.charge_mah = (self.charge_mah + moved).clamp(0.0, self.capacity_mah);
         let watts = (current / 1000.0).powi(2) * self.resistance();
-        self.rise += (watts * WARMING - self.rise) * (1.0 - (-seconds / WARMING_TIME).exp());
+        self.rise += (watts * WARMING - self.rise) * (1.0 - libm::exp(-seconds / WARMING_TIME));
     }
 
     /// Energy left from `percent` of the pack down to empty, in mWh, without losses.

@@ -319,7 +319,7 @@ impl Model for Cedv {
         self.battery.step(seconds);
         let moved = self.battery.charge_mah - before;
         let current = self.battery.current_ma();
-        self.average_ma += (current - self.average_ma) * (1.0 - (-seconds / AVERAGE_S).exp());
+        self.average_ma += (current - self.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
         let enabled = if moved < 0.0 { 0x0001 } else { 0x0002 };
         if self.manufacturing & enabled != 0 {
             self.accumulated.0 += moved;

@@ -423,7 +423,7 @@ impl Gauging {
             moved = -moved;
         }
         let current = self.current_ma();
-        self.average_ma += (current - self.average_ma) * (1.0 - (-seconds / AVERAGE_S).exp());
+        self.average_ma += (current - self.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
         self.passed_mah += moved;
         self.qmax_passed_mah += moved;
         self.cycle_mah += (-moved).max(0.0);

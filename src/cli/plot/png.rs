@@ -9,7 +9,7 @@ use nix::errno::Errno;
 use super::scene::{Anchor, SIZE, Scene, Shape};
 use crate::error::{Error, Result};
 
-/// The letters of plots; `labels.LICENSE` says whose they are.
+/// The letters of plots; `LICENSE` says whose they are.
 const LABELS: &[u8] = include_bytes!("labels.ttf");
 
 fn failed(why: impl Into<String>) -> Error {
