@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::FLAT;
+use gaugefs::chip::{Chip, FLAT};
 use gaugefs::clock::Clock;
 use gaugefs::dataflash::{Change, DataFlash, Limits};
 use gaugefs::error::Result;
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::journal::Journal;
 use gaugefs::keys::Keys;
+use gaugefs::sim::Sim;
 use nix::errno::Errno;
 
 use crate::rig::Rig;
@@ -221,6 +222,71 @@ fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
     println!(
         "{runs} power cuts of the host: {nothing} before there was anything to settle, {undone} settled to \
          the old values, {finished} finished; {again} more with a second cut while that was done"
+    );
+}
+
+/// A bus whose gauge's voltage sinks below the limit under which it stores nothing.
+struct Sinks<B> {
+    bus: B,
+    sim: Sim,
+    /// Transfers until then.
+    left: u64,
+}
+
+impl<B: Bus> Bus for Sinks<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 {
+            self.sim.set("voltage_mv", "2000").expect("a knob");
+        }
+        self.bus.transfer(write, read)
+    }
+}
+
+/// The gauge acknowledges everything and stores nothing from some transfer on, the way back included.
+#[test]
+fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
+    let (mut runs, mut done, mut refused, mut back, mut unknown) = (0, 0, 0, 0, 0);
+    for case in CASES.iter().filter(|case| Chip::by_name(case.chip).is_some_and(|chip| chip.gate.is_some())) {
+        let (old, new) = case.model();
+        let folder = Folder::new("voltage");
+        let (said, transfers) = {
+            let rig = case.rig();
+            let changes = case.changes(&rig);
+            host(&rig, &folder, None, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO))
+        };
+        said.expect("no cut").expect("no fault");
+        for left in 1..=transfers {
+            let at = format!("{}, sinks at {left} of {transfers}", case.name());
+            let mut rig = case.rig();
+            let changes = case.changes(&rig);
+            let bus = Sinks { bus: rig.sim.bus(), sim: rig.sim.clone(), left };
+            let mut gauge =
+                Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+            let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+            let outcome = dataflash.write(&mut gauge, &changes, Duration::ZERO);
+            runs += 1;
+            let flash = rig.sim.flash();
+            match outcome.map_err(|error| error.errno()) {
+                Ok(_) => {
+                    done += 1;
+                    assert!(flash == new, "{at}: success is false");
+                }
+                Err(Errno::ENOTRECOVERABLE) => unknown += 1,
+                Err(errno) => {
+                    *(if errno == Errno::EIO { &mut back } else { &mut refused }) += 1;
+                    assert!(flash == old, "{at}: {errno}, but data flash has changed");
+                }
+            }
+            rig.sim.set("voltage_mv", "3900").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(5));
+            restart(&rig, &folder, None);
+            check(case, &mut rig, &folder, &(old.clone(), new.clone()), &at);
+        }
+    }
+    println!(
+        "{runs} times the voltage sank: {done} done before it did, {refused} refused with nothing changed, {back} \
+         with the old bytes there, {unknown} unknown, said so, and settled when it was back"
     );
 }
 
