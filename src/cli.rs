@@ -16,7 +16,7 @@ use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
 use crate::clock::{Clock, RealClock};
 use crate::config::{self, GaugeOptions, MountOptions, address, chip_names};
-use crate::daemon::{self, Gauges, background, mountpoint};
+use crate::daemon::{self, Gauges, background, mountpoint, service};
 use crate::error::{Error, Result};
 use crate::fs::Covered;
 use crate::image::{self, Format, Group, Image};
@@ -139,6 +139,10 @@ enum Command {
     /// Print the manual page gaugefs(1)
     #[command(hide = true)]
     Man,
+    Attach(Box<Attach>),
+    /// Take away what services have left that have ended; a step of systemd's units
+    #[command(hide = true)]
+    Detach,
 }
 
 /// What looks at mounted gauges and shows them.
@@ -173,6 +177,20 @@ struct Mount {
     /// Stay in the foreground and log to standard error
     #[arg(short, long, help_heading = "Running")]
     foreground: bool,
+    /// Leave the mounting to `gaugefs attach`, which systemd's unit runs as root
+    #[arg(long, hide = true, requires = "foreground")]
+    service: bool,
+}
+
+/// Mount what a service serves; a step of systemd's units, with what the service is told
+#[derive(Args, Debug)]
+#[command(hide = true)]
+struct Attach {
+    /// The service's process
+    #[arg(long)]
+    pid: i32,
+    #[command(flatten)]
+    mount: Mount,
 }
 
 /// Unmount; the gauge is let go
@@ -350,6 +368,12 @@ pub fn run(
     };
     let done = match cli.command {
         Command::Mount(mount) => mount.run(),
+        Command::Attach(attach) => attach
+            .mount
+            .options()
+            .and_then(|options| service::attach(attach.pid, &options))
+            .map(|()| ExitCode::SUCCESS),
+        Command::Detach => service::detach().map(|()| ExitCode::SUCCESS),
         Command::Umount(umount) => mountpoint::unmount(&umount.mountpoint).map(|()| ExitCode::SUCCESS),
         Command::Probe(probe) => probe.run(),
         Command::Chips(chips) => {
@@ -408,13 +432,13 @@ impl Mount {
     }
 
     fn options(self) -> Result<daemon::Options> {
-        let Self { config, gauge, mount, foreground, .. } = self;
+        let Self { config, gauge, mount, foreground, service, .. } = self;
         let Some(file) = config else {
             let gauge = gauge.gauge().expect("clap wants --sim, --bus, --replay or --config");
-            return Ok(mount.with(Gauges::One(Box::new(gauge)), foreground));
+            return Ok(daemon::Options { service, ..mount.with(Gauges::One(Box::new(gauge)), foreground) });
         };
         let (mount, gauges) = config::read(&file, mount, gauge.bus())?;
-        Ok(mount.with(Gauges::Many(gauges), foreground))
+        Ok(daemon::Options { service, ..mount.with(Gauges::Many(gauges), foreground) })
     }
 }
 

@@ -233,6 +233,7 @@ impl MountOptions {
             private: self.private,
             group: self.group,
             foreground,
+            service: false,
             log: self.log,
             ac: self.ac,
             state_dir: self.state_dir,

@@ -33,6 +33,7 @@ pub mod background;
 mod gauges;
 pub mod log;
 pub mod mountpoint;
+pub mod service;
 
 use gauges::{Opening, Ready};
 
@@ -115,6 +116,8 @@ pub struct Options {
     pub group: Option<u32>,
     /// Stay in the foreground.
     pub foreground: bool,
+    /// Leave the mounting to `service::attach`.
+    pub service: bool,
     /// File to log to.
     pub log: Option<PathBuf>,
     /// Show a Mains supply too, of this name where one was chosen.
@@ -167,7 +170,11 @@ pub fn run(options: Options) -> Result<()> {
     let end = Arc::new(End::default());
     end.clone().watch(signals)?;
 
-    let mountpoint = mountpoint::prepare(&options.mountpoint)?;
+    let (mountpoint, device) = if options.service {
+        (options.mountpoint, Some(service::device()?))
+    } else {
+        (mountpoint::prepare(&options.mountpoint)?, None)
+    };
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
@@ -184,7 +191,7 @@ pub fn run(options: Options) -> Result<()> {
     let signal = Arc::new(Signal::default());
     let opening = Opening {
         mountpoint: mountpoint.clone(),
-        clock,
+        clock: clock.clone(),
         signal: signal.clone(),
         read_only: options.read_only,
         state_dir: options.state_dir,
@@ -194,11 +201,9 @@ pub fn run(options: Options) -> Result<()> {
         last => opening.many(gauges.into_iter().chain(last).collect(), !options.foreground)?,
     };
 
-    let access = Access {
-        uid: geteuid().as_raw(),
-        gid: options.group.unwrap_or_else(|| getegid().as_raw()),
-        group: options.group.is_some(),
-    };
+    // What root mounts is root's.
+    let (uid, gid) = if options.service { (0, 0) } else { (geteuid().as_raw(), getegid().as_raw()) };
+    let access = Access { uid, gid: options.group.unwrap_or(gid), group: options.group.is_some() };
     let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();
     adapters::watch(
         gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone()))),
@@ -210,21 +215,34 @@ pub fn run(options: Options) -> Result<()> {
         entries.push(entry);
         locks.push(lock);
     }
-    mountpoint::make(&mountpoint)?;
+    let tree = Arc::new(Fs::new(entries, access).with_mains(mains).over(covered));
     let how = fuse::Options { private: options.private, read_only: options.read_only };
-    let fs = Arc::new(Fs::new(entries, access).with_mains(mains).over(covered));
-    let mounted = fuse::mount(fs, &mountpoint, how, signal)?;
-    end.mounted(&mountpoint, &handles);
+    let mounted = match device {
+        Some(device) => {
+            // Its mount is the answer.
+            background::notify();
+            service::wait(&device, &*clock)?;
+            let mounted = fuse::serve(tree, device, how, signal)?;
+            end.reach(Phase::Serving(handles.clone(), mounted.answers()));
+            mounted
+        }
+        None => {
+            mountpoint::make(&mountpoint)?;
+            let mounted = fuse::mount(tree, &mountpoint, how, signal)?;
+            end.reach(Phase::Mounted(mountpoint.clone(), handles.clone()));
+            mounted
+        }
+    };
     for (what, place) in &told {
         ::log::info!("{what} mounted at {place}");
     }
-    if options.foreground {
-        background::notify();
-    } else {
+    if !options.foreground {
         background::ready(&inherited)?;
+    } else if !options.service {
+        background::notify();
     }
     mounted.wait();
-    end.over();
+    end.reach(Phase::Ending);
     finish(&handles);
     for (_, place) in &told {
         ::log::info!("{place} unmounted");
@@ -471,6 +489,8 @@ enum Phase {
     Starting,
     /// There is something to unmount.
     Mounted(PathBuf, Vec<Handle>),
+    /// What there is to unmount, `service::detach` will.
+    Serving(Vec<Handle>, fuse::Answers),
     /// It has been unmounted, and `run` is about to return.
     Ending,
 }
@@ -480,13 +500,8 @@ enum Phase {
 struct End(Mutex<Phase>);
 
 impl End {
-    fn mounted(&self, path: &Path, handles: &[Handle]) {
-        let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *phase = Phase::Mounted(path.to_path_buf(), handles.to_vec());
-    }
-
-    fn over(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Phase::Ending;
+    fn reach(&self, phase: Phase) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = phase;
     }
 
     /// Waits for signals on a thread of its own.
@@ -508,6 +523,12 @@ impl End {
                 std::process::exit(1);
             }
             Phase::Mounted(path, handles) => (path, handles),
+            Phase::Serving(handles, answers) => {
+                ::log::info!("{signal}: ending");
+                finish(handles);
+                answers.flush();
+                std::process::exit(0);
+            }
             Phase::Ending => return,
         };
         ::log::info!("{signal}: unmounting {}", path.display());
@@ -525,14 +546,21 @@ impl End {
     }
 }
 
-/// Waits until the gauges' owners have finished what was asked of them: a transaction is not cut short.
+/// Waits until the gauges' owners have finished what was asked of them: a transaction is not cut short, and
+/// none is begun any more.
 fn finish(handles: &[Handle]) {
     let (done, is_done) = mpsc::channel::<()>();
     for handle in handles {
         let done = done.clone();
         // Requests are served in their order, and this one changes nothing.
         let same = handle.published().interval;
-        handle.submit(Request::Interval(same, Box::new(move |_| drop(done))));
+        let stop = move |_| {
+            drop(done);
+            loop {
+                std::thread::park();
+            }
+        };
+        handle.submit(Request::Interval(same, Box::new(stop)));
     }
     drop(done);
     // Nobody sends: each owner drops its end with the request, whether it serves it or has ended.

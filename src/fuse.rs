@@ -14,6 +14,7 @@
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
+use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -42,6 +43,9 @@ const SETTLE: Duration = Duration::from_secs(2);
 /// So long the kernel takes at most to forget what nobody holds open.
 const FORGET: Duration = Duration::from_millis(30);
 
+/// So long the last answers may take: each is one message to the kernel.
+const FLUSH: Duration = Duration::from_secs(2);
+
 /// How to mount.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
@@ -56,12 +60,37 @@ pub struct Mounted {
     session: fuser::BackgroundSession,
     /// Disconnected when the session has ended, and what it served is dropped.
     over: Receiver<()>,
+    answers: Answers,
+}
+
+/// The answers to writes that wait until the kernel has heard what was changed.
+#[derive(Clone)]
+pub struct Answers {
+    answers: Arc<Mutex<Vec<Answer>>>,
+    signal: Arc<Signal>,
+}
+
+impl Answers {
+    /// Returns when all of them have been given, or nobody takes them any more.
+    pub fn flush(&self) {
+        let (done, is_done) = mpsc::channel::<()>();
+        let last = Box::new(move || drop(done));
+        self.answers.lock().expect("no thread panics while it holds the lock").push(last);
+        self.signal.raise();
+        // Nobody sends: the other end is dropped when its turn comes. Unmounted, there is none.
+        let _ = is_done.recv_timeout(FLUSH);
+    }
 }
 
 impl Mounted {
     /// Whether the tree was unmounted from outside.
     pub fn is_over(&self) -> bool {
         self.session.guard.is_finished()
+    }
+
+    /// What has not been answered yet.
+    pub fn answers(&self) -> Answers {
+        self.answers.clone()
     }
 
     /// Returns when the tree is unmounted from outside.
@@ -99,22 +128,43 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     if nix::unistd::geteuid().is_root() && !options.private {
         config.acl = SessionACL::All;
     }
+    start(fs, options, signal, |adapter| {
+        Session::new(adapter, mountpoint, &config)
+            .map_err(|error| host(&mountpoint.display().to_string(), &error))
+    })
+}
+
+/// Serves the tree to a `/dev/fuse` that has been mounted already.
+pub fn serve(fs: Arc<Fs>, device: OwnedFd, options: Options, signal: Arc<Signal>) -> Result<Mounted> {
+    // Who is let in, the mount has told the kernel.
+    start(fs, options, signal, |adapter| {
+        Session::from_fd(adapter, device, SessionACL::All, Config::default())
+            .map_err(|error| host("/dev/fuse", &error))
+    })
+}
+
+fn start(
+    fs: Arc<Fs>,
+    options: Options,
+    signal: Arc<Signal>,
+    begin: impl FnOnce(Adapter) -> Result<Session<Adapter>>,
+) -> Result<Mounted> {
     let table = Arc::new(Mutex::new(Table::new()));
     let answers = Arc::new(Mutex::new(Vec::new()));
     let later = answers.clone();
     let (alive, over) = mpsc::channel();
     let adapter = Adapter { fs: fs.clone(), table: table.clone(), options, answers: later, _alive: alive };
-    let session = Session::new(adapter, mountpoint, &config)
-        .map_err(|error| host(&mountpoint.display().to_string(), &error))?;
+    let session = begin(adapter)?;
     let notifier = session.notifier();
-    let session = session.spawn().map_err(|error| host(&mountpoint.display().to_string(), &error))?;
+    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     let renew = Arc::new(Signal::default());
     let (files, kernel) = (fs.clone(), notifier.clone());
     let mut renewal = Renewal { fs: files, table: table.clone(), notifier: kernel, threads: HashMap::new() };
     let mut watch = Watch { fs, table, notifier, folders: HashMap::new(), answers, renew: renew.clone() };
+    let waiting = Answers { answers: watch.answers.clone(), signal: signal.clone() };
     thread("notify", move || watch.run(&signal))?;
     thread("renew", move || renewal.run(&renew))?;
-    Ok(Mounted { session, over })
+    Ok(Mounted { session, over, answers: waiting })
 }
 
 fn thread(name: &str, body: impl FnOnce() + Send + 'static) -> Result<()> {

@@ -31,7 +31,7 @@ const STEP: Duration = Duration::from_millis(20);
 
 /// What is mounted at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Mounted {
+pub(super) enum Mounted {
     Nothing,
     /// A gaugefs whose daemon answers.
     Alive,
@@ -50,25 +50,18 @@ pub fn is_ours(path: &Path) -> bool {
 /// Makes sure that something can be mounted there, and returns its full path. A dead gaugefs there is
 /// detached first.
 pub fn prepare(path: &Path) -> Result<PathBuf> {
-    let path = resolve(path)?;
+    let (path, mounted) = clear(path)?;
     let subject = path.display().to_string();
-    // Several dead ones may lie on top of each other.
-    loop {
-        match mounted(&path)? {
-            Mounted::Nothing => break,
-            Mounted::Dead => {
-                log::info!("{subject}: detaching a mount whose daemon is gone");
-                detach(&path, true)?;
-            }
-            Mounted::Alive => {
-                let why = format!("a gaugefs is mounted there; end it with: gaugefs umount {subject}");
-                return Err(Error::new(subject, Cause::Busy(why)));
-            }
-            Mounted::Other(what) => {
-                let why = format!("{what} is mounted there; choose another folder");
-                return Err(Error::new(subject, Cause::Busy(why)));
-            }
+    match mounted {
+        Mounted::Alive => {
+            let why = format!("a gaugefs is mounted there; end it with: gaugefs umount {subject}");
+            return Err(Error::new(subject, Cause::Busy(why)));
         }
+        Mounted::Other(what) => {
+            let why = format!("{what} is mounted there; choose another folder");
+            return Err(Error::new(subject, Cause::Busy(why)));
+        }
+        Mounted::Nothing | Mounted::Dead => {}
     }
     match fs::metadata(&path) {
         Ok(status) if !status.is_dir() => {
@@ -78,6 +71,20 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
             Err(Error::io(subject, "cannot look at it", &error))
         }
         _ => Ok(path),
+    }
+}
+
+/// Detaches what daemons that are gone have left there. Returns the full path, and what is mounted there now.
+pub(super) fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
+    let path = resolve(path)?;
+    // Several dead ones may lie on top of each other.
+    loop {
+        let mounted = mounted(&path)?;
+        if mounted != Mounted::Dead {
+            return Ok((path, mounted));
+        }
+        log::info!("{}: detaching a mount whose daemon is gone", path.display());
+        detach(&path, true)?;
     }
 }
 

@@ -15,6 +15,7 @@ mod over;
 mod preflight;
 mod rig;
 mod semantics;
+mod service;
 mod sim;
 mod sim2;
 mod sim_mac;

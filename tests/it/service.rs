@@ -1,0 +1,141 @@
+//! A daemon that mounts nothing, and `gaugefs attach`, which mounts for it: the steps of systemd's units.
+//! `gaugefs detach` is left to tests/boot: it clears away every dead mount there is, those of other tests too.
+
+use std::fs;
+use std::io::Read;
+use std::os::unix::fs::MetadataExt;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::{Pid, geteuid};
+
+use super::cli::{CHIP, command, gaugefs};
+
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A daemon as systemd starts it, which has said that it is ready.
+struct Service {
+    folder: PathBuf,
+    daemon: Child,
+}
+
+impl Service {
+    fn start(name: &str) -> Option<Self> {
+        let device = fs::File::options().read(true).write(true).open("/dev/fuse");
+        if device.is_err() || !geteuid().is_root() {
+            eprintln!("SKIPPED: without root and /dev/fuse nothing was attached to a service");
+            return None;
+        }
+        let folder = std::env::temp_dir().join(format!("gaugefs-service-{name}-{}", std::process::id()));
+        fs::create_dir_all(&folder).expect("a folder");
+        let systemd = UnixDatagram::bind(folder.join("notify")).expect("a socket");
+        systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
+        let place = folder.join("tree");
+        let arguments = ["mount", "--foreground", "--service", "--sim", CHIP, path(&place)];
+        let mut daemon = command(&arguments);
+        daemon.env("NOTIFY_SOCKET", folder.join("notify")).stderr(Stdio::piped());
+        let daemon = daemon.spawn().expect("gaugefs runs");
+        let mut word = [0; 16];
+        let length = systemd.recv(&mut word).expect("it gets ready");
+        assert_eq!(&word[..length], b"READY=1");
+        Some(Self { folder, daemon })
+    }
+
+    fn place(&self) -> PathBuf {
+        self.folder.join("tree")
+    }
+
+    fn attach(&self) {
+        let pid = self.daemon.id().to_string();
+        gaugefs(&["attach", "--pid", &pid, "--sim", CHIP, path(&self.place())]).done();
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.daemon.id() as i32), signal).expect("it is there");
+    }
+
+    /// Its exit code, and what it has said.
+    fn ended(&mut self) -> (Option<i32>, String) {
+        let code = self.daemon.wait().expect("it ends").code();
+        let mut said = String::new();
+        self.daemon.stderr.take().expect("a pipe").read_to_string(&mut said).expect("text");
+        (code, said)
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        let _ = self.daemon.kill();
+        let _ = self.daemon.wait();
+        gaugefs(&["umount", path(&self.place())]);
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn path(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+#[test]
+fn a_service_is_mounted_by_somebody_else() {
+    let Some(mut service) = Service::start("mounted") else { return };
+    assert!(!service.place().exists(), "it makes nothing itself");
+    service.attach();
+    let gauge = service.place().join("BAT0");
+    let voltage = gauge.join("voltage_now");
+    assert_ne!(fs::read_to_string(&voltage).expect("it has been read before"), "");
+    let status = fs::metadata(&voltage).expect("a file");
+    assert_eq!((status.uid(), status.gid()), (0, 0));
+    let table = fs::read_to_string("/proc/self/mountinfo").expect("mounts");
+    let line = table.lines().find(|line| line.contains(path(&service.place()))).expect("it is there");
+    for word in [
+        "nosuid,nodev,noexec",
+        "fuse.gaugefs gaugefs",
+        "user_id=0,group_id=0,default_permissions,allow_other",
+    ] {
+        assert!(line.contains(word), "`{word}` is not in: {line}");
+    }
+    // Unmounted from outside it ends as any daemon does.
+    gaugefs(&["umount", path(&service.place())]).done();
+    assert_eq!(service.ended().0, Some(0));
+}
+
+#[test]
+fn a_service_that_is_told_to_end_finishes_a_write_and_begins_no_other() {
+    let Some(mut service) = Service::start("ends") else { return };
+    service.attach();
+    let gauge = service.place().join("BAT0");
+    // Flash takes its time, so that the end comes in between.
+    fs::write(gauge.join("sim/word_ms"), "50").expect("a knob");
+    let parameter = gauge.join("df/80/53");
+    let first = parameter.clone();
+    let writer = thread::spawn(move || fs::write(first, "3100\n"));
+    let start = Instant::now();
+    while fs::read_to_string(gauge.join("sim/seal")).is_ok_and(|seal| seal == "sealed\n") {
+        assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write is not under way");
+    }
+    service.signal(Signal::SIGTERM);
+    // It waits behind the first; the daemon has gone before its turn comes.
+    let second = thread::spawn(move || fs::write(parameter, "3200\n"));
+    writer.join().expect("no panic").expect("it was finished");
+    second.join().expect("no panic").expect_err("nobody was there to begin it");
+    let (code, said) = service.ended();
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(said.matches("written and verified").count(), 1, "{said}");
+    assert!(said.contains("SIGTERM: ending"), "{said}");
+}
+
+#[test]
+fn only_a_service_can_be_attached_to() {
+    let Some(service) = Service::start("strangers") else { return };
+    let own = std::process::id().to_string();
+    let attach = |pid: &str| gaugefs(&["attach", "--pid", pid, "--sim", CHIP, path(&service.place())]);
+    attach(&own).failed(&["has not opened /dev/fuse"]);
+    attach("0").failed(&["process 0"]);
+    assert!(!service.place().exists());
+    service.signal(Signal::SIGTERM);
+}
