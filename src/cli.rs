@@ -434,7 +434,7 @@ impl Mount {
     fn options(self) -> Result<daemon::Options> {
         let Self { config, gauge, mount, foreground, service, .. } = self;
         let Some(file) = config else {
-            let gauge = gauge.gauge().expect("clap wants --sim, --bus, --replay or --config");
+            let gauge = gauge.of_node()?.gauge().expect("clap wants --sim, --bus, --replay or --config");
             return Ok(daemon::Options { service, ..mount.with(Gauges::One(Box::new(gauge)), foreground) });
         };
         let (mount, gauges) = config::read(&file, mount, gauge.bus())?;

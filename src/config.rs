@@ -21,6 +21,7 @@ use toml::de::{DeString, DeTable, DeValue};
 use crate::authentication::Order;
 use crate::bus::GAUGE_ADDRESS;
 use crate::chip::{CHIPS, Chip};
+use crate::daemon::node::Node;
 use crate::daemon::{self, Keyring, Source};
 use crate::dataflash::{Limits, WRITES_PER_HOUR};
 use crate::error::{Cause, Error, Result};
@@ -43,7 +44,8 @@ pub(crate) struct GaugeOptions {
     #[arg(long, value_name = "WORDS", value_parser = key_words, conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "sim_key")]
     sim_key: Option<Key>,
-    /// The I2C bus that the gauge is on, such as /dev/i2c-1
+    /// The I2C bus that the gauge is on, such as /dev/i2c-1, or its device, such as
+    /// /sys/bus/i2c/devices/1-0055
     #[arg(long, value_name = "DEVICE", help_heading = "Gauge")]
     bus: Option<PathBuf>,
     /// The gauge's 7-bit address [default: 0x55]
@@ -242,14 +244,16 @@ impl MountOptions {
 }
 
 impl GaugeOptions {
+    /// With a device of sysfs for a bus: what the device tree says of it, where nothing else was said.
+    pub(crate) fn of_node(self) -> Result<Self> {
+        let node = self.bus.as_deref().map(Node::find).transpose()?.flatten();
+        let Some(Node { bus, address, chip }) = node else { return Ok(self) };
+        Ok(Self { bus: Some(bus), address: self.address.or(Some(address)), chip: self.chip.or(chip), ..self })
+    }
+
     /// The bus of the command line.
     pub(crate) fn bus(&self) -> Option<&Path> {
         self.bus.as_deref()
-    }
-
-    /// Where the keys are.
-    pub(crate) fn key_file(&self) -> Option<&Path> {
-        self.key_file.as_deref()
     }
 
     /// These, and where they say nothing, the others.

@@ -33,6 +33,7 @@ pub mod background;
 mod gauges;
 pub mod log;
 pub mod mountpoint;
+pub mod node;
 pub mod service;
 
 use gauges::{Opening, Ready};

@@ -251,20 +251,20 @@ fn journals_are_told() {
 fn what_the_administrator_wrote_is_parsed() {
     let system = System::new();
     system
-        .write("etc/gaugefs/i2c-1.conf", "# a pack\nOPTIONS=--name PACK --key-file /etc/gaugefs/pack.keys\n");
-    system.says("ok", "/etc/gaugefs/i2c-1.conf", &["--name PACK"]);
+        .write("etc/gaugefs/i2c-1.toml", "# a pack\nkey-file = \"pack.keys\"\n[[gauge]]\nname = \"PACK\"\n");
+    system.says("ok", "/etc/gaugefs/i2c-1.toml", &["one gauge"]);
     system.says("problem", "/etc/gaugefs/pack.keys", &["not there"]);
     system.mode("etc/gaugefs/pack.keys", 0o640);
     system.says("problem", "/etc/gaugefs/pack.keys", &["mode 640", "chmod 600"]);
     system.mode("etc/gaugefs/pack.keys", 0o600);
     system.says("ok", "/etc/gaugefs/pack.keys", &["only its owner"]);
     system.says("problem", "gaugefs@.service", &["60-gaugefs.rules is not installed"]);
-    system.write("etc/gaugefs/i2c-1.conf", "OPTIONS=--pol 10\n");
-    system.says("problem", "/etc/gaugefs/i2c-1.conf", &["--pol"]);
-    system.write("etc/gaugefs/i2c-7.conf", "");
-    system.says("warning", "/etc/gaugefs/i2c-7.conf", &["/dev/i2c-7 is not there"]);
-    system.write("etc/gaugefs/bus.conf", "");
-    system.says("warning", "/etc/gaugefs/bus.conf", &["no bus is called bus"]);
+    system.write("etc/gaugefs/i2c-1.toml", "pol = 10\n[[gauge]]\n");
+    system.says("problem", "/etc/gaugefs/i2c-1.toml", &["line 1: pol", "poll"]);
+    system.write("etc/gaugefs/i2c-7.toml", "[[gauge]]\n");
+    system.says("warning", "/etc/gaugefs/i2c-7.toml", &["/dev/i2c-7 is not there"]);
+    system.write("etc/gaugefs/gaugefs.toml", "[[gauge]]\nbus = \"/dev/i2c-1\"\n");
+    system.says("problem", "/etc/gaugefs/gaugefs.toml", &["mount point"]);
     system.write("etc/gaugefs/gaugefs.toml", "[[gauge]\n");
     system.says("problem", "/etc/gaugefs/gaugefs.toml", &["gaugefs.toml(5)"]);
 }
@@ -272,7 +272,7 @@ fn what_the_administrator_wrote_is_parsed() {
 #[test]
 fn units_are_told_as_systemd_has_them() {
     let system = System::new();
-    system.write("etc/gaugefs/i2c-1.conf", "");
+    system.write("etc/gaugefs/i2c-1.toml", "[[gauge]]\n");
     system.units("");
     system.says("warning", "gaugefs@i2c\\x2d1.service", &["not started", "udevadm trigger /dev/i2c-1"]);
     system.units("gaugefs@i2c\\x2d1.service loaded active running Fuel gauge\n");

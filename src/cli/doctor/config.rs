@@ -4,19 +4,23 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use clap::Parser;
-use toml::de::DeTable;
-
-use super::super::{Cli, Command};
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
+use crate::config::{self, MountOptions};
 
 const FOLDER: &str = "/etc/gaugefs";
+/// The one of gaugefs.service, which names its mount point itself.
+const MANY: &str = "gaugefs";
 
-/// The buses that the udev rule starts a service for: `i2c-1` of `i2c-1.conf`.
+/// The buses that the udev rule starts a service for: `i2c-1` of `i2c-1.toml`.
 pub(super) fn buses(host: &Host) -> Vec<String> {
     let names = host.names(FOLDER).into_iter();
-    names.filter_map(|name| Some(name.strip_suffix(".conf")?.to_string())).collect()
+    let stems = names.filter_map(|name| Some(name.strip_suffix(".toml")?.to_string()));
+    stems.filter(|name| is_bus(name)).collect()
+}
+
+fn is_bus(name: &str) -> bool {
+    name.strip_prefix("i2c-").is_some_and(|number| number.parse::<u32>().is_ok())
 }
 
 pub(super) fn look(host: &Host) -> Vec<Finding> {
@@ -24,11 +28,7 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     for name in host.names(FOLDER) {
         let path = format!("{FOLDER}/{name}");
         match name.rsplit_once('.') {
-            Some((bus, "conf")) => findings.push(environment(host, &path, bus, &mut key_files)),
-            Some((_, "toml")) => findings.push(match DeTable::parse(&host.text(&path)) {
-                Ok(_) => ok(path, "can be read"),
-                Err(error) => problem(path, error.message(), "Correct it; see gaugefs.toml(5)."),
-            }),
+            Some((name, "toml")) => findings.push(configuration(host, &path, name, &mut key_files)),
             Some((_, "keys")) => key_files.push(path.into()),
             _ => {}
         }
@@ -39,40 +39,39 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// The settings of a bus's service: a line OPTIONS, which is parsed as the service's command line is.
-fn environment(host: &Host, path: &str, bus: &str, key_files: &mut Vec<PathBuf>) -> Finding {
-    if bus.strip_prefix("i2c-").is_none_or(|number| number.parse::<u32>().is_err()) {
-        let says = format!("no bus is called {bus}, so nothing reads it");
-        return warning(path, says, "Call it after the bus: i2c-1.conf for /dev/i2c-1.");
-    }
-    let text = host.text(path);
-    let options = text.lines().rev().find_map(|line| line.trim().strip_prefix("OPTIONS="));
-    let options = options.unwrap_or_default().trim_matches(['"', '\'']);
-    let (device, place) = (format!("/dev/{bus}"), format!("/run/gaugefs/{bus}"));
-    let mut words = vec!["gaugefs", "mount", "--foreground", "--bus", &device];
-    words.extend(options.split_ascii_whitespace());
-    words.push(&place);
-    match Cli::try_parse_from(words) {
-        Ok(Cli { command: Command::Mount(mount) }) => {
-            key_files.extend(mount.gauge.key_file().map(Path::to_path_buf));
-        }
-        Ok(_) => {}
+/// What a service is told, read as the service reads it.
+fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBuf>) -> Finding {
+    let device = is_bus(name).then(|| format!("/dev/{name}"));
+    // Any other is for `gaugefs mount --config`, or a rule of the administrator's.
+    let place = (name != MANY).then(|| format!("/run/gaugefs/{name}").into());
+    let mount = MountOptions { mountpoint: place, ..MountOptions::default() };
+    let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));
+    let gauges = match config::read(&host.at(path), mount, bus) {
+        Ok((_, gauges)) => gauges,
         Err(error) => {
-            let why = error.to_string();
-            let why = why.lines().next().unwrap_or_default().trim_start_matches("error: ").to_string();
-            return problem(path, why, "Correct OPTIONS; see gaugefs mount --help");
+            let why = error.to_string().replace(&*host.at(path).to_string_lossy(), path);
+            let why = why.strip_prefix(&format!("{path}: ")).unwrap_or(&why).to_string();
+            return problem(path, why, "Correct it; see gaugefs.toml(5).");
         }
+    };
+    let files = gauges.iter().filter_map(|gauge| gauge.keyring.file.as_deref());
+    key_files.extend(files.map(|file| {
+        let below = file.strip_prefix(host.at(FOLDER)).map(|below| Path::new(FOLDER).join(below));
+        below.unwrap_or_else(|_| file.to_path_buf())
+    }));
+    match device.filter(|device| !host.has(device)) {
+        Some(device) => {
+            warning(path, format!("{device} is not there"), "Its service starts when the bus appears.")
+        }
+        None if gauges.len() == 1 => ok(path, "one gauge"),
+        None => ok(path, format!("{} gauges", gauges.len())),
     }
-    if !host.has(&device) {
-        return warning(path, format!("{device} is not there"), "Its service starts when the bus appears.");
-    }
-    ok(path, if options.is_empty() { "no options" } else { options })
 }
 
 fn keys(host: &Host, path: &Path) -> Finding {
     let what = path.display().to_string();
     let Ok(status) = fs::metadata(host.at(&what)) else {
-        return problem(what, "a key file that is not there", "Write it, or take --key-file away.");
+        return problem(what, "a key file that is not there", "Write it, or take key-file away.");
     };
     let mode = status.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {

@@ -1,0 +1,103 @@
+//! A gauge that the device tree has: where it is, and what, as its device in sysfs tells.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::bus::GAUGE_ADDRESS;
+use crate::chip::{CHIPS, Chip};
+use crate::error::{Cause, Error, Result};
+
+/// What `/sys/bus/i2c/devices/1-0055` stands for.
+#[derive(Debug)]
+pub struct Node {
+    /// The adapter's node.
+    pub bus: PathBuf,
+    /// Its 7-bit address.
+    pub address: u8,
+    /// What it is, where the tree has a name for it that is known.
+    pub chip: Option<&'static Chip>,
+}
+
+impl Node {
+    /// The device of that folder; `None` where it is no folder.
+    pub fn find(path: &Path) -> Result<Option<Self>> {
+        if !path.is_dir() {
+            return Ok(None);
+        }
+        let subject = path.display().to_string();
+        let device = fs::canonicalize(path).map_err(|error| Error::io(&subject, "cannot find it", &error))?;
+        let name = |path: Option<&Path>| Some(path?.file_name()?.to_str()?.to_string());
+        let adapter = name(device.parent()).filter(|name| name.starts_with("i2c-"));
+        let (Some(adapter), Some(name)) = (adapter, name(Some(&device))) else {
+            let why = "no I2C device; name a bus, or one such as /sys/bus/i2c/devices/1-0055";
+            return Err(Error::new(subject, Cause::Invalid(why.into())));
+        };
+        let modalias = fs::read_to_string(device.join("modalias")).unwrap_or_default();
+        Ok(Some(Self {
+            bus: Path::new("/dev").join(adapter),
+            address: address(&name),
+            chip: chip(&modalias),
+        }))
+    }
+}
+
+/// The address stands in the name, but where the name is ACPI's: there it is where TI puts it.
+fn address(name: &str) -> u8 {
+    let digits = name.split_once('-').map(|(_, digits)| digits).filter(|digits| digits.len() == 4);
+    digits.and_then(|digits| u8::from_str_radix(digits, 16).ok()).unwrap_or(GAUGE_ADDRESS)
+}
+
+/// `of:NgaugeT(null)Cti,bq27520g3`: what it is compatible with, the best first.
+fn chip(modalias: &str) -> Option<&'static Chip> {
+    let words = modalias.trim().strip_prefix("of:")?.split('C').filter_map(|word| word.strip_prefix("ti,"));
+    words.filter_map(|word| CHIPS.iter().copied().find(|chip| compatible(chip).contains(&word.into()))).next()
+}
+
+/// The kernel's names have no dash, and most have no word for the first generation.
+fn compatible(chip: &Chip) -> Vec<String> {
+    let name = chip.name.replace('-', "");
+    let short = name.strip_suffix("g1").map(str::to_string);
+    [Some(name), short].into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_tells_bus_address_and_chip() {
+        let top = std::env::temp_dir().join(format!("gaugefs-node-{}", std::process::id()));
+        let device = top.join("i2c-7/7-0045");
+        fs::create_dir_all(&device).expect("a folder");
+        fs::write(device.join("modalias"), "of:NgaugeT(null)Cacme,packCti,bq27520g3\n").expect("a file");
+        let link = top.join("7-0045");
+        std::os::unix::fs::symlink(&device, &link).expect("a link, as in /sys/bus");
+        let node = Node::find(&link).expect("a device").expect("a folder");
+        assert_eq!(node.bus, Path::new("/dev/i2c-7"));
+        assert_eq!(node.address, 0x45);
+        assert_eq!(node.chip.expect("it is known").name, "bq27520-g3");
+        Node::find(&top).expect_err("no device");
+        assert!(Node::find(Path::new("/dev/null")).expect("it may be a bus").is_none());
+        fs::remove_dir_all(&top).expect("it was made here");
+    }
+
+    #[test]
+    fn acpi_has_names_without_an_address() {
+        assert_eq!(address("i2c-PRP0001:00"), 0x55);
+        assert_eq!(address("10-000b"), 0x0b);
+    }
+
+    #[test]
+    fn every_gauge_has_a_name_that_the_rule_knows() {
+        let rules = include_str!("../../udev/60-gaugefs.rules");
+        for gauge in CHIPS {
+            let known = compatible(gauge)
+                .into_iter()
+                .find(|name| rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")));
+            let name = known.unwrap_or_else(|| panic!("{} is not in the rule", gauge.name));
+            assert_eq!(chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name), Some(gauge.name));
+        }
+        assert!(chip("of:NgT(null)Cti,bq27520g4").is_none());
+        assert!(chip("i2c:bq34z100").is_none());
+    }
+}
