@@ -11,12 +11,13 @@
 use std::borrow::Cow;
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, ErrorKind, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
 use nix::fcntl::{FallocateFlags, fallocate};
 use nix::libc;
+use nix::unistd::geteuid;
 use sha1::{Digest as _, Sha1};
 
 use crate::codec::WINDOW;
@@ -118,7 +119,11 @@ impl Journal {
         let mut options = File::options();
         options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
         let mut file = options.open(&temporary)?;
-        let stored = file.write_all(text.as_bytes()).and_then(|()| {
+        // Where the folder is a service's, the service has to be able to settle what root leaves there.
+        let owner = fs::metadata(&self.folder)?;
+        let owned =
+            if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
+        let stored = owned.and_then(|()| file.write_all(text.as_bytes())).and_then(|()| {
             // File systems that cannot keep room find out later that there is none: before the first block.
             match fallocate(&file, FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, (text.len() + room) as i64) {
                 Ok(()) | Err(Errno::EOPNOTSUPP | Errno::ENOSYS) => Ok(()),
