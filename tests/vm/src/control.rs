@@ -8,6 +8,7 @@
 //! log [clear]                              the last transfers, a line each
 //! pass SECONDS                             time goes on by so much, at the gauge's `speed`
 //! pace on|off                              the bus takes its time at 100 kHz, or none
+//! strange on|off                           what answers is the gauge no more, but something else
 //! unplug   plug                            the adapter itself (needs --qmp)
 //! ```
 
@@ -81,6 +82,8 @@ impl Control {
             }
             ["pace", "on"] => gauge.clock.pace(true),
             ["pace", "off"] => gauge.clock.pace(false),
+            ["strange", "on"] => wire.strange = true,
+            ["strange", "off"] => wire.strange = false,
             ["counters"] => {
                 let Counters { transfers, bytes, bits, refused } = wire.counters;
                 return Ok(format!("transfers {transfers}\nbytes {bytes}\nbits {bits}\nrefused {refused}\n"));
