@@ -92,7 +92,9 @@ impl Sample {
         let uevent = fs::read_to_string(folder.join("uevent"))?;
         let attributes = uevent.lines().filter_map(|line| {
             let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
-            Some((name.to_lowercase(), value.to_string()))
+            // A name may have a `_` of its own; in all else uevent has it for a space.
+            let value = if name == "NAME" { value.to_string() } else { value.replace('_', " ") };
+            Some((name.to_lowercase(), value))
         });
         let gauge = folder.join("gauge");
         let names = |folder: &Path| -> io::Result<Vec<String>> {
@@ -164,10 +166,10 @@ impl Sample {
         self.attribute("present") == Some("1") && self.moment.is_some()
     }
 
-    /// `Status` as a person reads it; uevent has no spaces.
+    /// `Status` as a person reads it.
     pub(super) fn status(&self) -> String {
         match self.attribute("status") {
-            Some(status) if self.present() => status.replace('_', " "),
+            Some(status) if self.present() => status.into(),
             _ => "absent".into(),
         }
     }

@@ -258,7 +258,7 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     facts.push(if sample.moment.is_some() { format!("polled {polled:.0} s ago") } else { "absent".into() });
     facts.extend(sample.seal.clone());
     facts.extend(time_left(sample));
-    facts.extend(sample.attribute("health").map(|health| format!("health {}", health.replace('_', " "))));
+    facts.extend(sample.attribute("health").map(|health| format!("health {}", health)));
     facts.extend(sample.number("cycle_count").map(|count| format!("{count} cycles")));
     facts.extend(sample.number("state_of_health").map(|percent| format!("state of health {percent} %")));
     let mut line = String::new();

@@ -278,7 +278,7 @@ fn top_prints_json_until_its_reader_has_seen_enough() {
             "\"path\": \"",
             "\"name\": \"BAT0\"",
             "\"voltage_now\": 3855000",
-            "\"status\": \"Not_charging\"",
+            "\"status\": \"Not charging\"",
             "\"flags\": [\"CHG\", \"OCVTAKEN\"]",
             "\"passed_charge\": 0",
             "\"seal\": \"sealed\"",
