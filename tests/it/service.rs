@@ -6,7 +6,7 @@ use std::io::Read;
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -132,9 +132,10 @@ fn a_service_that_is_told_to_end_finishes_a_write_and_begins_no_other() {
 #[test]
 fn only_a_service_can_be_attached_to() {
     let Some(service) = Service::start("strangers") else { return };
-    let own = std::process::id().to_string();
+    let mut stranger = Command::new("sleep").arg("60").spawn().expect("sleep runs");
     let attach = |pid: &str| gaugefs(&["attach", "--pid", pid, "--sim", CHIP, path(&service.place())]);
-    attach(&own).failed(&["has not opened /dev/fuse"]);
+    attach(&stranger.id().to_string()).failed(&["has not opened /dev/fuse"]);
+    stranger.kill().and_then(|()| stranger.wait()).expect("it ends");
     attach("0").failed(&["process 0"]);
     assert!(!service.place().exists());
     service.signal(Signal::SIGTERM);

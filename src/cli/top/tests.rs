@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::Terminal;
@@ -23,7 +24,9 @@ struct Tree(PathBuf);
 
 impl Tree {
     fn new(name: &str, current_ua: i64) -> Self {
-        let root = std::env::temp_dir().join(format!("gaugefs top {} {name}", std::process::id()));
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let (own, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let root = std::env::temp_dir().join(format!("gaugefs top {own} {count} {name}"));
         let tree = Self(root);
         let status = if current_ua < 0 { "Discharging" } else { "Charging" };
         tree.file(
