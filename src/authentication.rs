@@ -12,6 +12,7 @@ use crate::chip::Authentication;
 use crate::codec::checksum;
 use crate::error::{Cause, Error, Result};
 use crate::gauge::{Gauge, Seal, Statistics};
+use crate::text;
 
 /// DataFlashBlock(): 0 stands for challenge and digest.
 const DATA_FLASH_BLOCK: u8 = 0x3f;
@@ -157,25 +158,16 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
 
 /// A challenge or a digest as text, two digits a byte.
 pub fn to_hex(message: &Message) -> String {
-    message.iter().map(|byte| format!("{byte:02x}")).collect()
+    text::hex(message)
 }
 
 /// The same, read back; spaces around it are fine. The error does not repeat what may be a key.
-pub fn from_hex(text: &[u8]) -> Result<Message> {
-    let digits = text.trim_ascii();
-    let digit = |byte: u8| char::from(byte).to_digit(16).map(|digit| digit as u8);
-    let mut message = [0; LENGTH];
-    let bytes = digits.chunks(2).map(|pair| match *pair {
-        [high, low] => Some(digit(high)? << 4 | digit(low)?),
-        _ => None,
-    });
-    let whole = digits.len() == 2 * LENGTH
-        && message.iter_mut().zip(bytes).all(|(into, byte)| byte.map(|byte| *into = byte).is_some());
-    if !whole {
+pub fn from_hex(digits: &[u8]) -> Result<Message> {
+    let message = text::unhex(digits.trim_ascii()).and_then(|bytes| bytes.try_into().ok());
+    message.ok_or_else(|| {
         let why = format!("expected a challenge of {LENGTH} bytes as {} hexadecimal digits", 2 * LENGTH);
-        return Err(Error::new("authenticate", Cause::Invalid(why)));
-    }
-    Ok(message)
+        Error::new("authenticate", Cause::Invalid(why))
+    })
 }
 
 #[cfg(test)]

@@ -204,10 +204,9 @@ impl DataFlash {
             let why = "keys cannot be changed like other parameters";
             return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
         }
-        let programmed = Statistics::read(&gauge.statistics.flash_writes);
-        let outcome = self.check_wear(gauge).and_then(|()| self.transact(gauge, changes, waited));
-        let blocks = Statistics::read(&gauge.statistics.flash_writes) - programmed;
-        self.wear.record(gauge.clock.now(), blocks);
+        let outcome = self.check_wear(gauge).and_then(|()| {
+            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, waited))
+        });
         self.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
@@ -218,11 +217,7 @@ impl DataFlash {
 
     /// One visit, after whatever an earlier one has left behind.
     fn transact(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
-        let asked = gauge.clock.now();
-        if let Some(told) = self.settle(gauge, waited)? {
-            log::warn!("{}: {told}", gauge.chip.name);
-        }
-        let waited = waited + (gauge.clock.now() - asked);
+        let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge| {
             gauge.claim()?;
             let found = self.preflight(gauge, changes)?;

@@ -817,9 +817,9 @@ impl Fs {
             let kept = at.and_then(|at| self.entry(gauge).handle.kept(at));
             lines += &if raw::is_raw(&run[0]) {
                 let (id, offset) = (subclass.id, usize::from(parameter.offset));
-                let old = kept.map_or("-".into(), |kept| hexadecimal(&kept[offset..offset + run.len()]));
+                let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + run.len()]));
                 let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
-                format!("raw {id}/{offset}: {old} -> {}\n", hexadecimal(&new))
+                format!("raw {id}/{offset}: {old} -> {}\n", text::hex(&new))
             } else {
                 let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
                 let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
@@ -984,10 +984,6 @@ fn known(chip: &'static Chip, snapshot: Option<&Snapshot>) -> impl Iterator<Item
         move |register: &Register| snapshot.is_some_and(|snapshot| snapshot.value(register).is_some());
     let shown = (0..).zip(chip.registers).filter(|(_, register)| register.tier != Tier::Window);
     shown.filter(move |(_, register)| there(register))
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn set_bits(bits: &[Bit], word: i64) -> String {

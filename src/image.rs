@@ -174,7 +174,7 @@ impl Raw {
 
     /// The bytes in hexadecimal.
     pub fn text(&self) -> String {
-        hexadecimal(&self.bytes)
+        text::hex(&self.bytes)
     }
 
     fn ends_before(&self, subclass: u8, offset: u16) -> bool {
@@ -184,13 +184,9 @@ impl Raw {
 
 impl fmt::Display for RawDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let old = self.old.as_deref().map_or("-".into(), hexadecimal);
+        let old = self.old.as_deref().map_or("-".into(), text::hex);
         write!(f, "{}: {old} -> {}", self.new.name(), self.new.text())
     }
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl Image {

@@ -23,6 +23,7 @@ use sha1::{Digest as _, Sha1};
 use crate::codec::WINDOW;
 use crate::error::{Error, Result};
 use crate::gauge::Seal;
+use crate::text::{hex, unhex};
 
 const HEAD: &str = "gaugefs journal 1";
 /// No more bytes than this stand in a line for a block, and around those lines.
@@ -234,10 +235,6 @@ fn sum(text: &str) -> String {
     hex(&Sha1::digest(text))
 }
 
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 fn parse(text: &str) -> Option<Entry> {
     let (head, rest) = text.split_once('\n')?;
     let (gauge, rest) = rest.split_once('\n')?;
@@ -283,14 +280,7 @@ fn parse_block(line: &str) -> Option<Block> {
 }
 
 fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
-    if digits.len() != 2 * WINDOW || !digits.is_ascii() {
-        return None;
-    }
-    let mut bytes = [0; WINDOW];
-    for (at, byte) in bytes.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).ok()?;
-    }
-    Some(bytes)
+    unhex(digits.as_bytes())?.try_into().ok()
 }
 
 #[cfg(test)]

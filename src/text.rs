@@ -118,6 +118,18 @@ fn integer(text: &str) -> Option<Option<i64>> {
     Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
 }
 
+/// Two hexadecimal digits a byte.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The same, read back; `None` where anything else stands in it.
+pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
+    let digit = |byte: u8| char::from(byte).to_digit(16).map(|digit| digit as u8);
+    let byte = |pair: &[u8]| Some(digit(pair[0])? << 4 | digit(pair[1])?);
+    if digits.len().is_multiple_of(2) { digits.chunks_exact(2).map(byte).collect() } else { None }
+}
+
 #[cfg(test)]
 mod tests {
     use nix::errno::Errno;

@@ -77,10 +77,8 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<()> {
         let name = change.name.as_str();
-        let programmed = Statistics::read(&gauge.statistics.flash_writes);
-        let outcome = self.change_key_unnamed(gauge, change, order, waited);
-        let blocks = Statistics::read(&gauge.statistics.flash_writes) - programmed;
-        self.wear.record(gauge.clock.now(), blocks);
+        let outcome = self
+            .counted(gauge, |dataflash, gauge| dataflash.change_key_unnamed(gauge, change, order, waited));
         gauge.limit(None);
         wipe_stack();
         outcome.map_err(|error| error.within(&format!("{name} key")))
@@ -95,9 +93,7 @@ impl DataFlash {
     ) -> Result<()> {
         let (block, at) = place(gauge.chip, change.name)?;
         check_new(gauge, change)?;
-        if let Some(told) = self.settle(gauge, waited)? {
-            log::warn!("{}: {told}", gauge.chip.name);
-        }
+        let waited = self.settle_first(gauge, waited)?;
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;
         let found = self.preflight(gauge, &[])?;

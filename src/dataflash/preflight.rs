@@ -70,15 +70,6 @@ impl DataFlash {
         self.doubts
     }
 
-    /// Refuses while flash has been programmed too often; RAM does not wear.
-    pub(super) fn check_wear(&mut self, gauge: &Gauge) -> Result<()> {
-        match self.limits.writes_per_hour {
-            0 => Ok(()),
-            _ if gauge.chip.volatile.is_some() => Ok(()),
-            limit => self.wear.check(gauge.clock.now(), limit),
-        }
-    }
-
     /// All that can be looked at without unsealing.
     pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
@@ -266,7 +257,7 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
+pub(super) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     match word {
         Word::ControlStatus => Ok(gauge.control_status()?.1),
         Word::Answer(code) => gauge.ask(code),

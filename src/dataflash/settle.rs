@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::preflight::read_word;
 use super::{DataFlash, Dirty, Place, Visit, in_time, locate, sequence, verify_written};
 use crate::chip::{Chip, FLAT, Kind, Role, Word};
 use crate::codec::WINDOW;
@@ -66,6 +67,16 @@ impl DataFlash {
         told.map(Some).map_err(|error| error.within("a write that was cut off cannot be settled"))
     }
 
+    /// The same before a write, which says it in the log alone. Returns how long ago that write was asked for
+    /// by then.
+    pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
+        let begun = gauge.clock.now();
+        if let Some(told) = self.settle(gauge, waited)? {
+            log::warn!("{}: {told}", gauge.chip.name);
+        }
+        Ok(waited + (gauge.clock.now() - begun))
+    }
+
     /// Journals of other gauges that have been at this one's place; they are left alone.
     pub fn journals_of_others(&mut self, gauge: &mut Gauge) -> Result<Vec<PathBuf>> {
         let Some(journal) = self.journal.clone() else { return Ok(Vec::new()) };
@@ -103,10 +114,7 @@ fn serial(chip: &Chip) -> Option<(u8, (u8, u16))> {
 /// The serial number that the gauge shows; read until two agree, as I2C has no check of its own.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     let Some((register, _)) = serial(gauge.chip) else { return Ok(0) };
-    let mut read = || {
-        let mut word = [0; 2];
-        gauge.read(register, &mut word).map(|()| u16::from_le_bytes(word))
-    };
+    let mut read = || read_word(gauge, Word::Register(register));
     let mut last = read()?;
     for _ in 0..3 {
         let next = read()?;
@@ -194,9 +202,7 @@ fn look(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
 fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((lost, flags)) = chip.volatile.zip(chip.register(Role::Flags)) else { return Ok(false) };
-    let mut word = [0; 2];
-    gauge.read(flags.code, &mut word)?;
-    Ok(u16::from_le_bytes(word) & lost != 0)
+    Ok(read_word(gauge, Word::Register(flags.code))? & lost != 0)
 }
 
 /// Whether a byte of a window is a key's. Only a flat window can reach beyond its own subclass.

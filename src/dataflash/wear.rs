@@ -4,7 +4,9 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use super::DataFlash;
 use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Statistics};
 
 /// The span in which blocks are counted.
 const HOUR: Duration = Duration::from_secs(3600);
@@ -14,6 +16,30 @@ const HOUR: Duration = Duration::from_secs(3600);
 pub(super) struct Wear {
     /// When, and how many; oldest first.
     spent: VecDeque<(Duration, u64)>,
+}
+
+impl DataFlash {
+    /// Refuses while flash has been programmed too often; RAM does not wear.
+    pub(super) fn check_wear(&mut self, gauge: &Gauge) -> Result<()> {
+        match self.limits.writes_per_hour {
+            0 => Ok(()),
+            _ if gauge.chip.volatile.is_some() => Ok(()),
+            limit => self.wear.check(gauge.clock.now(), limit),
+        }
+    }
+
+    /// Does what may program flash, and counts what it has, whatever came of it.
+    pub(super) fn counted<T>(
+        &mut self,
+        gauge: &mut Gauge,
+        run: impl FnOnce(&mut Self, &mut Gauge) -> T,
+    ) -> T {
+        let before = Statistics::read(&gauge.statistics.flash_writes);
+        let outcome = run(self, gauge);
+        let blocks = Statistics::read(&gauge.statistics.flash_writes) - before;
+        self.wear.record(gauge.clock.now(), blocks);
+        outcome
+    }
 }
 
 impl Wear {

@@ -11,6 +11,7 @@ use crate::chip::{Chip, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::WINDOW;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
+use crate::text;
 use crate::value::types::H1;
 
 /// Rows for bytes without one, made when they are first asked for and kept: a gauge has only so many, and
@@ -100,13 +101,7 @@ fn unknown(id: u8) -> &'static Subclass {
 }
 
 fn bytes(digits: &str) -> Option<Vec<u8>> {
-    let digits = digits.as_bytes();
-    let fits = digits.len().is_multiple_of(2) && (1..=WINDOW).contains(&(digits.len() / 2));
-    let byte = |two: &[u8]| {
-        let [high, low] = [two[0], two[1]].map(|digit| char::from(digit).to_digit(16));
-        Some((high? << 4 | low?) as u8)
-    };
-    if fits { digits.chunks_exact(2).map(byte).collect() } else { None }
+    text::unhex(digits.as_bytes()).filter(|bytes| (1..=WINDOW).contains(&bytes.len()))
 }
 
 fn invalid(why: String) -> Error {

@@ -97,7 +97,7 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
         parameter.unit.to_string(),
         String::new(),
         parameter.unit.to_string(),
-        raw.iter().map(|byte| format!("{byte:02x}")).collect(),
+        text::hex(&raw),
     ]
 }
 

@@ -45,11 +45,7 @@ const CASES: &[Case] = &[
 
 impl Case {
     fn rig(&self) -> Rig {
-        let mut rig = Rig::new(self.chip);
-        if self.found != Seal::Sealed {
-            rig.dataflash.go_to(&mut rig.gauge, self.found, Duration::ZERO).expect("the default keys");
-        }
-        rig
+        Rig::found(self.chip, self.found)
     }
 
     fn run(&self, rig: &mut Rig) -> gaugefs::error::Result<Outcome> {

@@ -111,11 +111,7 @@ impl Drop for Folder {
 
 impl Case {
     fn rig(&self) -> Rig {
-        let mut rig = Rig::new(self.chip);
-        if self.found != Seal::Sealed {
-            rig.dataflash.go_to(&mut rig.gauge, self.found, Duration::ZERO).expect("the default keys");
-        }
-        rig
+        Rig::found(self.chip, self.found)
     }
 
     fn changes(&self, rig: &Rig) -> Vec<Change> {

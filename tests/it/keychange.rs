@@ -52,11 +52,7 @@ fn run(rig: &mut Rig, text: &str) -> Result<()> {
 
 impl Case {
     fn rig(&self) -> Rig {
-        let mut rig = Rig::new(self.chip);
-        if self.found != Seal::Sealed {
-            rig.dataflash.go_to(&mut rig.gauge, self.found, Duration::ZERO).expect("the default keys");
-        }
-        rig
+        Rig::found(self.chip, self.found)
     }
 
     fn name(&self) -> String {

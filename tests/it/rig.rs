@@ -38,6 +38,15 @@ impl Rig {
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 
+    /// One that is found in that seal state.
+    pub(crate) fn found(chip: &str, found: Seal) -> Self {
+        let mut rig = Self::new(chip);
+        if found != Seal::Sealed {
+            rig.dataflash.go_to(&mut rig.gauge, found, Duration::ZERO).expect("the default keys");
+        }
+        rig
+    }
+
     /// A parameter and what it belongs to; with `FLAT` and an address on a part without subclasses.
     fn find(&self, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
         let mut alike = self.gauge.chip.subclasses.iter().filter(|row| row.id == subclass);
