@@ -6,12 +6,12 @@ use std::fs;
 use std::io::{Read, Seek};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use gaugefs::chip::{CHIPS, snake_case};
 use nix::errno::Errno;
 
+use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
 
 const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
@@ -29,34 +29,24 @@ fn quoted(cell: &str) -> impl Iterator<Item = &str> {
     cell.split('`').skip(1).step_by(2)
 }
 
-/// A simulated gauge, mounted by the program as a user would.
-struct Mount {
-    folder: PathBuf,
-    daemon: Child,
-}
+/// A simulated gauge, mounted by the program as a user would. Unmounted with its folder.
+struct Mount(Folder);
 
 impl Mount {
     fn new(chip: &str, more: &[&str]) -> Option<Self> {
-        use std::sync::atomic::{AtomicU32, Ordering};
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
-            eprintln!("SKIPPED: /dev/fuse cannot be opened; the document was not compared with a mount");
+        if !can_mount() {
             return None;
         }
-        let number = COUNT.fetch_add(1, Ordering::Relaxed);
-        let folder = std::env::temp_dir().join(format!("gaugefs-semantics-{}-{number}", std::process::id()));
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
-        command.args(["mount", "-f", "--sim", chip]).args(more).arg(&folder);
-        let daemon = command.stderr(Stdio::null()).spawn().expect("gaugefs runs");
-        let mount = Self { folder, daemon };
-        mount.until("mounted", |mount| mount.path("present").exists());
+        let folder = Folder::new();
+        gaugefs(&[&["mount", "--sim", chip, &folder.file("m")], more].concat()).done();
+        let mount = Self(folder);
         // The registers that no attribute needs come with the second poll.
         mount.until("a second poll", |mount| mount.number("gauge/statistics/polls") >= 2);
         Some(mount)
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.join("BAT0").join(name)
+        self.0.0.join("m/BAT0").join(name)
     }
 
     fn cat(&self, name: &str) -> String {
@@ -73,12 +63,9 @@ impl Mount {
         fs::write(self.path(name), format!("{text}\n")).map_err(errno)
     }
 
+    #[track_caller]
     fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
-        let end = Instant::now() + Duration::from_secs(60);
-        while !holds(self) {
-            assert!(Instant::now() < end, "{what}: does not come");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        within(Duration::from_secs(60), what, || holds(self));
     }
 
     /// Names and modes of the files of a folder of the gauge.
@@ -86,16 +73,6 @@ impl Mount {
         let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
         let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
         entries.map(|entry| (entry.file_name().to_string_lossy().into_owned(), mode(entry.path()))).collect()
-    }
-}
-
-impl Drop for Mount {
-    fn drop(&mut self) {
-        let _ = self.daemon.kill();
-        let _ = self.daemon.wait();
-        let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
-        let _ = Command::new("fusermount3").args(["-uzq", "--"]).arg(&self.folder).status();
-        let _ = fs::remove_dir(&self.folder);
     }
 }
 
