@@ -44,7 +44,7 @@ pub static CHIP: Chip = Chip {
     access: Access {
         scheme: Scheme::CfgUpdate,
         // No document gives it; Zephyr's bq274xx waits so long.
-        select: Duration::from_millis(5),
+        select: Duration::from_millis(30),
         // What a shipped product waits before it reads the checksum back; SLUA801 has it for the family.
         commit: Duration::from_millis(10),
         // 2.4.3: at least so long, where the bq27441-G1 is asked at once.

@@ -1,6 +1,8 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
+use std::time::Duration;
+
 use super::{Dirty, Place, Sequence};
 use crate::codec::{WINDOW, checksum};
 use crate::error::{Cause, Error, Result, Step};
@@ -17,6 +19,12 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 /// BlockDataControl() for the blocks that a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
 
+/// Time between two readings of the window that have to agree. A window that is not ready yet still shows the
+/// block before, or a blank one, with a checksum that is valid for it.
+const APART: Duration = Duration::from_millis(20);
+/// Readings of one selection before the gauge is given up.
+const READINGS: u32 = 4;
+
 pub(super) struct Block;
 
 impl Sequence for Block {
@@ -29,7 +37,7 @@ impl Sequence for Block {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
-        let first = load_once(gauge, place);
+        let first = load_settled(gauge, place);
         if let Ok((window, true)) = first {
             return Ok(window);
         }
@@ -40,7 +48,7 @@ impl Sequence for Block {
         // What does not echo its selection counts when a second selection leads to the same bytes.
         Statistics::count(&gauge.statistics.retries);
         gauge.wait(gauge.chip.access.select * 4);
-        let (window, echoed) = load_once(gauge, place)?;
+        let (window, echoed) = load_settled(gauge, place)?;
         if echoed || first.is_ok_and(|(first, _)| first == window) {
             return Ok(window);
         }
@@ -88,11 +96,26 @@ fn select(gauge: &mut Gauge, place: Place) -> Result<()> {
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
+/// Selects a block and reads it until two readings, some time apart, agree.
+fn load_settled(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
+    select(gauge, place)?;
+    let mut before = read_window(gauge, place);
+    for _ in 1..READINGS {
+        gauge.wait(APART);
+        let now = read_window(gauge, place);
+        if now.is_ok() && now == before {
+            return now;
+        }
+        before = now;
+    }
+    let why = format!("{}: the block reads differently each time", place.name(0));
+    before.and(Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock)))
+}
+
 /// The block, its checksum in order, and whether the gauge says that this block was selected. With
 /// BlockDataControl() at 1, where a lost bit can put it, the window has nothing to do with data flash,
 /// and all the rest is in order: so that is read as well.
-fn load_once(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
-    select(gauge, place)?;
+fn read_window(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];

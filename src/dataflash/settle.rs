@@ -60,6 +60,10 @@ impl DataFlash {
             let outcome = outcome
                 .and_then(|()| sequence(gauge).enable(gauge))
                 .and_then(|()| settle(gauge, &mut visit, entry.plan.as_ref()));
+            if outcome.is_err() {
+                // The file stays: nothing has been settled.
+                visit.journal = None;
+            }
             visit.close(gauge, outcome)
         });
         // It may be the serial number that was settled.

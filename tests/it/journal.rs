@@ -221,6 +221,45 @@ fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
     );
 }
 
+/// What cannot be settled now stays on record until it can be.
+#[test]
+fn regression_a_journal_outlives_a_settling_that_failed() {
+    let case = &CASES[0];
+    let (old, new) = case.model();
+    let folder = Folder::new("kept");
+    let mut rig = case.rig();
+    let changes = case.changes(&rig);
+    let write =
+        |dataflash: &mut DataFlash, gauge: &mut Gauge| dataflash.write(gauge, &changes, Duration::ZERO);
+    let (_, transfers) = host(&case.rig(), &folder, None, write);
+    host(&rig, &folder, Some((transfers * 2 / 3, true)), write);
+    // The gauge loses its power as well, and comes back sealed.
+    rig.sim.set("power", "off").expect("a knob");
+    rig.sim.set("power", "on").expect("a knob");
+    rig.clock.sleep(Duration::from_secs(5));
+    let kept = folder.files();
+    assert_eq!(kept.len(), 1, "{kept:?}");
+    // No key; then a gauge that does not answer; then a bus on which every transfer fails.
+    for fault in ["no key", "power", "noise"] {
+        let keys = Keys { no_default: fault == "no key", ..Keys::default() };
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        match fault {
+            "power" => rig.sim.set("power", "off").expect("a knob"),
+            "noise" => rig.sim.set("fault", "random 1000").expect("a knob"),
+            _ => {}
+        }
+        let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        let outcome = dataflash.settle(&mut gauge, Duration::ZERO);
+        rig.sim.set("power", "on").expect("a knob");
+        rig.sim.set("fault", "none").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(5));
+        outcome.expect_err(fault);
+        assert_eq!(folder.files(), kept, "{fault}");
+    }
+    assert!(restart(&rig, &folder, None).0.expect("no cut").is_some());
+    check(case, &mut rig, &folder, &(old, new), "settled at last");
+}
+
 /// A bus whose gauge's voltage sinks below the limit under which it stores nothing.
 struct Sinks<B> {
     bus: B,

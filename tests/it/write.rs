@@ -75,10 +75,10 @@ fn the_bytes_are_those_of_the_manuals_example() {
 fn a_write_costs_no_more_than_promised() {
     let mut rig = Rig::new("bq34z100-g1");
     let (transfers, bytes) = spent(&mut rig, |rig| assert_eq!(rig.write(80, 53, "3100"), Ok(WRITTEN)));
-    assert!(transfers <= 32 && bytes <= 222, "found SEALED: {transfers} transfers, {bytes} bytes");
+    assert!(transfers <= 40 && bytes <= 300, "found SEALED: {transfers} transfers, {bytes} bytes");
     rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO).expect("the default key");
     let (transfers, bytes) = spent(&mut rig, |rig| assert_eq!(rig.write(80, 53, "3200"), Ok(WRITTEN)));
-    assert!(transfers <= 23 && bytes <= 184, "found UNSEALED: {transfers} transfers, {bytes} bytes");
+    assert!(transfers <= 32 && bytes <= 260, "found UNSEALED: {transfers} transfers, {bytes} bytes");
     assert_eq!(rig.seal(), Seal::Unsealed);
 }
 
@@ -240,6 +240,33 @@ fn flat_parts_store_refuse_and_seal() {
             let error = rig.write(FLAT, gate, "2700").expect_err(fault);
             assert!(matches!(error.cause(), Cause::RolledBack(_)), "{chip} {fault}: {error}");
             assert!(rig.sim.flash() == before, "{chip} {fault}: {error}");
+        }
+    }
+}
+
+/// A window that is ready late shows the block before it, or a blank one, with a valid checksum. Believed, it
+/// was written back over the block that was meant.
+#[test]
+fn regression_a_block_that_is_ready_late_is_not_destroyed() {
+    for chip in ["bq34z100-g1", "bq27520-g3", "bq27441-g1"] {
+        for ready in ["0", "9", "10", "15", "20", "25", "30"] {
+            for text in ["2200", "1500"] {
+                let mut rig = Rig::new(chip);
+                let at = if chip == "bq34z100-g1" {
+                    (48, 11)
+                } else if chip == "bq27520-g3" {
+                    (48, 10)
+                } else {
+                    (82, 10)
+                };
+                let before = rig.sim.flash();
+                let change = rig.change(at.0, at.1, text);
+                rig.sim.set("load_ms", ready).expect("a knob");
+                let outcome = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
+                assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{chip} {ready} ms: {outcome:?}");
+                let differ = before.iter().zip(rig.sim.flash()).filter(|(old, new)| **old != *new).count();
+                assert!((1..=2).contains(&differ), "{chip} {ready} ms: {differ} bytes differ");
+            }
         }
     }
 }
