@@ -12,7 +12,7 @@ use gaugefs::bus::{wire_bits, wire_bytes};
 use gaugefs::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use gaugefs::clock::{Clock, SimClock};
 use gaugefs::codec::{self, WINDOW};
-use gaugefs::dataflash::{Change, DataFlash, Outcome};
+use gaugefs::dataflash::{Change, DataFlash, Outcome, Place};
 use gaugefs::gauge::{Gauge, Seal, bursts};
 use gaugefs::keys::Keys;
 use gaugefs::sim::{Options, Sim};
@@ -115,7 +115,8 @@ fn image(chip: &'static Chip) -> Option<Whole> {
             let at = usize::from(parameter.offset - subclass.start());
             let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
             *bytes.last_mut()? ^= 1;
-            changes.push(Change { subclass, parameter, bytes, saved: false });
+            let place = Place { subclass: subclass.id, offset: parameter.offset };
+            changes.push(Change { place, bytes, row: Some((subclass, parameter)), saved: false });
         }
     }
     let (before, begun) = (cost(&gauge), clock.now());
@@ -141,12 +142,7 @@ fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64, bool)> {
     let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO).ok()?.remove(0);
     let at = usize::from(parameter.offset - subclass.start());
     let Value::Int(value) = codec::decode(parameter.kind, &bytes[at..at + 2]) else { return None };
-    let change = Change {
-        subclass,
-        parameter,
-        bytes: codec::encode(parameter.kind, &Value::Int(value + 1))?,
-        saved: false,
-    };
+    let change = Change::of_value((subclass, parameter), &Value::Int(value + 1))?;
     let before = cost(&gauge);
     let written = dataflash.write(&mut gauge, &[change], Duration::ZERO);
     let outcome = written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;

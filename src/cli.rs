@@ -19,8 +19,9 @@ use crate::config::{self, GaugeOptions, MountOptions, address, chip_names};
 use crate::daemon::{self, Gauges, background, mountpoint, service};
 use crate::error::{Error, Result};
 use crate::fs::Covered;
-use crate::image::{self, Format, Group, Image};
+use crate::image::{Format, Group};
 use crate::json;
+use crate::mounted;
 use crate::probe::{self, ROM_ADDRESS, Reading};
 
 mod auth;
@@ -457,8 +458,8 @@ fn plan(options: daemon::Options) -> Result<String> {
 
 impl Export {
     fn run(self) -> Result<ExitCode> {
-        let image = Image::of_mounted(&self.gauge)?;
-        let text = image.write(self.format.into(), &self.gauge)?;
+        let image = mounted::of_mounted(&self.gauge)?;
+        let text = image.write(self.format.into(), |id| mounted::raw_of(&self.gauge, id))?;
         match self.output {
             None => print(&text),
             Some(file) => std::fs::write(&file, text)
@@ -470,19 +471,19 @@ impl Export {
 
 impl Import {
     fn run(self) -> Result<ExitCode> {
-        let gauge = Image::of_mounted(&self.gauge)?;
-        let file = Image::open(&self.file, Some(gauge.chip))?;
+        let gauge = mounted::of_mounted(&self.gauge)?;
+        let file = mounted::open(&self.file, Some(gauge.chip))?;
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
-        let named = |error: Error| error.within(&self.file.display().to_string());
+        let named = |error: ti_gauge::error::Error| error.within(&self.file.display().to_string());
         let changes = gauge.changes(&file, &groups).map_err(named)?;
         let raw = if groups.contains(&Group::Undocumented) {
             Vec::new()
         } else {
-            file.raw_changes(&self.gauge, self.raw).map_err(named)?
+            file.raw_changes(|id| mounted::raw_of(&self.gauge, id), self.raw).map_err(named)?
         };
         if !self.dry_run {
             let bar = progress::Bar::start(&self.gauge);
-            let outcome = image::apply(&self.gauge, &changes, &raw);
+            let outcome = mounted::apply(&self.gauge, &changes, &raw);
             bar.end();
             outcome?;
         }
@@ -525,11 +526,11 @@ impl Diff {
     fn compare(self) -> Result<ExitCode> {
         let told = self.chip.as_deref().and_then(Chip::by_name);
         // A gauge tells what a file beside it is for.
-        let first = if self.a.is_dir() { Some(Image::open(&self.a, None)?) } else { None };
-        let b = Image::open(&self.b, told.or(first.as_ref().map(|image| image.chip)))?;
+        let first = if self.a.is_dir() { Some(mounted::open(&self.a, None)?) } else { None };
+        let b = mounted::open(&self.b, told.or(first.as_ref().map(|image| image.chip)))?;
         let a = match first {
             Some(image) => image,
-            None => Image::open(&self.a, told.or(Some(b.chip)))?,
+            None => mounted::open(&self.a, told.or(Some(b.chip)))?,
         };
         let comparison = a.compare(&b)?;
         let differences = &comparison.differences;
@@ -558,7 +559,7 @@ impl Diff {
 
 impl Lint {
     fn run(self) -> Result<ExitCode> {
-        let image = Image::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
+        let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
         if self.json {
             let rows = image.entries.iter().map(|entry| {
                 json::object(&[
@@ -747,7 +748,7 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
         let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
         Ok(Box::new(bus) as Box<dyn Bus>)
     };
-    let plausible = match probe::candidates(&open, &clock) {
+    let plausible = match probe::candidates(&open, &clock).map_err(Error::from) {
         Ok(plausible) => plausible,
         Err(error) => match error.errno() {
             nix::errno::Errno::ENXIO => return found("nothing", Vec::new(), String::new()),
@@ -797,7 +798,7 @@ fn look_for_rom(adapter: &Adapter) -> Result<Found> {
             found("rom", "a gauge whose flash was being programmed, unless another device lives there")
         }
         Ok(false) => found("nothing", ""),
-        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}"))),
+        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}")).into()),
     }
 }
 

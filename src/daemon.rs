@@ -20,12 +20,13 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Covered, Fs, Knobs, Scales, free_name};
 use crate::fuse;
 use crate::gauge::bursts;
+use crate::image::Image;
 use crate::journal::Journal;
+use crate::key_file;
 use crate::keys::Keys;
 use crate::lock::{self, Holder, Lock};
 use crate::poll::{Handle, Request, Signal};
 use crate::probe;
-use crate::saved;
 use crate::sim::{self, Sim};
 
 mod adapters;
@@ -311,9 +312,8 @@ fn mains_name(chosen: Option<String>, taken: &[String]) -> String {
 }
 
 fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
-    saved::parse(chip, &text).map_err(|error| error.within(&name))
+    let image = Image::open(path, Some(chip))?;
+    Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
 }
 
 /// The gauge of a recording, which has to hold all that a mount reads by itself.
@@ -474,8 +474,8 @@ impl Opened {
 impl Keyring {
     fn open(&self, gauge: &str) -> Result<Keys> {
         let mut keys = match &self.file {
-            Some(path) => Keys::from_file(path, gauge)?,
-            None => Keys::from_credential(gauge)?.unwrap_or_default(),
+            Some(path) => key_file::from_file(path, gauge)?,
+            None => key_file::from_credential(gauge)?.unwrap_or_default(),
         };
         keys.no_default = self.no_default;
         Ok(keys)

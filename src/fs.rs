@@ -803,27 +803,37 @@ impl Fs {
     /// The subclasses that staged changes are in and that would have to be read first.
     fn unread(&self, gauge: u16, staged: &[Change]) -> Vec<usize> {
         let handle = &self.entry(gauge).handle;
-        let touched = |subclass: &Subclass| staged.iter().any(|one| std::ptr::eq(one.subclass, subclass));
-        let rows = handle.chip().subclasses.iter().enumerate();
-        rows.filter(|(at, row)| touched(row) && handle.kept(*at).is_none()).map(|(at, _)| at).collect()
+        let touched: BTreeSet<usize> = staged.iter().filter_map(|one| self.index_of(gauge, one)).collect();
+        touched.into_iter().filter(|&at| handle.kept(at).is_none()).collect()
+    }
+
+    /// The subclass that a change is in, by its index in the table.
+    fn index_of(&self, gauge: u16, change: &Change) -> Option<usize> {
+        let mut subclasses = self.chip(gauge).subclasses.iter();
+        match change.row {
+            Some((own, _)) => subclasses.position(|subclass| std::ptr::eq(subclass, own)),
+            None => subclasses.position(|subclass| subclass.id == change.place.subclass),
+        }
     }
 
     /// `df/transaction`: what is staged, a line each.
     fn difference(&self, gauge: u16, staged: &[Change]) -> Vec<u8> {
         let mut lines = String::new();
         for run in staged.chunk_by(raw::follows) {
-            let Change { subclass, parameter, bytes, .. } = &run[0];
-            let at = self.chip(gauge).subclasses.iter().position(|row| std::ptr::eq(row, *subclass));
-            let kept = at.and_then(|at| self.entry(gauge).handle.kept(at));
-            lines += &if raw::is_raw(&run[0]) {
-                let (id, offset) = (subclass.id, usize::from(parameter.offset));
-                let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + run.len()]));
-                let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
-                format!("raw {id}/{offset}: {old} -> {}\n", text::hex(&new))
-            } else {
-                let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
-                let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
-                format!("{}: {old} -> {new}\n", parameter.name)
+            let Change { place, bytes, row, .. } = &run[0];
+            let kept = self.index_of(gauge, &run[0]).and_then(|at| self.entry(gauge).handle.kept(at));
+            lines += &match row {
+                None => {
+                    let offset = usize::from(place.offset);
+                    let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + run.len()]));
+                    let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
+                    format!("raw {place}: {old} -> {}\n", text::hex(&new))
+                }
+                Some((subclass, parameter)) => {
+                    let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+                    let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                    format!("{}: {old} -> {new}\n", parameter.name)
+                }
             };
         }
         lines.into_bytes()
@@ -906,11 +916,11 @@ impl Fs {
             Item::State(State::Keys) if data.trim_ascii().is_empty() => done(Ok(())),
             Item::State(State::Keys) => match keys::Change::parse(data) {
                 Ok(change) => handle.submit(Request::ChangeKey(change, done)),
-                Err(error) => self.refuse(gauge, error, done),
+                Err(error) => self.refuse(gauge, error.into(), done),
             },
             Item::State(State::Authenticate) => match authentication::from_hex(data) {
                 Ok(challenge) => handle.submit(Request::Authenticate(challenge, done)),
-                Err(error) => self.refuse(gauge, error, done),
+                Err(error) => self.refuse(gauge, error.into(), done),
             },
             Item::State(State::PollInterval) => match interval(word()) {
                 Ok(interval) => handle.submit(Request::Interval(interval, done)),

@@ -1,26 +1,19 @@
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
 
-pub mod authentication;
-pub mod bus;
-pub mod chip;
+pub use gauge_bus as bus;
+pub use gauge_bus::clock;
+pub use ti_gauge::{authentication, chip, codec, dataflash, gauge, image, journal, keys, probe, text, value};
+
 pub mod cli;
-pub mod clock;
-pub mod codec;
 mod config;
 pub mod daemon;
-pub mod dataflash;
+mod errno;
 pub mod error;
 pub mod fs;
 pub mod fuse;
-pub mod gauge;
-pub mod image;
-pub mod journal;
 pub mod json;
-pub mod keys;
+pub mod key_file;
 pub mod lock;
+mod mounted;
 pub mod poll;
-pub mod probe;
-pub mod saved;
 pub mod sim;
-pub mod text;
-pub mod value;

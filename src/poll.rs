@@ -15,7 +15,6 @@ use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
 use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
-use crate::codec;
 use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
@@ -569,7 +568,7 @@ impl Owner {
                     log::warn!("{prefix}{}: the journal of another gauge; left alone", other.display());
                 }
             }
-            Err(error) => return self.say(&error),
+            Err(error) => return self.say(&error.into()),
         }
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
             Ok(Some(told)) => {
@@ -577,7 +576,7 @@ impl Owner {
                 self.say(&Error::new(self.gauge.chip.name, Cause::RolledBack(told)));
             }
             Ok(None) => {}
-            Err(error) => self.say(&error),
+            Err(error) => self.say(&error.into()),
         }
     }
 
@@ -753,11 +752,12 @@ impl Owner {
         self.shared.prefix.strip_suffix(": ").unwrap_or(self.gauge.chip.name)
     }
 
-    fn told<T>(&self, outcome: Result<T>) -> Result<T> {
-        if let Err(error) = &outcome {
-            self.say(error);
-        }
-        outcome
+    fn told<T, E: Into<Error>>(&self, outcome: Result<T, E>) -> Result<T> {
+        outcome.map_err(|error| {
+            let error = error.into();
+            self.say(&error);
+            error
+        })
     }
 
     fn too_late(&self) -> Error {
@@ -865,7 +865,7 @@ impl Owner {
                 done(outcome);
             }
             Request::Look => {
-                self.gauge.look();
+                self.gauge.release_if_gone();
                 if self.failures > 0 {
                     self.poll_or_say();
                 }
@@ -894,17 +894,17 @@ impl Owner {
             self.look_for_quirks();
         }
         let kept = lock(&self.shared.kept);
-        let gone = || Error::new(self.gauge.chip.name, Cause::Slow("not read".into()));
+        let gone = || Error::new(self.gauge.chip.name, Cause::TimedOut("not read".into()));
         wanted.iter().map(|&index| Ok(kept[index].as_ref().ok_or_else(gone)?.bytes.clone())).collect()
     }
 
     fn write(&mut self, subclass: usize, parameter: usize, value: &Value, waited: Duration) -> Result<()> {
         let row = &self.gauge.chip.subclasses[subclass];
         let parameter = &row.parameters[parameter];
-        let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
+        let change = Change::of_value((row, parameter), value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
         })?;
-        self.write_all(&[Change { subclass: row, parameter, bytes, saved: false }], waited)
+        self.write_all(&[change], waited)
     }
 
     fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
@@ -918,21 +918,25 @@ impl Owner {
             Err(_) => "",
         };
         for change in changes.iter().filter(|_| outcome.is_ok()) {
-            log::info!("{}{}: {told}", self.shared.prefix, change.parameter.name);
+            log::info!("{}{}: {told}", self.shared.prefix, change.name());
         }
         // After a reset, and after a failure, nothing that was read before is taken for granted.
         if outcome == (Ok(Outcome::Written { reset: false })) {
             let mut kept = lock(&self.shared.kept);
             for (row, kept) in self.gauge.chip.subclasses.iter().zip(kept.iter_mut()) {
-                if changes.iter().any(|change| std::ptr::eq(change.subclass, row)) {
+                let touched = |change: &Change| match change.row {
+                    Some((subclass, _)) => std::ptr::eq(subclass, row),
+                    None => change.place.subclass == row.id,
+                };
+                if changes.iter().any(touched) {
                     *kept = None;
                 }
             }
-        } else if outcome != Ok(Outcome::Unchanged) {
+        } else if !matches!(outcome, Ok(Outcome::Unchanged)) {
             self.drop_kept();
             self.hurry = true;
         }
-        outcome.map(|_| ())
+        Ok(outcome.map(|_| ())?)
     }
 
     /// Reads CONTROL_STATUS for whoever looks at it next; a failure shows in the next poll.

@@ -402,7 +402,7 @@ impl Bus for SimBus {
         result
     }
 
-    fn hush(&mut self, secret: bool) {
+    fn set_secret(&mut self, secret: bool) {
         self.secret = secret;
     }
 }

@@ -8,7 +8,7 @@ use nix::errno::Errno;
 
 use crate::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 use crate::error::{Cause, Error, Result};
-use crate::keys::Keys;
+use crate::key_file;
 
 use super::keys::folder_name;
 
@@ -37,7 +37,7 @@ pub(super) struct Auth {
 impl Auth {
     /// What to print about a genuine pack; an error for any other.
     pub(super) fn run(&self) -> Result<String> {
-        let keys = Keys::from_file(&self.key_file, &folder_name(&self.gauge))?;
+        let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let Some(key) = &keys.authentication else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));

@@ -13,7 +13,8 @@ use nix::sys::termios::{LocalFlags, SetArg, SpecialCharacterIndices, Termios, tc
 use zeroize::Zeroizing;
 
 use crate::error::{Cause, Error, Result};
-use crate::keys::{Keys, Name, Secret};
+use crate::key_file;
+use crate::keys::{Name, Secret};
 
 const CHANGE: &str = "\
 A gauge whose key nobody knows is lost for ever: write the new key down before you begin.
@@ -135,7 +136,7 @@ pub(super) fn folder_name(gauge: &Path) -> String {
 }
 
 fn of_file(file: &Path, name: Name, gauge: &str) -> Result<Secret> {
-    Keys::from_file(file, gauge)?.secret(name).ok_or_else(|| {
+    key_file::from_file(file, gauge)?.secret(name).ok_or_else(|| {
         let why = format!("has no line `{} = ...` for {gauge}", name.line());
         Error::new(file.display().to_string(), Cause::Invalid(why))
     })

@@ -169,5 +169,5 @@ fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready
 }
 
 fn slow() -> Error {
-    Error::new("", Cause::Slow(format!("it has not answered within {} s", PATIENCE.as_secs())))
+    Error::new("", Cause::TimedOut(format!("it has not answered within {} s", PATIENCE.as_secs())))
 }

@@ -10,7 +10,6 @@ use nix::errno::Errno;
 
 use super::raw;
 use crate::chip::{Chip, Kind, Parameter, Subclass};
-use crate::codec;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::text;
@@ -121,8 +120,7 @@ fn take(
                 None => vec![change(chip, allow_unproven, line)?],
             };
             // What is staged twice has the later value. Subclasses may share their rows.
-            let place = |one: &Change| (one.subclass.id, one.parameter.offset);
-            staged.retain(|other| !changes.iter().any(|change| place(change) == place(other)));
+            staged.retain(|other| !changes.iter().any(|change| change.place == other.place));
             staged.extend(changes);
             Ok(None)
         }
@@ -138,9 +136,8 @@ fn change(chip: &'static Chip, allow_unproven: bool, line: &str) -> Result<Chang
         return Err(invalid(why));
     };
     let value = check(subclass, parameter, allow_unproven, value.as_bytes())?;
-    let bytes = codec::encode(parameter.kind, &value)
+    let change = Change::of_value((subclass, parameter), &value)
         .ok_or_else(|| invalid(&format!("does not fit type {}", parameter.kind)).within(parameter.name))?;
-    let change = Change { subclass, parameter, bytes, saved: false };
     change.check_least()?;
     Ok(change)
 }
@@ -160,7 +157,7 @@ pub(super) fn check(
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
         return Err(Error::host(parameter.name, Errno::EACCES, why));
     }
-    text::parse(parameter, text)
+    Ok(text::parse(parameter, text)?)
 }
 
 /// The answer to whatever a transaction that is open keeps out.
@@ -185,7 +182,7 @@ mod tests {
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         assert!(transaction.write(chip, true, Duration::ZERO, lines).expect("lines").is_none());
         let staged = transaction.staged(Duration::ZERO).expect("open");
-        let staged: Vec<_> = staged.iter().map(|change| (change.subclass.id, change.bytes[0])).collect();
+        let staged: Vec<_> = staged.iter().map(|change| (change.place.subclass, change.bytes[0])).collect();
         assert_eq!(staged, [(91, 0x55), (92, 0x00)]);
     }
 }

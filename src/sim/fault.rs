@@ -295,8 +295,8 @@ impl<B: Bus> Bus for FaultBus<B> {
         }
     }
 
-    fn hush(&mut self, secret: bool) {
-        self.inner.hush(secret);
+    fn set_secret(&mut self, secret: bool) {
+        self.inner.set_secret(secret);
     }
 }
 

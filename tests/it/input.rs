@@ -2,12 +2,13 @@
 //! beyond each is refused, and so is what is no value of the type.
 
 use gaugefs::chip::{CHIPS, Parameter, Range};
+use gaugefs::error::Error;
 use gaugefs::text;
 use gaugefs::value::{Type, Value};
 use nix::errno::Errno;
 
 fn refused(parameter: &Parameter, text: &str) -> Option<Errno> {
-    text::parse(parameter, text.as_bytes()).err().map(|error| error.errno())
+    text::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())
 }
 
 /// The texts of a parameter that must be taken, and those that must be refused with an errno.

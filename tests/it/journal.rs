@@ -13,14 +13,13 @@ use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::{Chip, FLAT};
 use gaugefs::clock::Clock;
 use gaugefs::dataflash::{Change, DataFlash, Limits};
-use gaugefs::error::Result;
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::journal::Journal;
 use gaugefs::keys::Keys;
 use gaugefs::sim::Sim;
-use nix::errno::Errno;
+use ti_gauge::error::Result;
 
-use crate::rig::Rig;
+use crate::rig::{Rig, cause};
 
 /// What is written in one transaction, and how the gauge is found.
 struct Case {
@@ -302,15 +301,15 @@ fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
             let outcome = dataflash.write(&mut gauge, &changes, Duration::ZERO);
             runs += 1;
             let flash = rig.sim.flash();
-            match outcome.map_err(|error| error.errno()) {
+            match outcome.map_err(|error| cause(&error)) {
                 Ok(_) => {
                     done += 1;
                     assert!(flash == new, "{at}: success is false");
                 }
-                Err(Errno::ENOTRECOVERABLE) => unknown += 1,
-                Err(errno) => {
-                    *(if errno == Errno::EIO { &mut back } else { &mut refused }) += 1;
-                    assert!(flash == old, "{at}: {errno}, but data flash has changed");
+                Err("StateUnknown") => unknown += 1,
+                Err(cause) => {
+                    *(if cause == "RolledBack" { &mut back } else { &mut refused }) += 1;
+                    assert!(flash == old, "{at}: {cause}, but data flash has changed");
                 }
             }
             rig.sim.set("voltage_mv", "3900").expect("a knob");
@@ -341,11 +340,7 @@ fn what_a_write_had_to_leave_unknown_is_settled_at_the_next_start() {
             })
         };
         let (said, _) = write(None);
-        assert_eq!(
-            said.expect("no cut").expect_err("a torn block").errno(),
-            Errno::ENOTRECOVERABLE,
-            "{torn}"
-        );
+        assert_eq!(cause(&said.expect("no cut").expect_err("a torn block")), "StateUnknown", "{torn}");
         assert_eq!(folder.files().len(), 1, "{torn}: the journal stays");
         rig.sim.set("fault", "none").expect("a knob");
         rig.sim.set("power", "on").expect("a knob");

@@ -13,6 +13,7 @@ mod manual;
 mod mount;
 mod over;
 mod preflight;
+mod probe;
 mod rig;
 mod semantics;
 mod service;

@@ -15,9 +15,9 @@ use gaugefs::dataflash::Change;
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
 use gaugefs::fuse::{self, Mounted};
+use gaugefs::image::Image;
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings, Signal};
-use gaugefs::saved;
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
 
@@ -501,15 +501,16 @@ fn unproven_rows_are_read_only() {
     assert_eq!(mount.echo(&value, &path), Err(Errno::EACCES));
 }
 
-/// The data memory is RAM: gone with the power, told, and given back from a copy of df/index.
+/// The data memory is RAM: gone with the power, told, and given back from an exported image.
 #[test]
 fn a_ram_gauge_gets_its_configuration_back() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
-    let index = mount.cat("df/index");
     drop(mount);
     let table = Chip::by_name("bq27441-g1").expect("a table");
-    let restore = saved::parse(table, &index).expect("a copy of df/index");
+    let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\n";
+    let image = Image::parse(image, Some(table)).expect("an image");
+    let restore = image.to_restore().expect("values in range");
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
     let interval = Duration::from_millis(500);
     let mount =

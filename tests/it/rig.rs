@@ -5,13 +5,12 @@ use std::time::Duration;
 
 use gaugefs::chip::{Chip, Parameter, Subclass};
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::codec;
 use gaugefs::dataflash::{Change, DataFlash, Outcome};
-use gaugefs::error::Result;
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::keys::Keys;
 use gaugefs::sim::{Options, Sim};
 use gaugefs::text;
+use ti_gauge::error::{Cause, Error, Result};
 
 pub(crate) struct Rig {
     pub(crate) clock: Arc<SimClock>,
@@ -58,8 +57,7 @@ impl Rig {
     pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
         let (subclass, parameter) = self.find(subclass, offset);
         let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
-        let bytes = codec::encode(parameter.kind, &value).expect("a value of the type");
-        Change { subclass, parameter, bytes, saved: false }
+        Change::of_value((subclass, parameter), &value).expect("a value of the type")
     }
 
     pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
@@ -89,5 +87,26 @@ impl Rig {
     /// What has passed on the wire since the log was last cleared, a line each.
     pub(crate) fn log(&self) -> Vec<String> {
         self.sim.log().iter().map(ToString::to_string).collect()
+    }
+}
+
+/// The name of what went wrong.
+pub(crate) fn cause(error: &Error) -> &'static str {
+    match error.cause() {
+        Cause::Invalid(_) => "Invalid",
+        Cause::OutOfRange(_) => "OutOfRange",
+        Cause::NotPermitted(_) => "NotPermitted",
+        Cause::Busy(_) => "Busy",
+        Cause::NotNow(_) => "NotNow",
+        Cause::BadChecksum(_) => "BadChecksum",
+        Cause::Protocol(_) => "Protocol",
+        Cause::TimedOut(_) => "TimedOut",
+        Cause::RolledBack(_) => "RolledBack",
+        Cause::StateUnknown(_) => "StateUnknown",
+        Cause::Gone(_) => "Gone",
+        Cause::NoAnswer(_) => "NoAnswer",
+        Cause::Bus(_) => "Bus",
+        Cause::Adapter(..) => "Adapter",
+        Cause::Io(..) => "Io",
     }
 }

@@ -796,9 +796,9 @@ mod faults {
         bench.sim.keep_log(true);
         bench.replay("W 00 01 00 ; R 00 2 -> 00 01 ; W 80 -> NACK");
         let mut bus = bench.sim.bus();
-        bus.hush(true);
+        bus.set_secret(true);
         bus.transfer(&[0x00, 0x14, 0x04], &mut []).unwrap();
-        bus.hush(false);
+        bus.set_secret(false);
         bus.transfer(&[0x3C], &mut []).unwrap();
         let lines: Vec<_> = bench.sim.log().iter().map(ToString::to_string).collect();
         assert_eq!(lines, ["W 00 01 00", "R 00 2 -> 00 01", "W 80 -> NACK", "; hidden", "W 3C"]);

@@ -227,8 +227,8 @@ fn bytes_reach_what_has_no_parameter_and_nothing_else() {
     for (line, errno, says) in [
         ("raw 112/24 00", Errno::EPERM, "keys"),
         ("raw 112/0 00000000", Errno::EPERM, "keys"),
-        ("raw 80/53 0c1c", Errno::EINVAL, "Cell Terminate Voltage stands there"),
-        ("raw 2/9 0000", Errno::EINVAL, "stands there"),
+        ("raw 80/53 0c1c", Errno::EINVAL, "Cell Terminate Voltage is stored there"),
+        ("raw 2/9 0000", Errno::EINVAL, "is stored there"),
         ("raw 2/31 0000", Errno::EINVAL, "one block, which ends at offset 31"),
         ("raw 2/32 00", Errno::EINVAL, "subclass 2 ends with offset 31"),
         ("raw 200/8192 00", Errno::EINVAL, "subclass 200 ends with offset 8191"),

@@ -89,7 +89,7 @@ fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
             problem(what, "speaks only SMBus, and a gauge is configured on it", "Connect it to another bus.")
         }
         Ok(false) => ok(what, "speaks only SMBus: not for gauges"),
-        Err(error) => problem(what, error.cause().to_string(), "Make sure that the adapter is there."),
+        Err(error) => problem(what, error.text, "Make sure that the adapter is there."),
     }
 }
 

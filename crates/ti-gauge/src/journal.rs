@@ -14,14 +14,12 @@ use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
 use std::path::{Path, PathBuf};
 
-use nix::errno::Errno;
-use nix::fcntl::{FallocateFlags, fallocate};
-use nix::libc;
-use nix::unistd::geteuid;
+use rustix::fs::{FallocateFlags, OFlags, fallocate};
+use rustix::process::geteuid;
 use sha1::{Digest as _, Sha1};
 
 use crate::codec::WINDOW;
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
@@ -118,7 +116,12 @@ impl Journal {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
         let temporary = path.with_extension("new");
         let mut options = File::options();
-        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
+        options
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits() as i32);
         let mut file = options.open(&temporary)?;
         // Where the folder is a service's, the service has to be able to settle what root leaves there.
         let owner = fs::metadata(&self.folder)?;
@@ -126,9 +129,9 @@ impl Journal {
             if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
         let stored = owned.and_then(|()| file.write_all(text.as_bytes())).and_then(|()| {
             // File systems that cannot keep room find out later that there is none: before the first block.
-            match fallocate(&file, FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, (text.len() + room) as i64) {
-                Ok(()) | Err(Errno::EOPNOTSUPP | Errno::ENOSYS) => Ok(()),
-                Err(errno) => Err(io::Error::from(errno)),
+            match fallocate(&file, FallocateFlags::KEEP_SIZE, 0, (text.len() + room) as u64) {
+                Err(error) if io::Error::from(error).kind() != ErrorKind::Unsupported => Err(error.into()),
+                _ => Ok(()),
             }
         });
         let stored = stored.and_then(|()| file.sync_all()).and_then(|()| fs::rename(&temporary, path));
@@ -171,7 +174,7 @@ impl Journal {
 impl Open {
     /// Goes on with an entry that was left behind.
     pub(crate) fn again(path: PathBuf) -> Result<Self> {
-        match File::options().append(true).custom_flags(libc::O_NOFOLLOW).open(&path) {
+        match File::options().append(true).custom_flags(OFlags::NOFOLLOW.bits() as i32).open(&path) {
             Ok(file) => Ok(Self { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
@@ -214,7 +217,7 @@ fn read(path: &Path) -> Result<Option<Entry>> {
         read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
     };
     let why = "this is no journal of this version of gaugefs; see what it is and move it away";
-    parse(&text).map(Some).ok_or_else(|| Error::host(name, Errno::EBADMSG, why))
+    parse(&text).map(Some).ok_or_else(|| Error::new(name, Cause::BadChecksum(why.into())))
 }
 
 fn render(plan: &Plan) -> String {

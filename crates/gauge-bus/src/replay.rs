@@ -9,10 +9,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use nix::errno::Errno;
-
-use super::{Bus, BusError};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Error, ErrorKind, Result};
+use crate::{Bus, BusError};
 
 /// Control(RESET), which seals as well.
 const RESET: u16 = 0x0041;
@@ -57,7 +55,7 @@ impl Recording {
     fn parse(text: &str) -> Result<Self> {
         let only = "only a file that --trace wrote can be replayed";
         let refuse = |number: usize, why: &str| {
-            Error::new(format!("line {number}"), Cause::Invalid(format!("{why}; {only}")))
+            Error::new(format!("line {number}"), ErrorKind::Invalid, format!("{why}; {only}"))
         };
         // A session that was cut short may leave half a line.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -257,7 +255,7 @@ impl Bus for Replay {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         if self.secret {
             self.written.open = self.opened;
-            return if self.opened { Ok(()) } else { Err(BusError::Other(Errno::ENODATA)) };
+            return if self.opened { Ok(()) } else { Err(BusError::NotRecorded) };
         }
         let Some((&register, data)) = write.split_first() else {
             return if read.is_empty() { Ok(()) } else { Err(BusError::NoAck) };
@@ -266,7 +264,7 @@ impl Bus for Replay {
         let selects =
             (register..=0x7f).zip(data).all(|(at, _)| matches!(at, 0x00 | 0x01 | 0x3e | 0x3f | WINDOW_END));
         if !selects {
-            return Err(BusError::Other(Errno::EROFS));
+            return Err(BusError::ReadOnly);
         }
         self.written.note(register, data);
         if read.is_empty() {
@@ -275,7 +273,7 @@ impl Bus for Replay {
         self.read(register.wrapping_add(data.len() as u8), read)
     }
 
-    fn hush(&mut self, secret: bool) {
+    fn set_secret(&mut self, secret: bool) {
         self.secret = secret;
     }
 }
@@ -332,9 +330,9 @@ mod tests {
             // Sealed, the window shows nothing.
             assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x00], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[0x3e], 3), Err(BusError::NoAck));
-            bus.hush(true);
+            bus.set_secret(true);
             assert_eq!(ask(&mut bus, &[0, 0x34, 0x12], 0), Ok(vec![]));
-            bus.hush(false);
+            bus.set_secret(false);
             // One byte a transfer is as good.
             assert_eq!(ask(&mut bus, &[0, 0], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[1, 0], 0), Ok(vec![]));
@@ -351,17 +349,17 @@ mod tests {
     fn nothing_is_written_and_no_key_fits_a_gauge_that_was_never_opened() {
         let mut bus = replay("R: AA 08 2\n;     1.0 -> 01 02\n");
         for write in [&[0x40, 1][..], &[0x3e, 0x30, 0x00, 0x55], &[0x60, 0xff], &[0x02, 1, 2]] {
-            assert_eq!(ask(&mut bus, write, 0), Err(BusError::Other(Errno::EROFS)));
+            assert_eq!(ask(&mut bus, write, 0), Err(BusError::ReadOnly));
         }
-        bus.hush(true);
-        assert_eq!(ask(&mut bus, &[0, 0x14, 0x04], 0), Err(BusError::Other(Errno::ENODATA)));
+        bus.set_secret(true);
+        assert_eq!(ask(&mut bus, &[0, 0x14, 0x04], 0), Err(BusError::NotRecorded));
     }
 
     #[test]
     fn other_files_are_refused_with_their_line() {
         let error = |text: &str| {
             let error = Recording::parse(text).err().expect("not a recording");
-            assert_eq!(error.errno(), Errno::EINVAL);
+            assert_eq!(error.kind, ErrorKind::Invalid);
             error.to_string()
         };
         assert!(error("").starts_with("line 1: it does not name a gauge; only a file that --trace"));

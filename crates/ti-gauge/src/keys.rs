@@ -4,12 +4,7 @@
 //! understood may be a key all the same. The words are wiped from memory when they are dropped.
 
 use std::fmt;
-use std::fs::File;
-use std::io::{self, Read};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
 
-use nix::errno::Errno;
 use zeroize::{Zeroize, Zeroizing};
 
 use crate::error::{Cause, Error, Result};
@@ -194,44 +189,7 @@ pub fn wipe_stack() {
     [0u128; 4 * 1024].zeroize();
 }
 
-/// Name of the systemd credential that takes the place of a key file.
-pub const CREDENTIAL: &str = "gaugefs-keys";
-/// A key file has a few lines a gauge; more than this is some other file.
-const LONGEST: usize = 16384;
-
 impl Keys {
-    /// The keys that a file has for the gauge of that name. Nobody but the file's owner may read it.
-    pub fn from_file(path: &Path, gauge: &str) -> Result<Self> {
-        let name = path.display().to_string();
-        let (file, status) = open(path, &name)?;
-        let me = nix::unistd::geteuid().as_raw();
-        let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
-        if status.uid() != me && status.uid() != 0 {
-            return refuse(format!(
-                "the key file belongs to user {}; it must be yours or root's",
-                status.uid()
-            ));
-        }
-        if status.mode() & 0o077 != 0 {
-            let mode = status.mode() & 0o777;
-            return refuse(format!("others may read the key file (mode {mode:03o}); chmod 600 {name}"));
-        }
-        Self::parse(&name, &read(file, &name)?, gauge)
-    }
-
-    /// The keys that systemd hands to the service for the gauge of that name, where it does. Who may read
-    /// them is its business.
-    pub fn from_credential(gauge: &str) -> Result<Option<Self>> {
-        let Some(folder) = std::env::var_os("CREDENTIALS_DIRECTORY") else { return Ok(None) };
-        let path = PathBuf::from(folder).join(CREDENTIAL);
-        if !path.exists() {
-            return Ok(None);
-        }
-        let name = path.display().to_string();
-        let (file, _) = open(&path, &name)?;
-        Self::parse(&name, &read(file, &name)?, gauge).map(Some)
-    }
-
     /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section are for
     /// all gauges, those below `[NAME]` for the gauge of that name, where they count instead.
     pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
@@ -338,31 +296,6 @@ fn digits(text: &str) -> Option<[u8; 16]> {
     Some(key)
 }
 
-fn open(path: &Path, name: &str) -> Result<(File, std::fs::Metadata)> {
-    let failed = |error: io::Error| Error::io(name, "cannot read the key file", &error);
-    // A fifo must not keep the open waiting.
-    let mut options = File::options();
-    options.read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY);
-    let file = options.open(path).map_err(failed)?;
-    let status = file.metadata().map_err(failed)?;
-    if !status.is_file() {
-        return Err(Error::host(name, Errno::EINVAL, "not a file, so not a key file"));
-    }
-    Ok((file, status))
-}
-
-fn read(file: File, name: &str) -> Result<Zeroizing<Vec<u8>>> {
-    // Reserved at once: growing would leave copies behind that nobody wipes.
-    let mut text = Zeroizing::new(Vec::with_capacity(LONGEST + 1));
-    file.take(LONGEST as u64 + 1)
-        .read_to_end(&mut text)
-        .map_err(|error| Error::io(name, "cannot read the key file", &error))?;
-    if text.len() > LONGEST {
-        return Err(Error::new(name, Cause::Invalid("too long for a key file".into())));
-    }
-    Ok(text)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -459,7 +392,7 @@ mod tests {
             &format!("unseal {digits} {digits}"),
         ] {
             let error = change(text).expect_err("no change");
-            assert_eq!(error.errno(), Errno::EINVAL);
+            assert!(matches!(error.cause(), Cause::Invalid(_)));
             assert!(
                 !["0414", "1234", "567", "0123", "ffff"]
                     .iter()

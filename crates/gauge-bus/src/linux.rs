@@ -5,7 +5,7 @@
 //! kernel driver is bound to it. When the adapter goes, so does the file: the kernel keeps an unplugged
 //! adapter until its last user has closed it. When it comes back, the next transfer opens it anew.
 //!
-//! All `unsafe` of gaugefs is here: what the crate `i2cdev` has no function for.
+//! All `unsafe` of this crate is here: what the crate `i2cdev` has no function for.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -22,9 +22,9 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::sys::stat::{major, minor};
 
-use super::{Bus, BusError};
 use crate::clock::Clock;
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Error, ErrorKind, Result};
+use crate::{Bus, BusError};
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
 const I2C_MAJOR: u64 = 89;
@@ -52,14 +52,14 @@ impl Adapter {
         let status = match fs::metadata(path) {
             Ok(status) => status,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(Error::host(name, Errno::ENOENT, missing(&adapters(Path::new("/")))));
+                return Err(Error::new(name, ErrorKind::NotFound, missing(&adapters(Path::new("/")))));
             }
             Err(error) => return Err(Error::io(name, "cannot look at it", &error)),
         };
         if !status.file_type().is_char_device() || major(status.rdev()) != I2C_MAJOR {
-            return Err(Error::host(
+            return Err(Error::new(
                 name,
-                Errno::ENOTTY,
+                ErrorKind::NotABus,
                 format!("not an I2C bus; {}", list(&adapters(Path::new("/")))),
             ));
         }
@@ -143,14 +143,14 @@ impl LinuxBus {
     /// Opens an adapter and claims an address on it. Nothing is sent.
     pub fn open(adapter: Adapter, address: u8, clock: Arc<dyn Clock>) -> Result<Self> {
         let device = LinuxI2CDevice::new(&adapter.path, address.into());
-        let device = device.map_err(|error| refusal(&adapter, address, errno(&error)).at(Step::Open))?;
+        let device = device.map_err(|error| refusal(&adapter, address, errno(&error)))?;
         if hold(&device, address).is_err() {
-            let why = "another gaugefs is using the gauge; `gaugefs umount` its mount point first".into();
-            return Err(Error::new(subject(&adapter, address), Cause::Busy(why)).at(Step::Open));
+            let why = "another gaugefs is using the gauge; `gaugefs umount` its mount point first";
+            return Err(Error::new(subject(&adapter, address), ErrorKind::Busy, why));
         }
         if functions(&device).unwrap_or(0) & I2C_FUNC_I2C == 0 {
             let why = "the adapter speaks only SMBus, not plain I2C; connect the gauge to another one";
-            return Err(Error::host(adapter.to_string(), Errno::EOPNOTSUPP, why).at(Step::Open));
+            return Err(Error::new(adapter.to_string(), ErrorKind::SmbusOnly, why));
         }
         let last = clock.now().saturating_sub(BUS_FREE);
         Ok(Self { adapter, address, clock, device: Some(device), last })
@@ -165,7 +165,7 @@ impl LinuxBus {
 
     /// The open device, opened anew where the adapter had gone and is back.
     fn device(&mut self) -> Result<&mut LinuxI2CDevice, BusError> {
-        self.look();
+        self.release_if_gone();
         match &mut self.device {
             Some(device) => Ok(device),
             gone => {
@@ -207,7 +207,7 @@ impl Bus for LinuxBus {
         }
     }
 
-    fn look(&mut self) {
+    fn release_if_gone(&mut self) {
         if !self.adapter.is_there() {
             self.device = None;
         }
@@ -292,7 +292,7 @@ fn bus_error(errno: Errno) -> BusError {
         Errno::ETIMEDOUT => BusError::Timeout,
         Errno::ENODEV | Errno::ENOENT => BusError::Gone,
         Errno::EBUSY => BusError::Busy,
-        other => BusError::Other(other),
+        other => BusError::Other(other as i32),
     }
 }
 
@@ -302,9 +302,9 @@ fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
         Errno::EBUSY => busy(adapter, address, adapter.driver(address).as_ref()),
         Errno::EACCES | Errno::EPERM => {
             let gid = fs::metadata(&adapter.path).map_or(0, |status| status.gid());
-            Error::host(adapter.to_string(), errno, forbidden(gid))
+            Error::new(adapter.to_string(), ErrorKind::Forbidden, forbidden(gid))
         }
-        _ => Error::host(adapter.to_string(), errno, format!("cannot open it: {}", errno.desc())),
+        _ => Error::io(adapter.to_string(), "cannot open it", &errno.into()),
     }
 }
 
@@ -320,7 +320,7 @@ fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
         ),
         None => "a kernel driver has that address".into(),
     };
-    Error::new(subject(adapter, address), Cause::Busy(why))
+    Error::new(subject(adapter, address), ErrorKind::Busy, why)
 }
 
 fn forbidden(gid: u32) -> String {
@@ -381,7 +381,7 @@ mod tests {
         let error = Adapter::find(Path::new("/dev/null")).expect_err("not a bus").to_string();
         assert!(error.starts_with("/dev/null: not an I2C bus; "), "{error}");
         let error = Adapter::find(Path::new("/dev/i2c-none")).expect_err("no node");
-        assert_eq!(error.errno(), Errno::ENOENT);
+        assert_eq!(error.kind, ErrorKind::NotFound);
     }
 
     #[test]
@@ -389,7 +389,7 @@ mod tests {
         let adapter = Adapter { path: "/dev/i2c-1".into(), device: nix::sys::stat::makedev(I2C_MAJOR, 1) };
         let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into() };
         let error = busy(&adapter, 0x55, Some(&driver));
-        assert_eq!(error.errno(), Errno::EBUSY);
+        assert_eq!(error.kind, ErrorKind::Busy);
         let text = error.to_string();
         assert!(text.contains("bq27xxx-battery (bq34z100)"), "{text}");
         assert!(text.contains("echo 0x55 > /sys/bus/i2c/devices/i2c-1/delete_device"), "{text}");
@@ -403,6 +403,6 @@ mod tests {
         assert_eq!(bus_error(Errno::EAGAIN), BusError::ArbitrationLost);
         assert_eq!(bus_error(Errno::ETIMEDOUT), BusError::Timeout);
         assert_eq!(bus_error(Errno::ENODEV), BusError::Gone);
-        assert_eq!(bus_error(Errno::EIO), BusError::Other(Errno::EIO));
+        assert_eq!(bus_error(Errno::EIO), BusError::Other(libc::EIO));
     }
 }

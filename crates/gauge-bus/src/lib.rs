@@ -1,17 +1,44 @@
-//! The bus: one trait, one method, one START...STOP transfer.
+//! One START...STOP transfer to one I2C target, and whatever can stand behind it.
 //!
-//! A [`Bus`] speaks to one 7-bit address. What stands behind it is a real adapter (`linux`), a
-//! simulated gauge (`crate::sim`), a recorded one (`replay`), or a wrapper around another `Bus` (`trace`).
+//! A [`Bus`] reaches one 7-bit address. Behind it is a real adapter ([`linux`]), a recorded gauge ([`replay`]),
+//! any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), or a wrapper around another bus
+//! ([`trace`]). [`clock`] is time as the layers above measure and wait for it, so that tests take none.
+//!
+//! This crate knows nothing of fuel gauges but their address: no registers, no keys, no data flash.
+//!
+//! ```
+//! use gauge_bus::{Bus, BusError};
+//!
+//! /// A target that answers every read with its own pointer.
+//! struct Echo(u8);
+//!
+//! impl Bus for Echo {
+//!     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+//!         self.0 = *write.first().unwrap_or(&self.0);
+//!         read.fill(self.0);
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let mut word = [0; 2];
+//! Echo(0).transfer(&[0x08], &mut word)?;
+//! assert_eq!(word, [0x08, 0x08]);
+//! # Ok::<(), BusError>(())
+//! ```
 
-use std::fmt;
+use std::{fmt, io};
 
-use nix::errno::Errno;
-
+pub mod clock;
+pub mod error;
+pub mod hal;
+#[cfg(feature = "linux")]
 pub mod linux;
 pub mod replay;
 pub mod trace;
 
-/// The address of every gauge in the tables; the parts allow no other.
+pub use error::{Error, ErrorKind};
+
+/// The address of every gauge in TI's tables; the parts allow no other.
 pub const GAUGE_ADDRESS: u8 = 0x55;
 
 /// Why a transfer failed, in the words of the kernel's I2C fault codes.
@@ -29,27 +56,20 @@ pub enum BusError {
     Gone,
     /// A kernel driver is bound to the address.
     Busy,
-    /// Any other errno of the adapter's.
-    Other(Errno),
+    /// The recording behind this bus takes no writes.
+    ReadOnly,
+    /// The recording behind this bus has no answer to this.
+    NotRecorded,
+    /// Any other error number of the adapter's.
+    Other(i32),
 }
 
-impl BusError {
-    /// The errno that a file operation answers with.
-    pub fn errno(self) -> Errno {
-        match self {
-            BusError::NoAck => Errno::ENXIO,
-            BusError::ArbitrationLost => Errno::EAGAIN,
-            BusError::Timeout => Errno::ETIMEDOUT,
-            BusError::Short => Errno::EPROTO,
-            BusError::Gone => Errno::ENODEV,
-            BusError::Busy => Errno::EBUSY,
-            BusError::Other(errno) => errno,
-        }
-    }
-}
+/// The number of an input/output error on Linux.
+const EIO: i32 = 5;
 
 impl BusError {
-    /// The error that prints so; what is not known by its text is any other of the adapter's.
+    /// The error that prints as `text`, as a recording needs it. A text that is not known is an input/output
+    /// error of the adapter's.
     pub fn by_text(text: &str) -> Self {
         let known = [
             BusError::NoAck,
@@ -58,9 +78,11 @@ impl BusError {
             BusError::Short,
             BusError::Gone,
             BusError::Busy,
+            BusError::ReadOnly,
+            BusError::NotRecorded,
         ];
         let found = known.into_iter().find(|error| error.to_string() == text);
-        found.unwrap_or(BusError::Other(Errno::EIO))
+        found.unwrap_or(BusError::Other(EIO))
     }
 }
 
@@ -69,15 +91,19 @@ impl fmt::Display for BusError {
         match self {
             BusError::NoAck => f.write_str("not acknowledged; is the gauge powered and connected?"),
             BusError::ArbitrationLost => {
-                f.write_str("arbitration lost again and again; another controller uses the bus")
+                f.write_str("arbitration lost repeatedly; another controller uses the bus")
             }
             BusError::Timeout => {
                 f.write_str("the bus timed out; a line is held low or the clock stretched too long")
             }
-            BusError::Short => f.write_str("the adapter moved only a part of the transfer"),
+            BusError::Short => f.write_str("the adapter moved only part of the transfer"),
             BusError::Gone => f.write_str("the adapter is gone"),
             BusError::Busy => f.write_str("a kernel driver is bound to the address; unbind it first"),
-            BusError::Other(errno) => write!(f, "the adapter answered {errno}"),
+            BusError::ReadOnly => f.write_str("a recording takes no writes"),
+            BusError::NotRecorded => f.write_str("the recording has no answer to this"),
+            BusError::Other(number) => {
+                write!(f, "the adapter answered: {}", error::reason(&io::Error::from_raw_os_error(*number)))
+            }
         }
     }
 }
@@ -87,8 +113,8 @@ impl std::error::Error for BusError {}
 /// A way to one target address.
 pub trait Bus: Send {
     /// One transfer: START, `write` to the target, then, where `read` is not empty, a repeated START
-    /// and `read.len()` bytes back, STOP. With nothing to write it reads from where the target's
-    /// pointer stands; with nothing to do at all it only asks for the address's acknowledgement.
+    /// and `read.len()` bytes back, STOP. With nothing to write it reads from the target's present pointer;
+    /// with neither it only asks whether the address is acknowledged.
     ///
     /// An error may leave the transfer's effect on the target unknown.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
@@ -98,12 +124,12 @@ pub trait Bus: Send {
         Ok(())
     }
 
-    /// Lets go of an adapter that has gone. No transfer is needed for it.
-    fn look(&mut self) {}
+    /// Closes an adapter that has been unplugged: the kernel keeps it until its last user has closed it.
+    fn release_if_gone(&mut self) {}
 
     /// From now on transfers carry keys or security data (`true`), or no longer do (`false`).
     /// Whatever records transfers must hide those in between.
-    fn hush(&mut self, _secret: bool) {}
+    fn set_secret(&mut self, _secret: bool) {}
 }
 
 impl<B: Bus + ?Sized> Bus for Box<B> {
@@ -115,12 +141,12 @@ impl<B: Bus + ?Sized> Bus for Box<B> {
         (**self).claim()
     }
 
-    fn look(&mut self) {
-        (**self).look();
+    fn release_if_gone(&mut self) {
+        (**self).release_if_gone();
     }
 
-    fn hush(&mut self, secret: bool) {
-        (**self).hush(secret);
+    fn set_secret(&mut self, secret: bool) {
+        (**self).set_secret(secret);
     }
 }
 

@@ -183,7 +183,7 @@ impl DataFlash {
         status: u16,
         changes: &[Change],
     ) -> Result<Option<Error>> {
-        let resets = changes.iter().any(|change| change.subclass.kind == Kind::Reset)
+        let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset)
             || sequence(gauge).always_finishes();
         let Some(learning) = gauge.chip.preflight.learning.as_ref().filter(|_| resets) else {
             return Ok(None);
@@ -223,8 +223,8 @@ impl DataFlash {
                 met.lost = gauge.chip.volatile.map(|_| false);
             }
             Err(error) => {
-                self.ours |= matches!(error.cause(), Cause::Unknown(_));
-                if matches!(error.cause(), Cause::Unknown(_) | Cause::RolledBack(_)) {
+                self.ours |= matches!(error.cause(), Cause::StateUnknown(_));
+                if matches!(error.cause(), Cause::StateUnknown(_) | Cause::RolledBack(_)) {
                     met.lost = None;
                 }
             }
@@ -237,7 +237,7 @@ impl DataFlash {
 
 impl Change {
     fn is_at(&self, row: (u8, u16)) -> bool {
-        (self.subclass.id, self.parameter.offset) == row
+        (self.place.subclass, self.place.offset) == row
     }
 }
 
@@ -307,10 +307,10 @@ fn off(mode: &Mode, word: u16) -> Result<()> {
 /// A gauge that is not there may be where flash programmers have left it.
 fn in_rom(chip: &Chip, error: Error) -> Error {
     let has_rom = chip.subcommands.iter().any(|subcommand| subcommand.code == ROM_MODE);
-    if !has_rom || *error.cause() != Cause::Bus(crate::bus::BusError::NoAck) {
+    if !has_rom || *error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
         return error;
     }
     let why = "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode \
                answers at 0x0b only: finish the programming there";
-    Error::host(chip.model, nix::errno::Errno::ENXIO, why).at(Step::Identify)
+    Error::new(chip.model, Cause::NoAnswer(why.into())).at(Step::Identify)
 }

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use super::{Dirty, Place, Sequence};
+use super::{Dirty, Sequence, Window};
 use crate::codec::{WINDOW, checksum};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
@@ -36,7 +36,7 @@ impl Sequence for Block {
         Ok(())
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         let first = load_settled(gauge, place);
         if let Ok((window, true)) = first {
             return Ok(window);
@@ -56,7 +56,7 @@ impl Sequence for Block {
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
-    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()> {
+    fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         select(gauge, place)?;
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))
     }
@@ -86,18 +86,18 @@ impl Sequence for Block {
     }
 }
 
-fn block_of(place: Place) -> u8 {
+fn block_of(place: Window) -> u8 {
     u8::try_from(usize::from(place.base) / WINDOW).expect("a subclass has few blocks")
 }
 
-fn select(gauge: &mut Gauge, place: Place) -> Result<()> {
+fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
     let selected = gauge.write(DATA_FLASH_CLASS, &[place.subclass, block_of(place)]);
     gauge.wait(gauge.chip.access.select);
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
 /// Selects a block and reads it until two readings, some time apart, agree.
-fn load_settled(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
+fn load_settled(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     select(gauge, place)?;
     let mut before = read_window(gauge, place);
     for _ in 1..READINGS {
@@ -115,7 +115,7 @@ fn load_settled(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)>
 /// The block, its checksum in order, and whether the gauge says that this block was selected. With
 /// BlockDataControl() at 1, where a lost bit can put it, the window has nothing to do with data flash,
 /// and all the rest is in order: so that is read as well.
-fn read_window(gauge: &mut Gauge, place: Place) -> Result<([u8; WINDOW], bool)> {
+fn read_window(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];

@@ -9,10 +9,11 @@
 //! Until the first block is committed an error means that nothing has changed. From then on the answer
 //! is success, [`Cause::RolledBack`] (the old bytes were put back and verified) or [`Cause::Unknown`].
 
+use std::fmt;
 use std::ops::Range;
 use std::time::Duration;
 
-use crate::chip::{FLAT, Kind, Parameter, Safe, Scheme, Subclass};
+use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Scheme, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics};
@@ -37,15 +38,27 @@ const BACK: Duration = Duration::from_secs(6);
 /// How often putting the old bytes back is tried.
 const RESTORES: u32 = 3;
 
-/// New bytes for one parameter.
+/// A place in data flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Subclass id, or [`FLAT`].
+    pub subclass: u8,
+    /// Offset in the subclass, or address.
+    pub offset: u16,
+}
+
+/// A parameter and the subclass that it belongs to.
+pub type Row = (&'static Subclass, &'static Parameter);
+
+/// New bytes for one place in data flash.
 #[derive(Clone, Debug)]
 pub struct Change {
-    /// Where it stands.
-    pub subclass: &'static Subclass,
-    /// Which one it is.
-    pub parameter: &'static Parameter,
-    /// Its bytes in data flash, as many as its type has.
+    /// Where its first byte is.
+    pub place: Place,
+    /// The bytes.
     pub bytes: Vec<u8>,
+    /// The parameter that they are the value of; `None` for bytes that no manual documents.
+    pub row: Option<Row>,
     /// Of a saved configuration: bits that must stay as they are do, whatever was saved.
     pub saved: bool,
 }
@@ -64,7 +77,7 @@ pub enum Outcome {
 
 /// A 32-byte piece of data flash, as the window shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Place {
+struct Window {
     /// Subclass id, or [`FLAT`].
     subclass: u8,
     /// Offset, or flat address, of the window's first byte.
@@ -73,7 +86,7 @@ struct Place {
 
 /// A block that a change touches.
 struct Dirty {
-    place: Place,
+    place: Window,
     /// As it was read.
     old: [u8; WINDOW],
     /// As it shall be.
@@ -89,9 +102,9 @@ trait Sequence {
     /// Lets data flash be written, where that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
     /// Brings a block into the window and reads it whole, with its checksum.
-    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]>;
+    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
     /// Brings a block into the window and reads some of its bytes.
-    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()>;
+    fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Whether the block has to be in the window before its bytes are changed. Not where they go out with their
     /// address, and the sum that commits them is over both.
     fn fills_window(&self) -> bool;
@@ -200,7 +213,7 @@ impl DataFlash {
 
     /// Makes the changes, all or none, in one transaction.
     pub fn write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
-        if let Some(change) = changes.iter().find(|change| change.subclass.kind == Kind::Security) {
+        if let Some(change) = changes.iter().find(|change| change.kind(gauge.chip) == Kind::Security) {
             let why = "keys cannot be changed like other parameters";
             return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
         }
@@ -259,7 +272,7 @@ impl DataFlash {
             Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
             None => {}
         }
-        let reset = changes.iter().any(|change| change.subclass.kind == Kind::Reset);
+        let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         if changes.iter().any(|change| is_gate(gauge, change)) {
             self.gate = None;
         }
@@ -298,7 +311,7 @@ impl DataFlash {
             }
             Err(second) => {
                 let why = format!("{error}; then {second}: what data flash holds is not known");
-                Err(Error::new("", Cause::Unknown(why)))
+                Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
     }
@@ -373,8 +386,9 @@ impl DataFlash {
     /// The limits that are narrower than the manual's.
     fn check_safe(&self, gauge: &Gauge, change: &Change, dirty: &[Dirty], voltage_mv: u16) -> Result<()> {
         let refuse = |why: String| Err(Error::new(change.subject(), Cause::OutOfRange(why)).at(Step::Check));
-        let number = integer(change.parameter, &change.bytes);
-        match &change.parameter.safe {
+        let Some((_, parameter)) = change.row else { return Ok(()) };
+        let number = integer(parameter, &change.bytes);
+        match &parameter.safe {
             Some(Safe::AtLeast(..)) => change.check_least(),
             Some(Safe::BelowPresentVoltage(why)) => {
                 let present_mv =
@@ -386,7 +400,7 @@ impl DataFlash {
             }
             Some(Safe::Keep(..)) if change.saved => Ok(()),
             Some(Safe::Keep(mask, why)) => {
-                let old = integer(change.parameter, &old_bytes(change, dirty));
+                let old = integer(parameter, &old_bytes(change, dirty));
                 let differ = (old ^ number) & i64::from(*mask);
                 if differ == 0 {
                     return Ok(());
@@ -399,10 +413,18 @@ impl DataFlash {
 }
 
 impl Change {
-    /// The one of the narrower limits that can be checked without the gauge.
+    /// A new value of a parameter; `None` where it does not fit the parameter's type.
+    pub fn of_value((subclass, parameter): Row, value: &Value) -> Option<Self> {
+        let place = Place { subclass: subclass.id, offset: parameter.offset };
+        let bytes = codec::encode(parameter.kind, value)?;
+        Some(Self { place, bytes, row: Some((subclass, parameter)), saved: false })
+    }
+
+    /// The only one of the narrower limits that can be checked without the gauge.
     pub fn check_least(&self) -> Result<()> {
-        let number = integer(self.parameter, &self.bytes);
-        match &self.parameter.safe {
+        let Some((_, parameter)) = self.row else { return Ok(()) };
+        let number = integer(parameter, &self.bytes);
+        match &parameter.safe {
             Some(Safe::AtLeast(least, why)) if number < *least => {
                 let why = format!("{number} is below {least}: {why}");
                 Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
@@ -411,20 +433,41 @@ impl Change {
         }
     }
 
+    /// What to call it in a log: the parameter's name, or the place of bytes without one.
+    pub fn name(&self) -> String {
+        match self.row {
+            Some((_, parameter)) => parameter.name.to_string(),
+            None => format!("undocumented bytes at {}", self.place),
+        }
+    }
+
     fn subject(&self) -> String {
-        let Self { subclass, parameter, .. } = self;
-        let place = match subclass.id {
-            FLAT => format!("flash/0x{:04x}", parameter.offset),
-            id => format!("{id}/{}", parameter.offset),
-        };
-        format!("{} ({place})", parameter.name)
+        match self.row {
+            Some((_, parameter)) => format!("{} ({})", parameter.name, self.place),
+            None => self.name(),
+        }
+    }
+
+    /// What its subclass needs. Of one that no table has, nobody says that it would do without a reset.
+    fn kind(&self, chip: &Chip) -> Kind {
+        let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
+        table.map_or(Kind::Reset, |subclass| subclass.kind)
     }
 
     /// The windows that hold its bytes, a byte each, and where in them.
-    fn places(&self) -> impl Iterator<Item = (Place, usize)> {
-        let Self { subclass, parameter, bytes, .. } = self;
-        let offsets = (parameter.offset..).take(bytes.len());
-        offsets.map(|offset| locate(subclass.id, subclass.start(), offset))
+    fn windows(&self) -> impl Iterator<Item = (Window, usize)> {
+        let start = self.row.map_or(0, |(subclass, _)| subclass.start());
+        let offsets = (self.place.offset..).take(self.bytes.len());
+        offsets.map(move |offset| locate(self.place.subclass, start, offset))
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.subclass {
+            FLAT => write!(f, "flash/0x{:04x}", self.offset),
+            id => write!(f, "{id}/{}", self.offset),
+        }
     }
 }
 
@@ -436,7 +479,7 @@ impl Dirty {
     }
 }
 
-impl Place {
+impl Window {
     /// The byte at a position of the window, for a message.
     fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
@@ -448,13 +491,13 @@ impl Place {
 }
 
 /// The window that shows an offset of a subclass which begins at `start`, and where in it.
-fn locate(subclass: u8, start: u16, offset: u16) -> (Place, usize) {
+fn locate(subclass: u8, start: u16, offset: u16) -> (Window, usize) {
     let at = usize::from(offset - start) % WINDOW;
-    (Place { subclass, base: offset - at as u16 }, at)
+    (Window { subclass, base: offset - at as u16 }, at)
 }
 
 fn is_gate(gauge: &Gauge, change: &Change) -> bool {
-    let at = (change.subclass.id, change.parameter.offset);
+    let at = (change.place.subclass, change.place.offset);
     gauge.chip.gate.as_ref().is_some_and(|gate| {
         at == gate.limit || gate.divider.is_some_and(|(subclass, offset, _)| at == (subclass, offset))
     })
@@ -489,7 +532,7 @@ fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let base = subclass.start() + bytes.len() as u16;
-        let window = sequence(gauge).load(gauge, Place { subclass: subclass.id, base })?;
+        let window = sequence(gauge).load(gauge, Window { subclass: subclass.id, base })?;
         bytes.extend_from_slice(&window[..WINDOW.min(length - bytes.len())]);
     }
     Ok(bytes)
@@ -499,7 +542,7 @@ fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
 fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
     let mut dirty: Vec<Dirty> = Vec::new();
     for change in changes {
-        for (number, ((place, at), &byte)) in change.places().zip(&change.bytes).enumerate() {
+        for (number, ((place, at), &byte)) in change.windows().zip(&change.bytes).enumerate() {
             let index = match dirty.iter().position(|block| block.place == place) {
                 Some(index) => index,
                 None => {
@@ -521,20 +564,20 @@ fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
 
 /// The bits of one of its bytes that a write must leave alone.
 fn kept_bits(change: &Change, number: usize) -> u8 {
-    let Some(Safe::Keep(mask, _)) = change.parameter.safe else { return 0 };
+    let Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) = change.row else { return 0 };
     let behind = change.bytes.len() - 1 - number;
     (mask >> (8 * behind)) as u8
 }
 
 /// How many blocks the changes touch.
 fn blocks(changes: &[Change]) -> usize {
-    let places: Vec<Place> = changes.iter().flat_map(Change::places).map(|(place, _)| place).collect();
+    let places: Vec<Window> = changes.iter().flat_map(Change::windows).map(|(place, _)| place).collect();
     (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()
 }
 
 fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
     let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
-    change.places().filter_map(byte).collect()
+    change.windows().filter_map(byte).collect()
 }
 
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
@@ -674,20 +717,20 @@ impl Visit {
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {
             (outcome, Ok(())) => {
-                if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Unknown(_))) {
+                if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_))) {
                     self.over();
                 }
                 outcome
             }
             (Ok(_), Err(error)) => {
                 let why = format!("done, but the gauge could not be left {found} as it was: {error}");
-                Err(Error::new("", Cause::Unknown(why)))
+                Err(Error::new("", Cause::StateUnknown(why)))
             }
             // It does not answer, and nothing was sent that could have changed its state.
             (Err(first), Err(_)) if self.now == Some(self.found) => Err(first),
             (Err(first), Err(second)) => {
                 let why = format!("{first}; then the gauge could not be left {found} as it was: {second}");
-                Err(Error::new("", Cause::Unknown(why)))
+                Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
     }

@@ -1,7 +1,7 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and what it echoes is checked.
 
-use super::{Dirty, Place, Sequence};
+use super::{Dirty, Sequence, Window};
 use crate::codec::{WINDOW, checksum};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
@@ -26,7 +26,7 @@ impl Sequence for Mac {
         Ok(())
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         let mut outcome = load_once(gauge, place);
         // Read too early, the answer is the one before; it is asked for once more.
         let early = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
@@ -38,7 +38,7 @@ impl Sequence for Mac {
         outcome
     }
 
-    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()> {
+    fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         let window = self.load(gauge, place)?;
         into.copy_from_slice(&window[at..at + into.len()]);
         Ok(())
@@ -82,7 +82,7 @@ fn sum(address: u16, data: &[u8]) -> u8 {
     checksum(data).wrapping_sub(low).wrapping_sub(high)
 }
 
-fn load_once(gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
     let address = place.base;
     let at = |error: Error| error.at(Step::ReadBlock);
     gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::bus::{Bus, BusError, wire_bytes};
 pub use crate::chip::Answers;
 use crate::chip::{Chip, Register, SealStatus, Tier};
-use crate::clock::Clock;
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret};
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError, wire_bytes};
 
 /// Address of Control().
 const CONTROL: u8 = 0x00;
@@ -206,8 +206,15 @@ impl Gauge {
         let mut outcome = attempt(self);
         for _ in 1..TRIES {
             match outcome {
-                Ok(()) | Err(BusError::Gone | BusError::Busy | BusError::Other(_)) => break,
                 Err(BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short) => {}
+                Ok(())
+                | Err(
+                    BusError::Gone
+                    | BusError::Busy
+                    | BusError::ReadOnly
+                    | BusError::NotRecorded
+                    | BusError::Other(_),
+                ) => break,
             }
             self.wait(PAUSE);
             Statistics::count(&self.statistics.retries);
@@ -300,8 +307,8 @@ impl Gauge {
     }
 
     /// Lets go of an adapter that has gone.
-    pub fn look(&mut self) {
-        self.bus.look();
+    pub fn release_if_gone(&mut self) {
+        self.bus.release_if_gone();
     }
 
     /// Asks the gauge who it is.
@@ -469,11 +476,18 @@ impl Gauge {
 
     /// Sends both words of a key and tells whether the state followed.
     pub fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
-        self.bus.hush(true);
+        self.bus.set_secret(true);
         let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
-        self.bus.hush(false);
+        self.bus.set_secret(false);
         // A word that was not acknowledged is as good as a refused key: the state tells.
-        if let Err(bus @ (BusError::Gone | BusError::Busy | BusError::Other(_))) = sent {
+        if let Err(
+            bus @ (BusError::Gone
+            | BusError::Busy
+            | BusError::ReadOnly
+            | BusError::NotRecorded
+            | BusError::Other(_)),
+        ) = sent
+        {
             return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
         }
         // FULL ACCESS is refused without any fault when it comes too early, so that one misread state would
@@ -536,8 +550,8 @@ impl Gauge {
     }
 
     /// What passes from now on is a secret (`true`), or no longer (`false`).
-    pub fn hush(&mut self, secret: bool) {
-        self.bus.hush(secret);
+    pub fn set_secret(&mut self, secret: bool) {
+        self.bus.set_secret(secret);
     }
 
     /// Forgets that a key was refused: the gauge may be another one of the same kind.

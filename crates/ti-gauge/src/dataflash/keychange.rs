@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::{DataFlash, Dirty, Place, RESTORES, sequence};
+use super::{DataFlash, Dirty, RESTORES, Window, sequence};
 use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
 use crate::codec::WINDOW;
@@ -288,8 +288,9 @@ impl Task<'_> {
     /// A random challenge, answered as only this key answers it.
     fn challenge(&self, gauge: &mut Gauge, key: &Secret) -> Result<()> {
         let mut challenge = [0; LENGTH];
-        getrandom::fill(&mut challenge)
-            .map_err(|error| Error::host("random numbers", nix::errno::Errno::EIO, error.to_string()))?;
+        getrandom::fill(&mut challenge).map_err(|error| {
+            Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other, error.to_string()))
+        })?;
         let digest = authentication::answered(gauge, &challenge, self.order)?;
         let key = Zeroizing::new(key.bytes().try_into().expect("an authentication key has 16 bytes"));
         if authentication::fits(&key, &challenge, &digest, self.order).is_some() {
@@ -309,8 +310,8 @@ impl Task<'_> {
         self.climb(gauge, &ring, Seal::Sealed)
     }
 
-    fn place(&self) -> Place {
-        Place { subclass: self.block.subclass, base: self.block.start }
+    fn place(&self) -> Window {
+        Window { subclass: self.block.subclass, base: self.block.start }
     }
 
     /// The block as it is now. Only what is keys counts: behind them may be what the gauge rewrites.
@@ -448,7 +449,7 @@ impl Task<'_> {
                  make the same change once more"
             }
         };
-        Error::new("", Cause::Unknown(format!("{error}; {known}")))
+        Error::new("", Cause::StateUnknown(format!("{error}; {known}")))
     }
 
     /// Goes to FULL ACCESS by whatever key leads there.
@@ -532,15 +533,15 @@ impl Task<'_> {
             (Ok(()), Err(error)) => {
                 let why =
                     format!("the gauge takes the new key, but could not be left {found} as it was: {error}");
-                Err(Error::new("", Cause::Unknown(why)))
+                Err(Error::new("", Cause::StateUnknown(why)))
             }
             (Err(first), Err(second)) => {
                 let key = match first.cause() {
-                    Cause::RolledBack(_) | Cause::Unknown(_) => "",
+                    Cause::RolledBack(_) | Cause::StateUnknown(_) => "",
                     _ => "no key was changed, but ",
                 };
                 let why = format!("{first}; {key}the gauge could not be left {found} as it was: {second}");
-                Err(Error::new("", Cause::Unknown(why)))
+                Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
     }
@@ -566,9 +567,9 @@ enum Worked {
 
 /// Runs what carries keys over the bus: nothing of it is recorded, and no error repeats what it read.
 fn quietly<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
-    gauge.hush(true);
+    gauge.set_secret(true);
     let outcome = run(gauge);
-    gauge.hush(false);
+    gauge.set_secret(false);
     outcome.map_err(|error| {
         let cause = match error.cause() {
             Cause::BadChecksum(_) => Cause::BadChecksum("the block of the keys does not add up".into()),

@@ -1,17 +1,14 @@
 //! Golden images: a gauge's configuration as a file, in three formats, and what two of them differ in.
 //!
-//! Nothing in here reaches a gauge but through the files of its mount. Keys are in no image: not read, not
-//! shown, not written, whatever a file holds.
+//! Nothing in here reaches a gauge. Keys are in no image: not read, not shown, not written, whatever a file
+//! holds.
 
 use std::fmt;
-use std::fs::File;
-use std::io::Write;
 use std::path::Path;
-
-use nix::errno::Errno;
 
 use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Subclass, kebab_case};
 use crate::codec;
+use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::text;
 use crate::value::Value;
@@ -190,7 +187,8 @@ impl fmt::Display for RawDifference {
 }
 
 impl Image {
-    fn new(chip: &'static Chip, firmware: Option<u16>) -> Self {
+    /// An image without values.
+    pub fn new(chip: &'static Chip, firmware: Option<u16>) -> Self {
         Self { chip, firmware, entries: Vec::new(), raw: Vec::new(), notes: Vec::new() }
     }
 
@@ -222,9 +220,13 @@ impl Image {
         told.collect()
     }
 
-    /// What the bytes of a file that are no parameter's would change on a mounted gauge. Only with `allowed`
-    /// is there anything; without, the first such change is an error.
-    pub fn raw_changes(&self, gauge: &Path, allowed: bool) -> Result<Vec<RawDifference>> {
+    /// What the bytes of a file that are no parameter's would change on a gauge whose subclasses `stored` gives
+    /// whole, by their ids. Only with `allowed` is there anything; without, the first such change is an error.
+    pub fn raw_changes(
+        &self,
+        stored: impl Fn(u8) -> Result<Vec<u8>>,
+        allowed: bool,
+    ) -> Result<Vec<RawDifference>> {
         let mut changes = Vec::new();
         for raw in &self.raw {
             if let Some(error) = self.refused(raw, allowed) {
@@ -234,7 +236,7 @@ impl Image {
                 changes.push(RawDifference { old: None, new: raw.clone() });
                 continue;
             };
-            let stored = raw_of(gauge, subclass.id)?;
+            let stored = stored(subclass.id)?;
             let start = usize::from(raw.offset);
             let Some(stored) = stored.get(start..start + raw.bytes.len()) else {
                 let why = format!("subclass {} ends with offset {}", subclass.id, stored.len() - 1);
@@ -258,26 +260,13 @@ impl Image {
         Ok(changes)
     }
 
-    /// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does
-    /// not tell.
+    /// Reads a file of any format. `chip` is what it is for where it does not say so itself.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
-        let read = if path.is_dir() { Self::of_gauge(path) } else { Self::of_file(path, chip) };
-        read.map_err(|error| error.within(&path.display().to_string()))
-    }
-
-    /// Reads a mounted gauge's folder and nothing else.
-    pub fn of_mounted(path: &Path) -> Result<Self> {
-        if path.is_dir() {
-            return Self::open(path, None);
-        }
-        Err(Error::host(path.display().to_string(), Errno::ENOTDIR, "not a mounted gauge's folder"))
-    }
-
-    fn of_file(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|error| Error::io("", "cannot be read", &error))?;
+        let name = path.display().to_string();
+        let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
         // Tools have left other encodings in comments and units, which nothing here depends on.
         let text = String::from_utf8_lossy(&bytes);
-        Self::parse(&text, chip)
+        Self::parse(&text, chip).map_err(|error| error.within(&name))
     }
 
     /// Reads the text of a file in any format, told apart by its first line.
@@ -301,45 +290,6 @@ impl Image {
         Ok(image)
     }
 
-    /// Reads a mounted gauge.
-    fn of_gauge(folder: &Path) -> Result<Self> {
-        let read = |name: &str| {
-            let text = std::fs::read_to_string(folder.join(name));
-            text.map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::ENOENT) => {
-                    let why = "is not there; this is not a mounted gauge's folder with data flash";
-                    Error::host(name, Errno::ENOENT, why)
-                }
-                _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
-            })
-        };
-        let model = read("model_name")?;
-        let chip = CHIPS.iter().find(|chip| chip.model == model.trim()).ok_or_else(|| {
-            let why = format!("no gauge that gaugefs knows: {}", model.trim());
-            Error::new("model_name", Cause::Gone(why))
-        })?;
-        let firmware = read("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
-        let mut image = Self::new(chip, firmware);
-        for (number, line) in (1..).zip(read("df/index")?.lines()).skip(1) {
-            let fields: Vec<&str> = line.split('\t').collect();
-            let [id, offset, .., text] = fields.as_slice() else {
-                return Err(at_line(number, "not a line of df/index"));
-            };
-            let row = chip.row(id, offset);
-            let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
-            if *text == "-" || subclass.kind == Kind::Security {
-                continue;
-            }
-            let value = text::parse_stored(parameter, text.as_bytes())?;
-            image.entries.push(Entry { subclass, parameter, value, line: 0 });
-        }
-        if image.entries.is_empty() {
-            let why = "its data flash cannot be read: it is sealed and no key works; mount with --key-file";
-            return Err(Error::new("", Cause::NotPermitted(why.into())));
-        }
-        Ok(image)
-    }
-
     /// What has to be written to the gauge that this image is of, so that it has the values of a file. Rows
     /// that are not imported are passed over; a value that may not be written is an error.
     pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Vec<Difference<'a>>> {
@@ -359,13 +309,31 @@ impl Image {
         Ok(changes)
     }
 
-    /// The image in a format. A FlashStream needs the bytes between parameters as well, for which the
-    /// gauge's folder is asked.
-    pub fn write(&self, format: Format, gauge: &Path) -> Result<String> {
+    /// The changes that give a gauge this configuration again after it has lost it with its power. Rows that are
+    /// not proven are left out.
+    pub fn to_restore(&self) -> Result<Vec<Change>> {
+        let mut changes = Vec::new();
+        for entry in &self.entries {
+            let Entry { subclass, parameter, value, line } = entry;
+            if parameter.unproven || subclass.kind == Kind::Security {
+                continue;
+            }
+            let at = |error: Error| error.within(&format!("line {line}"));
+            text::parse(parameter, entry.text().as_bytes()).map_err(at)?;
+            let change = Change::of_value((subclass, parameter), value);
+            let change = change.ok_or_else(|| at_line(*line, "does not fit its type"))?;
+            changes.push(Change { saved: true, ..change });
+        }
+        Ok(changes)
+    }
+
+    /// The image in a format. A FlashStream needs the bytes between parameters as well: `stored` gives a
+    /// subclass whole, by its id.
+    pub fn write(&self, format: Format, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
         match format {
             Format::Toml => Ok(toml::write(self)),
             Format::GgCsv => Ok(ggcsv::write(self)),
-            Format::FlashStream => flashstream::write(self, |id| raw_of(gauge, id)),
+            Format::FlashStream => flashstream::write(self, stored),
         }
     }
 
@@ -401,49 +369,6 @@ impl Image {
         let (only_first, only_second) = (self.entries.len() - both, new.entries.len() - both);
         Ok(Comparison { differences, only_first, only_second })
     }
-}
-
-/// All bytes of a subclass of a mounted gauge.
-fn raw_of(gauge: &Path, id: u8) -> Result<Vec<u8>> {
-    let file = gauge.join(format!("df/{id}/raw"));
-    std::fs::read(&file).map_err(|error| Error::io(file.display().to_string(), "cannot be read", &error))
-}
-
-/// Writes changes to a mounted gauge, all of them or none, as one transaction.
-pub fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifference]) -> Result<()> {
-    if changes.is_empty() && raw.is_empty() {
-        return Ok(());
-    }
-    let mut lines = String::from("begin\n");
-    for Difference { new, .. } in changes {
-        let (id, offset) = (new.subclass.id, new.parameter.offset);
-        lines += &match id {
-            FLAT => format!("flash/0x{offset:04x} {}\n", new.text()),
-            id => format!("{id}/{offset} {}\n", new.text()),
-        };
-    }
-    for RawDifference { new, .. } in raw {
-        lines += &format!("{} {}\n", new.name(), new.text());
-    }
-    lines += "commit\n";
-    let name = gauge.display().to_string();
-    let file = File::options().write(true).open(gauge.join("df/transaction"));
-    let mut file = file.map_err(|error| Error::io(&name, "df/transaction cannot be opened", &error))?;
-    // One write: what is refused of it is refused as a whole, and leaves no transaction open.
-    let outcome = match file.write(lines.as_bytes()) {
-        Ok(length) => file.write_all(&lines.as_bytes()[length..]).inspect_err(|_| {
-            // The first piece has opened it; a commit that failed has ended it already.
-            let _ = file.write(b"abort\n");
-        }),
-        Err(error) => Err(error),
-    };
-    outcome.map_err(|error| {
-        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        match (told.trim(), error.raw_os_error().map(Errno::from_raw)) {
-            ("", _) | (_, None) => Error::io(&name, "df/transaction", &error),
-            (told, Some(errno)) => Error::host(&name, errno, told),
-        }
-    })
 }
 
 /// The format of a text, by its first line that is not blank and no comment of all formats' kind.

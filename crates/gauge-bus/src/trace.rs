@@ -10,11 +10,11 @@ use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::Arc;
 
-use nix::libc;
+use rustix::fs::OFlags;
 
-use super::{Bus, BusError};
 use crate::clock::Clock;
 use crate::error::{Error, Result};
+use crate::{Bus, BusError};
 
 /// A bus and the file that its transfers are written to.
 pub struct Trace {
@@ -37,7 +37,12 @@ impl Trace {
     ) -> Result<Self> {
         let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
         let mut options = File::options();
-        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
+        options
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits() as i32);
         let mut file = options.open(path).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
         let form = "; Below each transfer: seconds since the start, and what came of it.";
@@ -70,13 +75,13 @@ impl Bus for Trace {
         self.bus.claim()
     }
 
-    fn look(&mut self) {
-        self.bus.look();
+    fn release_if_gone(&mut self) {
+        self.bus.release_if_gone();
     }
 
-    fn hush(&mut self, secret: bool) {
+    fn set_secret(&mut self, secret: bool) {
         self.secret = secret;
-        self.bus.hush(secret);
+        self.bus.set_secret(secret);
     }
 }
 
@@ -124,9 +129,9 @@ mod tests {
         bus.transfer(&[0x08], &mut [0; 2]).expect("a read");
         bus.transfer(&[], &mut [0; 1]).expect("a read");
         let _ = bus.transfer(&[0xff], &mut [0; 1]);
-        bus.hush(true);
+        bus.set_secret(true);
         bus.transfer(&[0, 0x14, 0x04], &mut []).expect("a key word");
-        bus.hush(false);
+        bus.set_secret(false);
         let text = std::fs::read_to_string(&path).expect("the trace");
         let mode = std::fs::metadata(&path).expect("the trace").permissions().mode();
         std::fs::remove_file(&path).expect("the trace");

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use super::block::Block;
-use super::{Dirty, Place, Sequence};
+use super::{Dirty, Sequence, Window};
 use crate::chip::Role;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
@@ -38,11 +38,11 @@ impl Sequence for CfgUpdate {
         Block.enable(gauge)
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Place) -> Result<[u8; WINDOW]> {
+    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         Block.load(gauge, place)
     }
 
-    fn read_part(&self, gauge: &mut Gauge, place: Place, at: usize, into: &mut [u8]) -> Result<()> {
+    fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         Block.read_part(gauge, place, at, into)
     }
 
@@ -86,7 +86,7 @@ fn wait_for(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<()> {
         return Ok(());
     }
     let why = if on { "[CFGUPMODE] does not come" } else { "[CFGUPMODE] stays" };
-    Err(Error::new("Flags()", Cause::Slow(why.into())))
+    Err(Error::new("Flags()", Cause::TimedOut(why.into())))
 }
 
 /// The same; whether it came to that.

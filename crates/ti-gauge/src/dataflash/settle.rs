@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::preflight::read_word;
-use super::{DataFlash, Dirty, Place, Visit, in_time, locate, sequence, verify_written};
+use super::{DataFlash, Dirty, Visit, Window, in_time, locate, sequence, verify_written};
 use crate::chip::{Chip, FLAT, Kind, Role, Word};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
@@ -95,7 +95,7 @@ pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
         for at in (0..WINDOW).filter(|&at| is_secret(gauge, block.place, at)) {
             (old[at], new[at]) = (0, 0);
         }
-        let Place { subclass, base } = block.place;
+        let Window { subclass, base } = block.place;
         journal::Block { subclass, base, written: (block.written.start, block.written.end), old, new }
     });
     let serial = serial(gauge.chip).and_then(|(_, (subclass, offset))| {
@@ -140,7 +140,7 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
     }
     let (mut torn, mut old, mut new) = (Vec::new(), Vec::new(), Vec::new());
     for block in &plan.blocks {
-        let place = Place { subclass: block.subclass, base: block.base };
+        let place = Window { subclass: block.subclass, base: block.base };
         let stored = sequence(gauge).load(gauge, place)?;
         let mut block =
             Dirty { place, old: block.old, new: block.new, written: block.written.0..block.written.1 };
@@ -168,8 +168,9 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
         }
         return Ok("a write was cut off when all was written; it has been finished and verified".into());
     }
-    let unknown =
-        |error: Error| Error::new("", Cause::Unknown(format!("{error}: what data flash holds is not known")));
+    let unknown = |error: Error| {
+        Error::new("", Cause::StateUnknown(format!("{error}: what data flash holds is not known")))
+    };
     // Whole where a block is torn; else what was written and nothing more, so that what the gauge has
     // learned since stays.
     visit.restore(gauge, &torn, false).map_err(unknown)?;
@@ -210,7 +211,7 @@ fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
 }
 
 /// Whether a byte of a window is a key's. Only a flat window can reach beyond its own subclass.
-fn is_secret(gauge: &Gauge, place: Place, at: usize) -> bool {
+fn is_secret(gauge: &Gauge, place: Window, at: usize) -> bool {
     let address = usize::from(place.base) + at;
     gauge.chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(
         |row| {
@@ -221,7 +222,7 @@ fn is_secret(gauge: &Gauge, place: Place, at: usize) -> bool {
 }
 
 /// Whether the gauge itself rewrites a byte of a window.
-fn is_learned(gauge: &Gauge, place: Place, at: usize) -> bool {
+fn is_learned(gauge: &Gauge, place: Window, at: usize) -> bool {
     let offset = usize::from(place.base) + at;
     let rows = gauge.chip.subclasses.iter().filter(|row| row.id == place.subclass);
     rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned).any(|parameter| {

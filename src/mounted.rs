@@ -1,0 +1,121 @@
+//! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
+use nix::errno::Errno;
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind};
+use ti_gauge::image::{Difference, Entry, Image, RawDifference};
+use ti_gauge::text;
+
+use crate::error::{Cause, Error, Result};
+
+/// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does not say
+/// so itself.
+pub(crate) fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Image> {
+    if path.is_dir() { of_mounted(path) } else { Ok(Image::open(path, chip)?) }
+}
+
+/// Reads a mounted gauge's folder and nothing else.
+pub(crate) fn of_mounted(path: &Path) -> Result<Image> {
+    let name = path.display().to_string();
+    if !path.is_dir() {
+        return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
+    }
+    read(path).map_err(|error| error.within(&name))
+}
+
+/// An error about a line of `df/index`.
+fn at_line(line: usize, why: &str) -> Error {
+    Error::new(format!("df/index: line {line}"), Cause::Invalid(why.into()))
+}
+
+/// A word in hexadecimal, with `0x`.
+fn word(text: &str) -> Option<u16> {
+    u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
+}
+
+/// Reads a mounted gauge.
+fn read(folder: &Path) -> Result<Image> {
+    let text = |name: &str| {
+        std::fs::read_to_string(folder.join(name)).map_err(|error| {
+            match error.raw_os_error().map(Errno::from_raw) {
+                Some(Errno::ENOENT) => {
+                    let why = "is not there; this is not a mounted gauge's folder with data flash";
+                    Error::host(name, Errno::ENOENT, why)
+                }
+                _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
+            }
+        })
+    };
+    let model = text("model_name")?;
+    let chip = CHIPS.iter().find(|chip| chip.model == model.trim()).ok_or_else(|| {
+        let why = format!("no gauge that gaugefs knows: {}", model.trim());
+        Error::new("model_name", Cause::Gone(why))
+    })?;
+    let firmware = text("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
+    let mut image = Image::new(chip, firmware);
+    for (number, line) in (1..).zip(text("df/index")?.lines()).skip(1) {
+        let fields: Vec<&str> = line.split('\t').collect();
+        let [id, offset, .., text] = fields.as_slice() else {
+            return Err(at_line(number, "not a line of df/index"));
+        };
+        let row = chip.row(id, offset);
+        let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
+        if *text == "-" || subclass.kind == Kind::Security {
+            continue;
+        }
+        let value = text::parse_stored(parameter, text.as_bytes())?;
+        image.entries.push(Entry { subclass, parameter, value, line: 0 });
+    }
+    if image.entries.is_empty() {
+        let why = "its data flash cannot be read: it is sealed and no key works; mount with --key-file";
+        return Err(Error::new("", Cause::NotPermitted(why.into())));
+    }
+    Ok(image)
+}
+
+/// All bytes of a subclass of a mounted gauge.
+pub(crate) fn raw_of(gauge: &Path, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
+    let file = gauge.join(format!("df/{id}/raw"));
+    std::fs::read(&file)
+        .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
+}
+
+/// Writes changes to a mounted gauge, all of them or none, as one transaction.
+pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifference]) -> Result<()> {
+    if changes.is_empty() && raw.is_empty() {
+        return Ok(());
+    }
+    let mut lines = String::from("begin\n");
+    for Difference { new, .. } in changes {
+        let (id, offset) = (new.subclass.id, new.parameter.offset);
+        lines += &match id {
+            FLAT => format!("flash/0x{offset:04x} {}\n", new.text()),
+            id => format!("{id}/{offset} {}\n", new.text()),
+        };
+    }
+    for RawDifference { new, .. } in raw {
+        lines += &format!("{} {}\n", new.name(), new.text());
+    }
+    lines += "commit\n";
+    let name = gauge.display().to_string();
+    let file = File::options().write(true).open(gauge.join("df/transaction"));
+    let mut file = file.map_err(|error| Error::io(&name, "df/transaction cannot be opened", &error))?;
+    // One write: what is refused of it is refused as a whole, and leaves no transaction open.
+    let outcome = match file.write(lines.as_bytes()) {
+        Ok(length) => file.write_all(&lines.as_bytes()[length..]).inspect_err(|_| {
+            // The first piece has opened it; a commit that failed has ended it already.
+            let _ = file.write(b"abort\n");
+        }),
+        Err(error) => Err(error),
+    };
+    outcome.map_err(|error| {
+        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+        match (told.trim(), error.raw_os_error().map(Errno::from_raw)) {
+            ("", _) | (_, None) => Error::io(&name, "df/transaction", &error),
+            (told, Some(errno)) => Error::host(&name, errno, told),
+        }
+    })
+}
