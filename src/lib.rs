@@ -20,6 +20,7 @@ pub mod keys;
 pub mod lock;
 pub mod poll;
 pub mod probe;
+pub mod registers;
 pub mod saved;
 pub mod sim;
 pub mod text;

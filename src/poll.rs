@@ -19,10 +19,11 @@ use crate::codec;
 use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
-use crate::gauge::{Gauge, Statistics, bursts};
+use crate::gauge::{Gauge, Statistics};
 use crate::journal::Journal;
 use crate::keys::{self, Keys};
 use crate::probe;
+use crate::registers::Registers;
 use crate::value::Value;
 
 /// Every so many polls the slow tier is read as well; first with the second poll, which follows soon, so
@@ -52,17 +53,7 @@ pub struct Snapshot {
 impl Snapshot {
     /// The register's value, sign applied; `None` where it has not been read.
     pub fn value(&self, register: &Register) -> Option<i64> {
-        let (start, size) = (usize::from(register.code), usize::from(register.size));
-        let mask = ((1u128 << size) - 1) << start;
-        if self.registers.known & mask != mask {
-            return None;
-        }
-        let raw = self.registers.bytes[start..start + size]
-            .iter()
-            .rev()
-            .fold(0i64, |sum, &byte| sum << 8 | i64::from(byte));
-        let span = 1i64 << (8 * size);
-        Some(if register.signed && raw >= span / 2 { raw - span } else { raw })
+        self.registers.value(register)
     }
 }
 
@@ -398,26 +389,6 @@ struct Owner {
     phase: Duration,
 }
 
-/// What the registers held, and which of them are known.
-#[derive(Clone, Debug)]
-struct Registers {
-    bytes: [u8; 128],
-    known: u128,
-}
-
-impl Registers {
-    const NONE: Self = Self { bytes: [0; 128], known: 0 };
-
-    fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
-        for (start, length) in bursts(gauge.chip.registers, wanted) {
-            let (from, to) = (usize::from(start), usize::from(start + length));
-            gauge.read(start, &mut self.bytes[from..to])?;
-            self.known |= (u128::MAX >> (128 - usize::from(length))) << from;
-        }
-        Ok(())
-    }
-}
-
 impl Owner {
     fn new(
         chip: &'static Chip,
@@ -453,7 +424,7 @@ impl Owner {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
-            other: Registers::NONE,
+            other: Registers::UNREAD,
             statics: false,
             control_status: 0,
             polls: 0,
@@ -548,7 +519,7 @@ impl Owner {
         self.gauge.forget_refusal();
         self.dataflash.meet(chip, &answers);
         self.drop_kept();
-        self.other = Registers::NONE;
+        self.other = Registers::UNREAD;
         self.polls = self.polls.next_multiple_of(SLOW_EVERY);
         self.restored = false;
         self.shared.publish(|published| {
@@ -712,12 +683,7 @@ impl Owner {
         }
         let mut registers = self.other.clone();
         registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
-        if registers
-            .bytes
-            .iter()
-            .enumerate()
-            .all(|(at, &byte)| registers.known >> at & 1 == 0 || byte == 0xff)
-        {
+        if registers.hold_only(0xff) {
             let why = "every byte reads 0xff, as a bus without a gauge does";
             return Err(Error::new(self.gauge.chip.name, Cause::Protocol(why.into())).at(Step::Read));
         }
