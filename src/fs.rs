@@ -872,10 +872,15 @@ impl Fs {
                 if self.staged(gauge).is_some() {
                     return self.refuse(gauge, transaction::busy().within(field.name), done);
                 }
-                match transaction::check(row, field, handle.allows_unproven(), data) {
-                    Ok(value) => {
-                        handle.submit(Request::Write(subclass.into(), parameter.into(), value, done))
-                    }
+                let value = transaction::check(row, field, handle.allows_unproven(), data);
+                let change = value.and_then(|value| {
+                    let misfit = || Cause::Invalid(format!("does not fit type {}", field.kind));
+                    let bytes =
+                        codec::encode(field.kind, &value).ok_or_else(|| Error::new(field.name, misfit()))?;
+                    Ok(Change { subclass: row, parameter: field, bytes, saved: false })
+                });
+                match change {
+                    Ok(change) => handle.submit(Request::WriteAll(vec![change], done)),
                     Err(error) => self.refuse(gauge, error, done),
                 }
             }

@@ -15,7 +15,6 @@ use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
 use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
-use crate::codec;
 use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
@@ -24,7 +23,6 @@ use crate::journal::Journal;
 use crate::keys::{self, Keys};
 use crate::probe;
 use crate::registers::Registers;
-use crate::value::Value;
 
 /// Every so many polls the slow tier is read as well; first with the second poll, which follows soon, so
 /// that a mount waits only for what its attributes need.
@@ -88,10 +86,7 @@ pub enum Request {
     ReadAll(Done<()>),
     /// Read some subclasses, by their indices, unless kept and fresh.
     ReadSome(Vec<usize>, Done<()>),
-    /// Write one parameter: index of the subclass, index of the parameter in it, and the value, whose
-    /// range has been checked already.
-    Write(usize, usize, Value, Done<()>),
-    /// Write many parameters, all or none.
+    /// Write parameters, whose ranges have been checked already, all or none.
     WriteAll(Vec<Change>, Done<()>),
     /// Go to a seal state.
     Seal(Seal, Done<()>),
@@ -116,7 +111,6 @@ impl Request {
             Request::ReadSubclass(_, done) => done(Err(error)),
             Request::ReadAll(done)
             | Request::ReadSome(_, done)
-            | Request::Write(.., done)
             | Request::WriteAll(_, done)
             | Request::Seal(_, done)
             | Request::Control(_, done)
@@ -740,9 +734,7 @@ impl Owner {
         }
         let request = match (self.shared.published().sibling, request) {
             (Some(sibling), Request::ReadSubclass(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::ReadAll(done) | Request::Write(.., done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
+            (Some(sibling), Request::ReadAll(done)) => return done(Err(out_of_bounds(sibling))),
             (Some(sibling), Request::ReadSome(_, done) | Request::WriteAll(_, done)) => {
                 return done(Err(out_of_bounds(sibling)));
             }
@@ -755,7 +747,7 @@ impl Owner {
         };
         match request {
             Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
-            Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
+            Request::ReadAll(done) if late => done(Err(self.too_late())),
             Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
             Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
             Request::ChangeKey(_, done) if late => done(Err(self.too_late())),
@@ -770,13 +762,11 @@ impl Owner {
                 done(self.read(&all.collect::<Vec<_>>(), waited).map(|_| ()));
             }
             Request::ReadSome(wanted, done) => done(self.read(&wanted, waited).map(|_| ())),
-            Request::Write(subclass, parameter, value, done) => {
-                let outcome = self.write(subclass, parameter, &value, waited);
-                done(self.told(outcome));
-            }
             Request::WriteAll(changes, done) => {
-                let name = if changes.len() > 1 { "df/transaction" } else { "" };
-                let outcome = self.write_all(&changes, waited).map_err(|error| error.within(name));
+                let outcome = self.write(&changes, waited).map_err(|error| match changes.len() {
+                    1 => error,
+                    _ => error.within("df/transaction"),
+                });
                 done(self.told(outcome));
             }
             Request::Seal(goal, done) => {
@@ -864,16 +854,7 @@ impl Owner {
         wanted.iter().map(|&index| Ok(kept[index].as_ref().ok_or_else(gone)?.bytes.clone())).collect()
     }
 
-    fn write(&mut self, subclass: usize, parameter: usize, value: &Value, waited: Duration) -> Result<()> {
-        let row = &self.gauge.chip.subclasses[subclass];
-        let parameter = &row.parameters[parameter];
-        let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
-            Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
-        })?;
-        self.write_all(&[Change { subclass: row, parameter, bytes, saved: false }], waited)
-    }
-
-    fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+    fn write(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
         if changes.is_empty() {
             return Ok(());
         }

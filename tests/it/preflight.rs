@@ -8,13 +8,12 @@ use std::time::Duration;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::{CHIPS, Chip, FLAT, Role, Word};
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::dataflash::{DataFlash, Limits, Outcome};
+use gaugefs::dataflash::{Change, DataFlash, Limits, Outcome};
 use gaugefs::error::{Error, Result};
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Request, Settings};
 use gaugefs::sim::{Options, Sim};
-use gaugefs::value::Value;
 use nix::errno::Errno;
 
 use crate::rig::Rig;
@@ -606,8 +605,8 @@ fn a_swapped_pack_is_noticed() {
     let settings = Settings { interval, ..Settings::default() };
     let handle = poll::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
     let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
-    let parameter =
-        chip.subclasses[index(80)].parameters.iter().position(|row| row.offset == 53).expect("a row");
+    let subclass = &chip.subclasses[index(80)];
+    let parameter = subclass.parameter(53).expect("a row");
     let serial = || {
         let (done, is_done) = mpsc::channel();
         let done = Box::new(move |read| done.send(read).expect("somebody waits"));
@@ -620,7 +619,11 @@ fn a_swapped_pack_is_noticed() {
         handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
         is_done.recv().expect("an answer")
     };
-    let write = |value| run(&move |done| Request::Write(index(80), parameter, Value::Int(value), done));
+    let write = |value: u16| {
+        let bytes = value.to_be_bytes().to_vec();
+        let change = Change { subclass, parameter, bytes, saved: false };
+        run(&move |done| Request::WriteAll(vec![change.clone()], done))
+    };
     assert_eq!(serial(), 1);
     let before = (first.flash(), other.sim.flash());
 
