@@ -13,7 +13,7 @@ use nix::errno::Errno;
 
 use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
-use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
+use crate::chip::{Chip, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
 use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
@@ -80,12 +80,8 @@ pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
 
 /// What the file system may ask of a gauge's owner.
 pub enum Request {
-    /// Read a subclass (by its index in the table) unless it is kept and fresh.
-    ReadSubclass(usize, Done<Arc<[u8]>>),
-    /// Read every subclass but the security ones, unless kept and fresh.
-    ReadAll(Done<()>),
-    /// Read some subclasses, by their indices, unless kept and fresh.
-    ReadSome(Vec<usize>, Done<()>),
+    /// Read subclasses, by their indices in the table; those that are kept and fresh cost nothing.
+    Read(Vec<usize>, Done<Vec<Arc<[u8]>>>),
     /// Write parameters, whose ranges have been checked already, all or none.
     WriteAll(Vec<Change>, Done<()>),
     /// Go to a seal state.
@@ -105,13 +101,24 @@ pub enum Request {
 }
 
 impl Request {
+    /// Whether it sends anything but what a poll reads.
+    fn goes_beyond_polling(&self) -> bool {
+        match self {
+            Request::Read(..)
+            | Request::WriteAll(..)
+            | Request::Seal(..)
+            | Request::Control(..)
+            | Request::ChangeKey(..)
+            | Request::Authenticate(..) => true,
+            Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+        }
+    }
+
     /// Answers without carrying it out.
     fn refuse(self, error: Error) {
         match self {
-            Request::ReadSubclass(_, done) => done(Err(error)),
-            Request::ReadAll(done)
-            | Request::ReadSome(_, done)
-            | Request::WriteAll(_, done)
+            Request::Read(_, done) => done(Err(error)),
+            Request::WriteAll(_, done)
             | Request::Seal(_, done)
             | Request::Control(_, done)
             | Request::ChangeKey(_, done)
@@ -720,48 +727,31 @@ impl Owner {
         outcome
     }
 
-    fn too_late(&self) -> Error {
+    /// Why a request is turned away before anything is sent, if it is.
+    fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
+        if !request.goes_beyond_polling() {
+            return None;
+        }
+        if self.unseen {
+            let why = "it has not answered yet, so nothing is sent to its address";
+            return Some(Error::new(self.called(), Cause::Gone(why.into())));
+        }
+        if let Some(sibling) = self.shared.published().sibling {
+            let why = "no table describes its data flash and subcommands; only standard commands are read";
+            return Some(Error::new(sibling.name, Cause::NotPermitted(why.into())));
+        }
         let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
-        Error::new(self.gauge.chip.name, Cause::NotNow(why.into()))
+        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
+        (waited > PATIENCE).then(late)
     }
 
     fn serve(&mut self, asked: Duration, request: Request) {
         let waited = self.gauge.clock.now().saturating_sub(asked);
-        let late = waited > PATIENCE;
-        if self.unseen && !matches!(request, Request::Refresh(_) | Request::Interval(..) | Request::Look) {
-            let why = "it has not answered yet, so nothing is sent to its address".to_string();
-            return request.refuse(Error::new(self.called(), Cause::Gone(why)));
+        if let Some(error) = self.refusal(&request, waited) {
+            return request.refuse(error);
         }
-        let request = match (self.shared.published().sibling, request) {
-            (Some(sibling), Request::ReadSubclass(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::ReadAll(done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::ReadSome(_, done) | Request::WriteAll(_, done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
-            (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
-            (Some(sibling), Request::ChangeKey(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::Authenticate(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (_, request) => request,
-        };
         match request {
-            Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
-            Request::ReadAll(done) if late => done(Err(self.too_late())),
-            Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
-            Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
-            Request::ChangeKey(_, done) if late => done(Err(self.too_late())),
-            Request::Authenticate(_, done) if late => done(Err(self.too_late())),
-            Request::ReadSubclass(index, done) => {
-                done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
-            }
-            Request::ReadAll(done) => {
-                let kinds = self.gauge.chip.subclasses.iter().map(|subclass| subclass.kind);
-                let all =
-                    kinds.enumerate().filter(|(_, kind)| *kind != Kind::Security).map(|(index, _)| index);
-                done(self.read(&all.collect::<Vec<_>>(), waited).map(|_| ()));
-            }
-            Request::ReadSome(wanted, done) => done(self.read(&wanted, waited).map(|_| ())),
+            Request::Read(wanted, done) => done(self.read(&wanted, waited)),
             Request::WriteAll(changes, done) => {
                 let outcome = self.write(&changes, waited).map_err(|error| match changes.len() {
                     1 => error,
@@ -833,25 +823,26 @@ impl Owner {
         }
     }
 
-    /// Reads subclasses that are not kept, all in one visit to the unsealed gauge.
+    /// Reads those subclasses that are not kept, in one visit to the unsealed gauge.
     fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
-        let subclasses = self.gauge.chip.subclasses;
-        let missing: Vec<usize> =
-            wanted.iter().copied().filter(|&index| self.shared.kept(index).is_none()).collect();
-        if !missing.is_empty() {
-            let rows: Vec<&'static Subclass> = missing.iter().map(|&index| &subclasses[index]).collect();
-            let read = self.dataflash.read(&mut self.gauge, &rows, waited);
-            let read = self.told(read.map_err(|error| error.within(&format!("df of {}", rows[0].name))))?;
-            let mut kept = lock(&self.shared.kept);
-            for (index, bytes) in missing.into_iter().zip(read) {
-                kept[index] = Some(Kept { bytes: bytes.into(), poll: self.polls });
-            }
-            drop(kept);
-            self.look_for_quirks();
+        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
+        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
+        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
+        let mut read = self.read_anew(&unread, waited)?.into_iter();
+        Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
+    }
+
+    fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        let Some(first) = rows.first() else { return Ok(Vec::new()) };
+        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        let read = self.told(read.map_err(|error| error.within(&format!("df of {}", first.name))))?;
+        let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        for (&index, bytes) in wanted.iter().zip(&read) {
+            lock(&self.shared.kept)[index] = Some(Kept { bytes: bytes.clone(), poll: self.polls });
         }
-        let kept = lock(&self.shared.kept);
-        let gone = || Error::new(self.gauge.chip.name, Cause::Slow("not read".into()));
-        wanted.iter().map(|&index| Ok(kept[index].as_ref().ok_or_else(gone)?.bytes.clone())).collect()
+        self.look_for_quirks();
+        Ok(read)
     }
 
     fn write(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
@@ -894,12 +885,6 @@ impl Owner {
             });
         }
     }
-}
-
-/// What nobody may ask of a part whose data flash no table describes.
-fn out_of_bounds(sibling: &Sibling) -> Error {
-    let why = "no table describes its data flash and subcommands; only standard commands are read";
-    Error::new(sibling.name, Cause::NotPermitted(why.into()))
 }
 
 /// Raised by owners whenever something published has changed; the FUSE side waits on it.

@@ -610,9 +610,9 @@ fn a_swapped_pack_is_noticed() {
     let serial = || {
         let (done, is_done) = mpsc::channel();
         let done = Box::new(move |read| done.send(read).expect("somebody waits"));
-        handle.submit(Request::ReadSubclass(index(48), done));
-        let bytes: Arc<[u8]> = is_done.recv().expect("an answer").expect("it is read");
-        u16::from_be_bytes([bytes[4], bytes[5]])
+        handle.submit(Request::Read(vec![index(48)], done));
+        let read: Vec<Arc<[u8]>> = is_done.recv().expect("an answer").expect("it is read");
+        u16::from_be_bytes([read[0][4], read[0][5]])
     };
     let run = |request: &dyn Fn(poll::Done<()>) -> Request| -> Result<(), Error> {
         let (done, is_done) = mpsc::channel();
