@@ -761,26 +761,32 @@ impl Fs {
                 let why = "keys are never read";
                 done(Err(Error::new(self.subclass(gauge, subclass).name, Cause::NotPermitted(why.into()))));
             }
-            Item::Parameter(subclass, parameter) => handle.submit(Request::ReadSubclass(
-                subclass.into(),
-                Box::new(move |bytes| {
-                    done(bytes.map(|bytes| fs.parameter_text(gauge, subclass, parameter, &bytes)));
+            Item::Parameter(subclass, parameter) => handle.submit(Request::Read(
+                vec![subclass.into()],
+                Box::new(move |read| {
+                    done(read.map(|read| fs.parameter_text(gauge, subclass, parameter, &read[0])));
                 }),
             )),
-            Item::Raw(subclass) => handle.submit(Request::ReadSubclass(
-                subclass.into(),
-                Box::new(move |bytes| done(bytes.map(|bytes| bytes.to_vec()))),
+            Item::Raw(subclass) => handle.submit(Request::Read(
+                vec![subclass.into()],
+                Box::new(move |read| done(read.map(|read| read[0].to_vec()))),
             )),
-            Item::Index => handle.submit(Request::ReadAll(Box::new(move |read| match read {
-                // A sealed gauge still has its table; only the values are missing.
-                Ok(()) => done(Ok(fs.index(gauge))),
-                Err(error) if error.errno() == Errno::EPERM => done(Ok(fs.index(gauge))),
-                Err(error) => done(Err(error)),
-            }))),
+            Item::Index => {
+                let rows = handle.chip().subclasses.iter().enumerate();
+                let readable = rows.filter(|(_, row)| row.kind != Kind::Security).map(|(at, _)| at);
+                handle.submit(Request::Read(
+                    readable.collect(),
+                    Box::new(move |read| match read {
+                        // A sealed gauge still has its table; only the values are missing.
+                        Err(error) if error.errno() != Errno::EPERM => done(Err(error)),
+                        _ => done(Ok(fs.index(gauge))),
+                    }),
+                ));
+            }
             Item::Transaction => {
                 let Some(staged) = self.staged(gauge) else { return done(Ok(IDLE.to_vec())) };
                 let unread = self.unread(gauge, &staged);
-                handle.submit(Request::ReadSome(
+                handle.submit(Request::Read(
                     unread,
                     Box::new(move |read| match read {
                         // A sealed gauge still has its staged changes; only the old values are missing.
@@ -882,10 +888,13 @@ impl Fs {
                 if self.staged(gauge).is_some() {
                     return self.refuse(gauge, transaction::busy().within(field.name), done);
                 }
-                match transaction::check(row, field, handle.allows_unproven(), data) {
-                    Ok(value) => {
-                        handle.submit(Request::Write(subclass.into(), parameter.into(), value, done))
-                    }
+                let value = transaction::check(row, field, handle.allows_unproven(), data);
+                let change = value.and_then(|value| {
+                    let misfit = || Cause::Invalid(format!("does not fit type {}", field.kind));
+                    Change::of_value((row, field), &value).ok_or_else(|| Error::new(field.name, misfit()))
+                });
+                match change {
+                    Ok(change) => handle.submit(Request::WriteAll(vec![change], done)),
                     Err(error) => self.refuse(gauge, error, done),
                 }
             }

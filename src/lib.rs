@@ -2,7 +2,9 @@
 
 pub use gauge_bus as bus;
 pub use gauge_bus::clock;
-pub use ti_gauge::{authentication, chip, codec, dataflash, gauge, image, journal, keys, probe, text, value};
+pub use ti_gauge::{
+    authentication, chip, codec, dataflash, gauge, image, journal, keys, probe, registers, text, value,
+};
 
 pub mod cli;
 mod config;

@@ -13,16 +13,16 @@ use nix::errno::Errno;
 
 use crate::authentication::{self, Message, Order};
 use crate::bus::Bus;
-use crate::chip::{Chip, Kind, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
+use crate::chip::{Chip, Recognised, Register, Role, Sibling, Subclass, Tier, recognise};
 use crate::clock::Clock;
 use crate::dataflash::{Change, DataFlash, Limits, Outcome};
 use crate::error::{Cause, Error, Result, Step};
 pub use crate::gauge::{Answers, Seal};
-use crate::gauge::{Gauge, Statistics, bursts};
+use crate::gauge::{Gauge, Statistics};
 use crate::journal::Journal;
 use crate::keys::{self, Keys};
 use crate::probe;
-use crate::value::Value;
+use crate::registers::Registers;
 
 /// Every so many polls the slow tier is read as well; first with the second poll, which follows soon, so
 /// that a mount waits only for what its attributes need.
@@ -51,17 +51,7 @@ pub struct Snapshot {
 impl Snapshot {
     /// The register's value, sign applied; `None` where it has not been read.
     pub fn value(&self, register: &Register) -> Option<i64> {
-        let (start, size) = (usize::from(register.code), usize::from(register.size));
-        let mask = ((1u128 << size) - 1) << start;
-        if self.registers.known & mask != mask {
-            return None;
-        }
-        let raw = self.registers.bytes[start..start + size]
-            .iter()
-            .rev()
-            .fold(0i64, |sum, &byte| sum << 8 | i64::from(byte));
-        let span = 1i64 << (8 * size);
-        Some(if register.signed && raw >= span / 2 { raw - span } else { raw })
+        self.registers.value(register)
     }
 }
 
@@ -90,16 +80,9 @@ pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
 
 /// What the file system may ask of a gauge's owner.
 pub enum Request {
-    /// Read a subclass (by its index in the table) unless it is kept and fresh.
-    ReadSubclass(usize, Done<Arc<[u8]>>),
-    /// Read every subclass but the security ones, unless kept and fresh.
-    ReadAll(Done<()>),
-    /// Read some subclasses, by their indices, unless kept and fresh.
-    ReadSome(Vec<usize>, Done<()>),
-    /// Write one parameter: index of the subclass, index of the parameter in it, and the value, whose
-    /// range has been checked already.
-    Write(usize, usize, Value, Done<()>),
-    /// Write many parameters, all or none.
+    /// Read subclasses, by their indices in the table; those that are kept and fresh cost nothing.
+    Read(Vec<usize>, Done<Vec<Arc<[u8]>>>),
+    /// Write parameters, whose ranges have been checked already, all or none.
     WriteAll(Vec<Change>, Done<()>),
     /// Go to a seal state.
     Seal(Seal, Done<()>),
@@ -118,14 +101,24 @@ pub enum Request {
 }
 
 impl Request {
+    /// Whether it sends anything but what a poll reads.
+    fn goes_beyond_polling(&self) -> bool {
+        match self {
+            Request::Read(..)
+            | Request::WriteAll(..)
+            | Request::Seal(..)
+            | Request::Control(..)
+            | Request::ChangeKey(..)
+            | Request::Authenticate(..) => true,
+            Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+        }
+    }
+
     /// Answers without carrying it out.
     fn refuse(self, error: Error) {
         match self {
-            Request::ReadSubclass(_, done) => done(Err(error)),
-            Request::ReadAll(done)
-            | Request::ReadSome(_, done)
-            | Request::Write(.., done)
-            | Request::WriteAll(_, done)
+            Request::Read(_, done) => done(Err(error)),
+            Request::WriteAll(_, done)
             | Request::Seal(_, done)
             | Request::Control(_, done)
             | Request::ChangeKey(_, done)
@@ -397,26 +390,6 @@ struct Owner {
     phase: Duration,
 }
 
-/// What the registers held, and which of them are known.
-#[derive(Clone, Debug)]
-struct Registers {
-    bytes: [u8; 128],
-    known: u128,
-}
-
-impl Registers {
-    const NONE: Self = Self { bytes: [0; 128], known: 0 };
-
-    fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
-        for (start, length) in bursts(gauge.chip.registers, wanted) {
-            let (from, to) = (usize::from(start), usize::from(start + length));
-            gauge.read(start, &mut self.bytes[from..to])?;
-            self.known |= (u128::MAX >> (128 - usize::from(length))) << from;
-        }
-        Ok(())
-    }
-}
-
 impl Owner {
     fn new(
         chip: &'static Chip,
@@ -452,7 +425,7 @@ impl Owner {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
-            other: Registers::NONE,
+            other: Registers::UNREAD,
             statics: false,
             control_status: 0,
             polls: 0,
@@ -547,7 +520,7 @@ impl Owner {
         self.gauge.forget_refusal();
         self.dataflash.meet(chip, &answers);
         self.drop_kept();
-        self.other = Registers::NONE;
+        self.other = Registers::UNREAD;
         self.polls = self.polls.next_multiple_of(SLOW_EVERY);
         self.restored = false;
         self.shared.publish(|published| {
@@ -711,12 +684,7 @@ impl Owner {
         }
         let mut registers = self.other.clone();
         registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
-        if registers
-            .bytes
-            .iter()
-            .enumerate()
-            .all(|(at, &byte)| registers.known >> at & 1 == 0 || byte == 0xff)
-        {
+        if registers.hold_only(0xff) {
             let why = "every byte reads 0xff, as a bus without a gauge does";
             return Err(Error::new(self.gauge.chip.name, Cause::Protocol(why.into())).at(Step::Read));
         }
@@ -760,57 +728,36 @@ impl Owner {
         })
     }
 
-    fn too_late(&self) -> Error {
+    /// Why a request is turned away before anything is sent, if it is.
+    fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
+        if !request.goes_beyond_polling() {
+            return None;
+        }
+        if self.unseen {
+            let why = "it has not answered yet, so nothing is sent to its address";
+            return Some(Error::new(self.called(), Cause::Gone(why.into())));
+        }
+        if let Some(sibling) = self.shared.published().sibling {
+            let why = "no table describes its data flash and subcommands; only standard commands are read";
+            return Some(Error::new(sibling.name, Cause::NotPermitted(why.into())));
+        }
         let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
-        Error::new(self.gauge.chip.name, Cause::NotNow(why.into()))
+        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
+        (waited > PATIENCE).then(late)
     }
 
     fn serve(&mut self, asked: Duration, request: Request) {
         let waited = self.gauge.clock.now().saturating_sub(asked);
-        let late = waited > PATIENCE;
-        if self.unseen && !matches!(request, Request::Refresh(_) | Request::Interval(..) | Request::Look) {
-            let why = "it has not answered yet, so nothing is sent to its address".to_string();
-            return request.refuse(Error::new(self.called(), Cause::Gone(why)));
+        if let Some(error) = self.refusal(&request, waited) {
+            return request.refuse(error);
         }
-        let request = match (self.shared.published().sibling, request) {
-            (Some(sibling), Request::ReadSubclass(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::ReadAll(done) | Request::Write(.., done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
-            (Some(sibling), Request::ReadSome(_, done) | Request::WriteAll(_, done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
-            (Some(sibling), Request::Seal(_, done) | Request::Control(_, done)) => {
-                return done(Err(out_of_bounds(sibling)));
-            }
-            (Some(sibling), Request::ChangeKey(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (Some(sibling), Request::Authenticate(_, done)) => return done(Err(out_of_bounds(sibling))),
-            (_, request) => request,
-        };
         match request {
-            Request::ReadSubclass(_, done) if late => done(Err(self.too_late())),
-            Request::ReadAll(done) | Request::Write(.., done) if late => done(Err(self.too_late())),
-            Request::ReadSome(_, done) | Request::WriteAll(_, done) if late => done(Err(self.too_late())),
-            Request::Seal(_, done) | Request::Control(_, done) if late => done(Err(self.too_late())),
-            Request::ChangeKey(_, done) if late => done(Err(self.too_late())),
-            Request::Authenticate(_, done) if late => done(Err(self.too_late())),
-            Request::ReadSubclass(index, done) => {
-                done(self.read(&[index], waited).map(|mut bytes| bytes.remove(0)));
-            }
-            Request::ReadAll(done) => {
-                let kinds = self.gauge.chip.subclasses.iter().map(|subclass| subclass.kind);
-                let all =
-                    kinds.enumerate().filter(|(_, kind)| *kind != Kind::Security).map(|(index, _)| index);
-                done(self.read(&all.collect::<Vec<_>>(), waited).map(|_| ()));
-            }
-            Request::ReadSome(wanted, done) => done(self.read(&wanted, waited).map(|_| ())),
-            Request::Write(subclass, parameter, value, done) => {
-                let outcome = self.write(subclass, parameter, &value, waited);
-                done(self.told(outcome));
-            }
+            Request::Read(wanted, done) => done(self.read(&wanted, waited)),
             Request::WriteAll(changes, done) => {
-                let name = if changes.len() > 1 { "df/transaction" } else { "" };
-                let outcome = self.write_all(&changes, waited).map_err(|error| error.within(name));
+                let outcome = self.write(&changes, waited).map_err(|error| match changes.len() {
+                    1 => error,
+                    _ => error.within("df/transaction"),
+                });
                 done(self.told(outcome));
             }
             Request::Seal(goal, done) => {
@@ -877,37 +824,29 @@ impl Owner {
         }
     }
 
-    /// Reads subclasses that are not kept, all in one visit to the unsealed gauge.
+    /// Reads those subclasses that are not kept, in one visit to the unsealed gauge.
     fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
-        let subclasses = self.gauge.chip.subclasses;
-        let missing: Vec<usize> =
-            wanted.iter().copied().filter(|&index| self.shared.kept(index).is_none()).collect();
-        if !missing.is_empty() {
-            let rows: Vec<&'static Subclass> = missing.iter().map(|&index| &subclasses[index]).collect();
-            let read = self.dataflash.read(&mut self.gauge, &rows, waited);
-            let read = self.told(read.map_err(|error| error.within(&format!("df of {}", rows[0].name))))?;
-            let mut kept = lock(&self.shared.kept);
-            for (index, bytes) in missing.into_iter().zip(read) {
-                kept[index] = Some(Kept { bytes: bytes.into(), poll: self.polls });
-            }
-            drop(kept);
-            self.look_for_quirks();
+        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
+        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
+        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
+        let mut read = self.read_anew(&unread, waited)?.into_iter();
+        Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
+    }
+
+    fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        let Some(first) = rows.first() else { return Ok(Vec::new()) };
+        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        let read = self.told(read.map_err(|error| error.within(&format!("df of {}", first.name))))?;
+        let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        for (&index, bytes) in wanted.iter().zip(&read) {
+            lock(&self.shared.kept)[index] = Some(Kept { bytes: bytes.clone(), poll: self.polls });
         }
-        let kept = lock(&self.shared.kept);
-        let gone = || Error::new(self.gauge.chip.name, Cause::TimedOut("not read".into()));
-        wanted.iter().map(|&index| Ok(kept[index].as_ref().ok_or_else(gone)?.bytes.clone())).collect()
+        self.look_for_quirks();
+        Ok(read)
     }
 
-    fn write(&mut self, subclass: usize, parameter: usize, value: &Value, waited: Duration) -> Result<()> {
-        let row = &self.gauge.chip.subclasses[subclass];
-        let parameter = &row.parameters[parameter];
-        let change = Change::of_value((row, parameter), value).ok_or_else(|| {
-            Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
-        })?;
-        self.write_all(&[change], waited)
-    }
-
-    fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+    fn write(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
         if changes.is_empty() {
             return Ok(());
         }
@@ -951,12 +890,6 @@ impl Owner {
             });
         }
     }
-}
-
-/// What nobody may ask of a part whose data flash no table describes.
-fn out_of_bounds(sibling: &Sibling) -> Error {
-    let why = "no table describes its data flash and subcommands; only standard commands are read";
-    Error::new(sibling.name, Cause::NotPermitted(why.into()))
 }
 
 /// Raised by owners whenever something published has changed; the FUSE side waits on it.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::{CHIPS, Chip, FLAT, Role, Word};
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::dataflash::{DataFlash, Limits, Outcome};
+use gaugefs::dataflash::{Change, DataFlash, Limits, Outcome};
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Request, Settings};
@@ -605,14 +605,14 @@ fn a_swapped_pack_is_noticed() {
     let settings = Settings { interval, ..Settings::default() };
     let handle = poll::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
     let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
-    let parameter =
-        chip.subclasses[index(80)].parameters.iter().position(|row| row.offset == 53).expect("a row");
+    let subclass = &chip.subclasses[index(80)];
+    let parameter = subclass.parameter(53).expect("a row");
     let serial = || {
         let (done, is_done) = mpsc::channel();
         let done = Box::new(move |read| done.send(read).expect("somebody waits"));
-        handle.submit(Request::ReadSubclass(index(48), done));
-        let bytes: Arc<[u8]> = is_done.recv().expect("an answer").expect("it is read");
-        u16::from_be_bytes([bytes[4], bytes[5]])
+        handle.submit(Request::Read(vec![index(48)], done));
+        let read: Vec<Arc<[u8]>> = is_done.recv().expect("an answer").expect("it is read");
+        u16::from_be_bytes([read[0][4], read[0][5]])
     };
     let run =
         |request: &dyn Fn(poll::Done<()>) -> Request| -> std::result::Result<(), gaugefs::error::Error> {
@@ -620,7 +620,10 @@ fn a_swapped_pack_is_noticed() {
             handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
             is_done.recv().expect("an answer")
         };
-    let write = |value| run(&move |done| Request::Write(index(80), parameter, Value::Int(value), done));
+    let write = |value: i64| {
+        let change = Change::of_value((subclass, parameter), &Value::Int(value)).expect("it fits");
+        run(&move |done| Request::WriteAll(vec![change.clone()], done))
+    };
     assert_eq!(serial(), 1);
     let before = (first.flash(), other.sim.flash());
 

@@ -8,9 +8,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 pub use crate::chip::Answers;
-use crate::chip::{Chip, Register, SealStatus, Tier};
+use crate::chip::{Chip, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret};
+pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError, wire_bytes};
 
@@ -558,20 +559,4 @@ impl Gauge {
     pub fn forget_refusal(&mut self) {
         self.refused = false;
     }
-}
-
-/// The reads that fetch all registers of a tier in the fewest bytes: a gap of at most three bytes costs
-/// no more than a transfer of its own.
-pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
-    let mut bursts: Vec<(u8, u8)> = Vec::new();
-    for register in registers.iter().filter(|register| wanted(register.tier)) {
-        let end = register.code + register.size;
-        match bursts.last_mut() {
-            Some((start, length)) if register.code <= *start + *length + 3 => {
-                *length = (end - *start).max(*length);
-            }
-            _ => bursts.push((register.code, register.size)),
-        }
-    }
-    bursts
 }

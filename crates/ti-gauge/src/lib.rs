@@ -11,5 +11,6 @@ pub mod image;
 pub mod journal;
 pub mod keys;
 pub mod probe;
+pub mod registers;
 pub mod text;
 pub mod value;

@@ -9,8 +9,9 @@ use std::sync::Arc;
 
 use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, recognise};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, Gauge, bursts};
+use crate::gauge::{Answers, Gauge};
 use crate::keys::Keys;
+use crate::registers::Registers;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
@@ -27,13 +28,13 @@ const DEVICE_TYPE: u16 = 0x0001;
 pub struct Reading {
     /// Whose table it was.
     pub chip: &'static Chip,
-    values: Vec<(Role, i64)>,
+    registers: Registers,
 }
 
 impl Reading {
     /// What the register that feeds a property reads.
     pub fn value(&self, role: Role) -> Option<i64> {
-        self.values.iter().find(|(found, _)| *found == role).map(|&(_, value)| value)
+        self.registers.value(self.chip.register(role)?)
     }
 
     /// Whether a gauge could say that: a temperature between -50 and 125 degrees Celsius, and percentages
@@ -62,21 +63,9 @@ pub fn read(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Res
 }
 
 fn reading(gauge: &mut Gauge) -> Result<Reading> {
-    let chip = gauge.chip;
-    let mut bytes = [0; 256];
-    for (start, length) in bursts(chip.registers, |tier| tier == Tier::Poll) {
-        let start = usize::from(start);
-        gauge.read(start as u8, &mut bytes[start..start + usize::from(length)])?;
-    }
-    let polled = chip.registers.iter().filter(|register| register.tier == Tier::Poll);
-    let values = polled.filter_map(|register| {
-        let at = usize::from(register.code);
-        let bytes = &bytes[at..at + usize::from(register.size)];
-        let raw = bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte));
-        let span = 1 << (8 * register.size);
-        Some((register.role?, if register.signed && raw >= span / 2 { raw - span } else { raw }))
-    });
-    Ok(Reading { chip, values: values.collect() })
+    let mut registers = Registers::UNREAD;
+    registers.read(gauge, |tier| tier == Tier::Poll)?;
+    Ok(Reading { chip: gauge.chip, registers })
 }
 
 /// Makes sure that what is there reads like the gauge that it is said to be. Nothing is written.
