@@ -27,7 +27,7 @@ mod raw;
 mod transaction;
 
 pub use attribute::Attribute;
-use attribute::Source;
+use attribute::Reading;
 pub use covered::Covered;
 pub use mains::MainsItem;
 use transaction::Transaction;
@@ -447,11 +447,10 @@ impl Fs {
         match item {
             Item::Folder => {
                 let snapshot = self.fresh(gauge);
-                let source = self.source(gauge, snapshot.as_deref());
-                let there = |attribute: &&Attribute| attribute.text(&source).is_some();
-                let attributes = attribute::ALL.iter().filter(there);
+                let reading = self.reading(gauge, snapshot.as_deref());
+                let attributes = Attribute::all().filter(|attribute| attribute.text(&reading).is_some());
                 let mut list: Vec<_> =
-                    attributes.map(|attribute| of(attribute.name(), Item::Attribute(*attribute))).collect();
+                    attributes.map(|attribute| of(attribute.name(), Item::Attribute(attribute))).collect();
                 list.push(of("uevent", Item::Uevent));
                 list.push(of("subsystem", Item::Subsystem));
                 if self.published(gauge).sibling.is_none() {
@@ -567,9 +566,8 @@ impl Fs {
         let told = (0..self.gauges.len() as u16).filter(|gauge| !self.chip(*gauge).condition.primary);
         let told = told.filter_map(|gauge| {
             let snapshot = self.fresh(gauge)?;
-            let source = self.source(gauge, Some(&snapshot));
-            let present = Attribute::Present.text(&source).is_some_and(|present| present == "1");
-            Attribute::Status.text(&source).filter(|_| present)
+            let reading = self.reading(gauge, Some(&snapshot));
+            reading.status().filter(|_| reading.is_present())
         });
         mains::online(&told.collect::<Vec<_>>())
     }
@@ -629,10 +627,10 @@ impl Fs {
         published.snapshot.clone().filter(|_| age <= published.interval * 3)
     }
 
-    fn source<'a>(&'a self, gauge: u16, snapshot: Option<&'a Snapshot>) -> Source<'a> {
+    fn reading<'a>(&'a self, gauge: u16, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
         let chip = self.chip(gauge);
         let model = self.published(gauge).sibling.map_or(chip.model, |sibling| sibling.name);
-        Source { chip, model, snapshot, scales: &self.entry(gauge).scales }
+        Reading { chip, model, snapshot, scales: &self.entry(gauge).scales }
     }
 
     /// What a file holds now.
@@ -652,12 +650,12 @@ impl Fs {
         match item {
             Item::Attribute(attribute) => {
                 let snapshot = self.fresh(gauge);
-                line(attribute.text(&self.source(gauge, snapshot.as_deref())))
+                line(attribute.text(&self.reading(gauge, snapshot.as_deref())))
             }
             Item::Uevent => {
                 let snapshot = self.fresh(gauge);
                 Content::Bytes(
-                    attribute::uevent(&entry.name, &self.source(gauge, snapshot.as_deref())).into_bytes(),
+                    attribute::uevent(&entry.name, &self.reading(gauge, snapshot.as_deref())).into_bytes(),
                 )
             }
             Item::Parameter(subclass, parameter) => match entry.handle.kept(subclass.into()) {

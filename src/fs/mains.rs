@@ -37,8 +37,8 @@ impl MainsItem {
 
 /// Whether the mains feed the packs, by the status of each. A pack that is charged is fed; where none is,
 /// one that is discharged says that nothing else feeds the load. One that rests beside it says nothing.
-pub(super) fn online(statuses: &[String]) -> Option<bool> {
-    let any = |wanted: &str| statuses.iter().any(|status| status == wanted);
+pub(super) fn online(statuses: &[&str]) -> Option<bool> {
+    let any = |wanted: &str| statuses.iter().any(|status| *status == wanted);
     (!statuses.is_empty()).then(|| any("Charging") || !any("Discharging"))
 }
 
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn the_mains_are_concluded_from_all_packs() {
-        let told = |statuses: &[&str]| online(&statuses.iter().map(|&one| one.into()).collect::<Vec<_>>());
+        let told = |statuses: &[&str]| online(statuses);
         assert_eq!(told(&[]), None);
         for (status, expected) in
             [("Charging", true), ("Full", true), ("Not charging", true), ("Discharging", false)]
