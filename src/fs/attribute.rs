@@ -81,6 +81,11 @@ impl Attribute {
         (0..ATTRIBUTES.len() as u8).map(Self)
     }
 
+    /// The attribute of that file name.
+    pub(super) fn by_name(name: &str) -> Option<Self> {
+        Self::all().find(|attribute| attribute.name() == name)
+    }
+
     fn row(self) -> &'static Row {
         &ATTRIBUTES[usize::from(self.0)]
     }
