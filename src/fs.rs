@@ -81,7 +81,7 @@ impl Default for Scales {
 }
 
 /// A gauge that gets a folder below the mount point.
-pub struct Entry {
+pub struct MountedGauge {
     /// Name of the folder, such as `BAT0`.
     pub name: String,
     /// The gauge.
@@ -280,7 +280,7 @@ pub struct Fs {
 
 impl Fs {
     /// A tree of these gauges.
-    pub fn new(gauges: Vec<Entry>, access: Access) -> Self {
+    pub fn new(gauges: Vec<MountedGauge>, access: Access) -> Self {
         let supplies = (0..).zip(gauges).map(|(index, gauge)| Arc::new(Supply::new(index, gauge)));
         Self { supplies: supplies.collect(), access, mains: None, covered: None }
     }
@@ -293,13 +293,13 @@ impl Fs {
 
     /// The same tree, which also shows the supplies in the folder that the mount covers.
     #[must_use]
-    pub fn over(self, covered: Option<Covered>) -> Self {
+    pub fn overlay(self, covered: Option<Covered>) -> Self {
         Self { covered, ..self }
     }
 
     /// Whether the tree shows a covered folder too. Its names come and go without a poll, so the kernel may not
     /// cache listings of the root.
-    pub fn is_over(&self) -> bool {
+    pub fn is_overlay(&self) -> bool {
         self.covered.is_some()
     }
 
@@ -428,7 +428,7 @@ impl Fs {
         let items = || [Item::Supply(SupplyItem::Folder)].into_iter().chain(gauge_dir::folders());
         let folders = gauges.iter().flat_map(|&gauge| items().map(move |item| Node::Of(gauge, item)));
         let mains = self.mains.is_some().then_some(Node::Mains(MainsItem::Folder));
-        folders.chain(mains).chain(self.is_over().then_some(Node::Root)).collect()
+        folders.chain(mains).chain(self.is_overlay().then_some(Node::Root)).collect()
     }
 }
 

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use super::attribute::{self, Attribute, Reading};
 use super::transaction::Transaction;
 use super::{
-    Content, DfItem, Entry, GaugeItem, Item, Knobs, Node, Of, Operations, SUBSYSTEM, Scales, Shape, SimItem,
-    find,
+    Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
+    SimItem, find,
 };
 use crate::chip::Chip;
 use crate::error::{Error, Result};
@@ -26,8 +26,8 @@ pub(super) struct Supply {
 }
 
 impl Supply {
-    pub(super) fn new(index: u16, gauge: Entry) -> Self {
-        let Entry { name, handle, scales, knobs } = gauge;
+    pub(super) fn new(index: u16, gauge: MountedGauge) -> Self {
+        let MountedGauge { name, handle, scales, knobs } = gauge;
         Self { index, name, handle, knobs, transaction: Transaction::default(), scales }
     }
 
