@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::fs::{Access, Entry, Fs, Scales};
+use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
 use gaugefs::poll::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
@@ -53,7 +53,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
 
 fn mount(folder: &Path, handle: Handle, signal: Arc<Signal>) -> fuse::Mounted {
     fs::create_dir_all(folder).expect("a folder");
-    let entry = Entry { name: "BAT0".into(), handle, scales: Scales::default(), knobs: None };
+    let entry = MountedGauge { name: "BAT0".into(), handle, scales: Scales::default(), knobs: None };
     let tree = Fs::new(vec![entry], Access { uid: 0, gid: 0, group: false });
     fuse::mount(Arc::new(tree), folder, fuse::Options::default(), signal).expect("a mount")
 }

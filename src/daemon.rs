@@ -217,7 +217,7 @@ pub fn run(options: Options) -> Result<()> {
         entries.push(entry);
         locks.push(lock);
     }
-    let tree = Arc::new(Fs::new(entries, access).with_mains(mains).over(covered));
+    let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
     let how = fuse::Options { private: options.private, read_only: options.read_only };
     let mounted = match device {
         Some(device) => {

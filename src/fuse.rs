@@ -531,7 +531,7 @@ impl Filesystem for Adapter {
     }
 
     fn opendir(&self, _: &Request, ino: INodeNo, _: OpenFlags, reply: ReplyOpen) {
-        if !self.fs.is_over() {
+        if !self.fs.is_overlay() {
             return reply.error(Errno::ENOSYS);
         }
         let kept = FopenFlags::FOPEN_KEEP_CACHE | FopenFlags::FOPEN_CACHE_DIR;

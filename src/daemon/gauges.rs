@@ -11,7 +11,7 @@ use super::{Gauge, Opened, SimKnobs, journal, log, saved, too_fast};
 use crate::bus::trace::Trace;
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Entry, Knobs};
+use crate::fs::{Knobs, MountedGauge};
 use crate::keys::Keys;
 use crate::lock::Lock;
 use crate::poll::{self, Place, Settings, Signal};
@@ -33,7 +33,7 @@ pub(super) struct Opening {
 
 /// A gauge that has its owner.
 pub(super) struct Ready {
-    pub(super) entry: Entry,
+    pub(super) entry: MountedGauge,
     /// What to call it in messages.
     pub(super) what: String,
     pub(super) lock: Option<Lock>,
@@ -146,7 +146,7 @@ impl Opening {
         let place = Place { unseen: opened.unseen, missing: opened.missing, ..place };
         let (handle, begun) =
             poll::start(chip, bus, self.clock.clone(), settings, place, self.signal.clone())?;
-        let entry = Entry {
+        let entry = MountedGauge {
             name,
             handle,
             scales: gauge.scales,

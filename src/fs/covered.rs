@@ -1,7 +1,7 @@
-//! The folder that a mount covers. Where that is the kernel's own of power supplies, they are shown through
-//! as the links they are: the mount sits at the same path, so their relative targets lead where they did.
+//! The folder that the mount covers. If it is the kernel's own folder of power supplies, the tree shows those too,
+//! as the symbolic links that they are: the mount is at the same path, so their relative targets stay valid.
 //!
-//! Nothing of it is kept. What the kernel adds or removes meanwhile shows at the next look.
+//! Nothing is cached. What the kernel adds or removes is there, or gone, the next time anyone looks.
 
 use std::collections::BTreeSet;
 use std::os::fd::OwnedFd;
@@ -12,24 +12,29 @@ use nix::dir::{Dir, Type};
 use nix::fcntl::{OFlag, open, readlinkat};
 use nix::sys::stat::Mode;
 
+use super::{Node, Operations, Shape};
 use crate::error::{Error, Result};
 
-/// A folder, reached past whatever is mounted over it.
+/// A folder, accessible past whatever is mounted over it.
 #[derive(Debug)]
 pub struct Covered {
     folder: OwnedFd,
-    /// Every name that was found; its place here stands for it for ever.
+    /// Every name found so far. Its index identifies it for the life of the mount.
     names: Mutex<Vec<String>>,
-    /// Names that something of the mount's own hides, as far as that has been told.
+    /// The names that were hidden by the mount's own when the root was last listed.
     hidden: Mutex<BTreeSet<String>>,
 }
 
 impl Covered {
-    /// Opens the folder, before something is mounted over it.
+    /// Opens the folder, before anything is mounted over it.
     pub fn open(path: &Path) -> Result<Self> {
         let flags = OFlag::O_PATH | OFlag::O_DIRECTORY | OFlag::O_CLOEXEC;
         let folder = open(path, flags, Mode::empty()).map_err(|errno| {
-            Error::host(path.display().to_string(), errno, "cannot open what the mount would cover")
+            Error::host(
+                path.display().to_string(),
+                errno,
+                "cannot open the folder that the mount would cover",
+            )
         })?;
         Ok(Self { folder, names: Mutex::default(), hidden: Mutex::default() })
     }
@@ -46,7 +51,7 @@ impl Covered {
             links.collect::<nix::Result<Vec<_>>>()
         });
         listed.unwrap_or_else(|errno| {
-            log::warn!("the kernel's supplies cannot be listed: {}", errno.desc());
+            log::warn!("cannot list the kernel's power supplies: {}", errno.desc());
             Vec::new()
         })
     }
@@ -56,7 +61,7 @@ impl Covered {
         readlinkat(&self.folder, name).ok()?.into_string().ok()
     }
 
-    /// The number that stands for a name.
+    /// The number of a name.
     pub(super) fn number(&self, name: &str) -> u32 {
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         let at = names.iter().position(|known| known == name).unwrap_or_else(|| {
@@ -66,19 +71,42 @@ impl Covered {
         at as u32
     }
 
-    /// The name that a number stands for.
-    pub(super) fn name(&self, number: u32) -> Option<String> {
+    /// The name of a number.
+    fn name(&self, number: u32) -> Option<String> {
         self.names.lock().unwrap_or_else(PoisonError::into_inner).get(number as usize).cloned()
     }
 
-    /// Says once of each that it is hidden, and again when it was not in between.
-    pub(super) fn hides(&self, now: BTreeSet<String>) {
+    /// Logs each name that has become hidden since the last call.
+    pub(super) fn log_hidden(&self, now: BTreeSet<String>) {
         let mut hidden = self.hidden.lock().unwrap_or_else(PoisonError::into_inner);
         for name in now.difference(&hidden) {
-            log::warn!(
-                "{name}: hides the kernel's supply of that name; give this one another by --name or --ac"
-            );
+            log::warn!("{name}: hides the kernel's supply of that name; choose another with --name or --ac");
         }
         *hidden = now;
+    }
+}
+
+/// One of the links.
+pub(super) struct CoveredLink<'a> {
+    pub(super) covered: Option<&'a Covered>,
+    pub(super) number: u32,
+}
+
+impl Operations for CoveredLink<'_> {
+    fn parent(&self) -> Node {
+        Node::Root
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Link
+    }
+
+    fn may_be_cached(&self) -> bool {
+        false
+    }
+
+    fn target(&self) -> Option<String> {
+        let covered = self.covered?;
+        covered.target(&covered.name(self.number)?)
     }
 }

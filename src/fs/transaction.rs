@@ -13,7 +13,6 @@ use crate::chip::{Chip, Kind, Parameter, Subclass};
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::text;
-use crate::value::Value;
 
 /// A transaction that is left open so long is dropped.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -135,20 +134,16 @@ fn change(chip: &'static Chip, allow_unproven: bool, line: &str) -> Result<Chang
         let why = "write begin, SUBCLASS/OFFSET VALUE, commit or abort; this is none, or no such parameter";
         return Err(invalid(why));
     };
-    let value = check(subclass, parameter, allow_unproven, value.as_bytes())?;
-    let change = Change::of_value((subclass, parameter), &value)
-        .ok_or_else(|| invalid(&format!("does not fit type {}", parameter.kind)).within(parameter.name))?;
-    change.check_least()?;
-    Ok(change)
+    check(subclass, parameter, allow_unproven, value.as_bytes())
 }
 
-/// What can be said of a value before the gauge is asked.
+/// The change that a text asks for, checked as far as it can be without the gauge.
 pub(super) fn check(
-    subclass: &Subclass,
-    parameter: &Parameter,
+    subclass: &'static Subclass,
+    parameter: &'static Parameter,
     allow_unproven: bool,
     text: &[u8],
-) -> Result<Value> {
+) -> Result<Change> {
     if subclass.kind == Kind::Security {
         let why = "keys cannot be changed like other parameters";
         return Err(Error::new(parameter.name, Cause::NotPermitted(why.into())));
@@ -157,7 +152,12 @@ pub(super) fn check(
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
         return Err(Error::host(parameter.name, Errno::EACCES, why));
     }
-    Ok(text::parse(parameter, text)?)
+    let value = text::parse(parameter, text)?;
+    let change = Change::of_value((subclass, parameter), &value).ok_or_else(|| {
+        Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
+    })?;
+    change.check_least()?;
+    Ok(change)
 }
 
 /// The answer to whatever a transaction that is open keeps out.

@@ -11,7 +11,7 @@ use std::time::Duration;
 use gaugefs::bus::{Bus, BusError};
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, RealClock};
-use gaugefs::fs::{Access, Entry, Fs, Scales};
+use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
 use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
 use gaugefs::sim::{Options, Sim, SimBus};
@@ -245,15 +245,15 @@ fn sim(clock: &Arc<dyn Clock>) -> Sim {
     sim
 }
 
-fn entry(name: &str, handle: &Handle) -> Entry {
-    Entry { name: name.into(), handle: handle.clone(), scales: Scales::default(), knobs: None }
+fn entry(name: &str, handle: &Handle) -> MountedGauge {
+    MountedGauge { name: name.into(), handle: handle.clone(), scales: Scales::default(), knobs: None }
 }
 
 /// A tree of some gauges, taken away at the end.
 struct Tree(PathBuf, #[expect(dead_code, reason = "it ends with it")] fuse::Mounted);
 
 impl Tree {
-    fn new(name: &str, entries: Vec<Entry>, signal: Arc<Signal>) -> Self {
+    fn new(name: &str, entries: Vec<MountedGauge>, signal: Arc<Signal>) -> Self {
         let folder = std::env::temp_dir().join(format!("gaugefs-{name}-{}", std::process::id()));
         fs::create_dir(&folder).expect("a temporary folder");
         let access = Access {

@@ -13,7 +13,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
 use gaugefs::dataflash::Change;
 use gaugefs::error::Result;
-use gaugefs::fs::{Access, Entry, Fs, Knobs, Scales};
+use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::image::Image;
 use gaugefs::keys::Keys;
@@ -84,7 +84,7 @@ impl Mount {
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let settings = Settings { keys, interval, restore, ..Settings::default() };
         let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
-        let entry = Entry {
+        let entry = MountedGauge {
             name: "BAT0".into(),
             handle: handle.clone(),
             scales: Scales::default(),

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
-use gaugefs::fs::{Access, Covered, Entry, Fs, Node, Scales, free_name};
+use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::poll::{self, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
@@ -77,10 +77,10 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
         let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
         let handle = poll::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
         let handle = handle.expect("a gauge");
-        Entry { name: (*name).into(), handle, scales: Scales::default(), knobs: None }
+        MountedGauge { name: (*name).into(), handle, scales: Scales::default(), knobs: None }
     });
     let access = Access { uid: 0, gid: 0, group: false };
-    Fs::new(entries.collect(), access).over(Some(covered))
+    Fs::new(entries.collect(), access).overlay(Some(covered))
 }
 
 /// One gauge, mounted over the supplies of a tree; `None` where this machine cannot mount FUSE at all.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, SimClock};
-use gaugefs::fs::{Access, Entry, Fs, Node, Scales};
+use gaugefs::fs::{Access, Fs, MountedGauge, Node, Scales};
 use gaugefs::keys::Keys;
 use gaugefs::poll::{self, Handle, Settings};
 use gaugefs::sim::{Options, Sim};
@@ -28,8 +28,12 @@ impl Tree {
         let settings = Settings { keys, interval, ..Settings::default() };
         let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
         let handle = handle.expect("a gauge");
-        let entry =
-            Entry { name: "BAT0".into(), handle: handle.clone(), scales: Scales::default(), knobs: None };
+        let entry = MountedGauge {
+            name: "BAT0".into(),
+            handle: handle.clone(),
+            scales: Scales::default(),
+            knobs: None,
+        };
         let access = Access { uid: 0, gid: 0, group: false };
         let fs = Arc::new(Fs::new(vec![entry], access));
         Self { clock, sim, handle, fs }

@@ -1,0 +1,364 @@
+//! `df/`: data flash. The parameters by place and by name, the index of all, and `df/transaction`.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use nix::errno::Errno;
+
+use super::supply::Supply;
+use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, raw, transaction};
+use crate::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use crate::codec;
+use crate::dataflash::Change;
+use crate::error::{Cause, Error, Result};
+use crate::poll::{Done, Request};
+use crate::text;
+use crate::value::Value;
+
+/// The size that a file shows before it has been read: as in sysfs.
+const UNREAD: u64 = 4096;
+/// A line of `df/index` or of `df/transaction` is shorter than this.
+const LINE: u64 = 256;
+/// What `df/transaction` holds while no transaction is open.
+const IDLE: &[u8] = b"idle\n";
+
+/// What `df/` holds. Numbers are indices into the chip's table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum DfItem {
+    /// The folder itself.
+    Folder,
+    /// `df/index`.
+    Index,
+    /// `df/transaction`.
+    Transaction,
+    /// `df/flash`, on parts with a flat address space.
+    Flat,
+    /// `df/SUBCLASS`.
+    Subclass(u16),
+    /// `df/SUBCLASS/OFFSET` or `df/flash/ADDRESS`: the subclass, and the index of the parameter in it.
+    Parameter(u16, u16),
+    /// `df/SUBCLASS/raw`.
+    Raw(u16),
+    /// `df/by-name`.
+    ByName,
+    /// `df/by-name/CLASS`.
+    Class(u16),
+    /// `df/by-name/CLASS/PARAM`: the subclass, and the index of the parameter in it.
+    Link(u16, u16),
+}
+
+impl Operations for Of<'_, DfItem> {
+    fn parent(&self) -> Node {
+        let parent = match self.item {
+            DfItem::Folder => return self.supply.node(Item::Supply(SupplyItem::Folder)),
+            DfItem::Index | DfItem::Transaction | DfItem::Flat | DfItem::Subclass(_) | DfItem::ByName => {
+                DfItem::Folder
+            }
+            DfItem::Parameter(at, _) | DfItem::Raw(at) if self.supply.subclass(at).id == FLAT => DfItem::Flat,
+            DfItem::Parameter(at, _) | DfItem::Raw(at) => DfItem::Subclass(at),
+            DfItem::Class(_) => DfItem::ByName,
+            DfItem::Link(at, _) => DfItem::Class(at),
+        };
+        self.supply.node(Item::Df(parent))
+    }
+
+    fn shape(&self) -> Shape {
+        match self.item {
+            DfItem::Folder | DfItem::Flat | DfItem::Subclass(_) | DfItem::ByName | DfItem::Class(_) => {
+                Shape::Folder
+            }
+            DfItem::Link(..) => Shape::Link,
+            DfItem::Index | DfItem::Transaction | DfItem::Parameter(..) | DfItem::Raw(_) => Shape::File,
+        }
+    }
+
+    fn mode(&self) -> Mode {
+        let may_write = match self.item {
+            DfItem::Parameter(at, row) => {
+                !self.supply.row(at, row).1.unproven || self.supply.handle.allows_unproven()
+            }
+            item => item == DfItem::Transaction,
+        };
+        if may_write { Mode::ReadWrite } else { Mode::Read }
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let chip = self.supply.chip();
+        let subclasses = || (0..).zip(chip.subclasses);
+        let parameters = |at: u16| (0..).zip(self.supply.subclass(at).parameters);
+        let list: Vec<(String, DfItem)> = match self.item {
+            DfItem::Folder => {
+                let fixed = [
+                    ("index", DfItem::Index),
+                    ("transaction", DfItem::Transaction),
+                    ("by-name", DfItem::ByName),
+                ];
+                let is_flat = chip.subclasses.iter().any(|subclass| subclass.id == FLAT);
+                let flat = is_flat.then_some(("flash", DfItem::Flat));
+                let fixed = fixed.into_iter().chain(flat).map(|(name, item)| (name.to_string(), item));
+                let numbered = subclasses().filter(|(_, subclass)| subclass.id != FLAT);
+                let numbered = numbered.map(|(at, subclass)| (subclass.id.to_string(), DfItem::Subclass(at)));
+                fixed.chain(numbered).collect()
+            }
+            DfItem::Flat => {
+                let flat = subclasses().filter(|(_, subclass)| subclass.id == FLAT);
+                let rows = flat.flat_map(|(at, _)| parameters(at).map(move |(row, field)| (at, row, field)));
+                rows.map(|(at, row, field)| (address(field), DfItem::Parameter(at, row))).collect()
+            }
+            DfItem::Subclass(at) => {
+                let file =
+                    |(row, field): (u16, &Parameter)| (field.offset.to_string(), DfItem::Parameter(at, row));
+                parameters(at).map(file).chain([("raw".to_string(), DfItem::Raw(at))]).collect()
+            }
+            DfItem::ByName => {
+                subclasses().map(|(at, subclass)| (chip.class_dir(subclass), DfItem::Class(at))).collect()
+            }
+            DfItem::Class(at) => {
+                parameters(at).map(|(row, field)| (kebab_case(field.name), DfItem::Link(at, row))).collect()
+            }
+            _ => Vec::new(),
+        };
+        list.into_iter().map(|(name, item)| (name, self.supply.node(Item::Df(item)))).collect()
+    }
+
+    fn content(&self) -> Content {
+        let handle = &self.supply.handle;
+        match self.item {
+            DfItem::Parameter(at, row) => match handle.kept(at.into()) {
+                Some(bytes) => Content::Bytes(self.supply.parameter_text(at, row, &bytes)),
+                None => Content::Unread(UNREAD),
+            },
+            DfItem::Raw(at) => match handle.kept(at.into()) {
+                Some(bytes) => Content::Bytes(bytes.to_vec()),
+                None => Content::Unread(self.supply.subclass(at).stored().into()),
+            },
+            DfItem::Index => {
+                let rows = self.supply.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
+                Content::Unread(LINE * (1 + rows.sum::<usize>() as u64))
+            }
+            DfItem::Transaction => match self.supply.staged() {
+                None => Content::Bytes(match handle.progress() {
+                    Some((done, all)) => format!("committing {done}/{all}\n").into_bytes(),
+                    None => IDLE.to_vec(),
+                }),
+                Some(staged) if self.supply.unread(&staged).is_empty() => {
+                    Content::Bytes(self.supply.staged_text(&staged))
+                }
+                Some(staged) => Content::Unread(UNREAD + LINE * staged.len() as u64),
+            },
+            _ => Content::Absent,
+        }
+    }
+
+    fn read(&self, done: Done<Vec<u8>>) {
+        let supply = Arc::clone(self.supply);
+        let handle = &self.supply.handle;
+        match self.item {
+            DfItem::Parameter(at, _) | DfItem::Raw(at) if supply.subclass(at).kind == Kind::Security => {
+                let why = Cause::NotPermitted("keys are never read".into());
+                done(Err(Error::new(supply.subclass(at).name, why)));
+            }
+            DfItem::Parameter(at, row) => handle.submit(Request::Read(
+                vec![at.into()],
+                Box::new(move |read| done(read.map(|read| supply.parameter_text(at, row, &read[0])))),
+            )),
+            DfItem::Raw(at) => handle.submit(Request::Read(
+                vec![at.into()],
+                Box::new(move |read| done(read.map(|read| read[0].to_vec()))),
+            )),
+            DfItem::Index => {
+                let rows = supply.chip().subclasses.iter().enumerate();
+                let readable = rows.filter(|(_, row)| row.kind != Kind::Security).map(|(at, _)| at);
+                handle.submit(Request::Read(
+                    readable.collect(),
+                    Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
+                ));
+            }
+            DfItem::Transaction => {
+                let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
+                handle.submit(Request::Read(
+                    supply.unread(&staged),
+                    Box::new(move |read| {
+                        done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))
+                    }),
+                ));
+            }
+            _ => done(Err(super::no_value())),
+        }
+    }
+
+    fn is_stream(&self) -> bool {
+        self.item == DfItem::Transaction
+    }
+
+    fn write(&self, data: &[u8], done: Done<()>) {
+        let supply = self.supply;
+        let (chip, handle) = (supply.chip(), &supply.handle);
+        match self.item {
+            DfItem::Parameter(at, row) => {
+                let (subclass, parameter) = supply.row(at, row);
+                let change = match supply.staged() {
+                    Some(_) => Err(transaction::busy().within(parameter.name)),
+                    None => transaction::check(subclass, parameter, handle.allows_unproven(), data),
+                };
+                supply.submit(change, done, |change, done| Request::WriteAll(vec![change], done));
+            }
+            DfItem::Transaction => {
+                match supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data) {
+                    Ok(None) => done(Ok(())),
+                    Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
+                    Err(error) => supply.refuse(error, done),
+                }
+            }
+            _ => done(Err(super::not_writable())),
+        }
+    }
+
+    fn target(&self) -> Option<String> {
+        let DfItem::Link(at, row) = self.item else { return None };
+        let (subclass, parameter) = self.supply.row(at, row);
+        Some(match subclass.id {
+            FLAT => format!("../../flash/{}", address(parameter)),
+            id => format!("../../{id}/{}", parameter.offset),
+        })
+    }
+
+    fn xattrs(&self) -> Vec<(&'static str, String)> {
+        let DfItem::Parameter(at, row) = self.item else { return Vec::new() };
+        let (subclass, parameter) = self.supply.row(at, row);
+        let [min, max, default] = bounds(subclass, parameter);
+        let list = [
+            ("user.gauge.name", Some(parameter.name.to_string())),
+            ("user.gauge.type", Some(parameter.kind.to_string())),
+            ("user.gauge.unit", Some(parameter.unit.to_string())),
+            ("user.gauge.min", min),
+            ("user.gauge.max", max),
+            ("user.gauge.default", default),
+        ];
+        list.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+    }
+}
+
+impl Supply {
+    fn subclass(&self, at: u16) -> &'static Subclass {
+        &self.chip().subclasses[usize::from(at)]
+    }
+
+    fn row(&self, at: u16, row: u16) -> (&'static Subclass, &'static Parameter) {
+        let subclass = self.subclass(at);
+        (subclass, &subclass.parameters[usize::from(row)])
+    }
+
+    fn parameter_text(&self, at: u16, row: u16, bytes: &[u8]) -> Vec<u8> {
+        let (subclass, parameter) = self.row(at, row);
+        (value_text(subclass, parameter, bytes) + "\n").into_bytes()
+    }
+
+    /// The changes of the open transaction.
+    fn staged(&self) -> Option<Vec<Change>> {
+        self.transaction.staged(self.handle.now())
+    }
+
+    /// The subclasses that hold staged changes and have to be read to show the old values.
+    fn unread(&self, staged: &[Change]) -> Vec<usize> {
+        let touched: BTreeSet<usize> = staged.iter().filter_map(|one| self.index_of(one)).collect();
+        touched.into_iter().filter(|&at| self.handle.kept(at).is_none()).collect()
+    }
+
+    /// The subclass that a change is in, by its index in the table.
+    fn index_of(&self, change: &Change) -> Option<usize> {
+        let mut subclasses = self.chip().subclasses.iter();
+        match change.row {
+            Some((own, _)) => subclasses.position(|subclass| std::ptr::eq(subclass, own)),
+            None => subclasses.position(|subclass| subclass.id == change.place.subclass),
+        }
+    }
+
+    /// `df/transaction`: a line for each staged change.
+    fn staged_text(&self, staged: &[Change]) -> Vec<u8> {
+        let mut lines = String::new();
+        for run in staged.chunk_by(raw::follows) {
+            let Change { place, bytes, row, .. } = &run[0];
+            let kept = self.index_of(&run[0]).and_then(|at| self.handle.kept(at));
+            lines += &match row {
+                None => {
+                    let offset = usize::from(place.offset);
+                    let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + run.len()]));
+                    let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
+                    format!("raw {place}: {old} -> {}\n", text::hex(&new))
+                }
+                Some((subclass, parameter)) => {
+                    let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+                    let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                    format!("{}: {old} -> {new}\n", parameter.name)
+                }
+            };
+        }
+        lines.into_bytes()
+    }
+
+    /// `df/index`: a line for each parameter of the table.
+    fn index(&self) -> Vec<u8> {
+        let mut lines = String::from("subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n");
+        for (at, subclass) in self.chip().subclasses.iter().enumerate() {
+            let is_secret = subclass.kind == Kind::Security;
+            let bytes = if is_secret { None } else { self.handle.kept(at) };
+            for parameter in subclass.parameters {
+                let (id, offset) = match subclass.id {
+                    FLAT => ("flash".to_string(), address(parameter)),
+                    id => (id.to_string(), parameter.offset.to_string()),
+                };
+                let [min, max, default] =
+                    bounds(subclass, parameter).map(|bound| bound.unwrap_or("-".into()));
+                let value = bytes.as_ref().map_or("-".into(), |bytes| value_text(subclass, parameter, bytes));
+                let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
+                let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
+                lines += &format!(
+                    "{id}\t{offset}\t{kind}\t{name}\t{unit}\t{min}\t{max}\t{default}\t{flags}\t{value}\n"
+                );
+            }
+        }
+        lines.into_bytes()
+    }
+}
+
+/// What is shown of a sealed gauge without a key: everything but the values in data flash.
+fn unless_sealed(read: Result<()>) -> Result<()> {
+    read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
+}
+
+/// Name of a parameter's file on parts with a flat address space.
+fn address(parameter: &Parameter) -> String {
+    format!("0x{:04x}", parameter.offset)
+}
+
+fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
+    let at = usize::from(parameter.offset - subclass.start());
+    let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+    text::render(parameter.kind, &value)
+}
+
+/// Smallest and largest value and default; keys show none of them.
+fn bounds(subclass: &Subclass, parameter: &Parameter) -> [Option<String>; 3] {
+    let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
+    match &parameter.range {
+        _ if subclass.kind == Kind::Security => [None, None, None],
+        Range::Int { min, max, default } => [Some(show(*min)), Some(show(*max)), default.map(show)],
+        Range::Float { min, max, default } => {
+            [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
+        }
+        Range::Text { default } => [None, None, default.map(str::to_string)],
+    }
+}
+
+fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
+    let flags = [
+        ("learned", parameter.learned),
+        ("reset", subclass.kind == Kind::Reset),
+        ("safe-limit", parameter.safe.is_some()),
+        ("security", subclass.kind == Kind::Security),
+        ("unproven", parameter.unproven),
+    ];
+    let set: Vec<_> = flags.iter().filter(|(_, set)| *set).map(|(name, _)| *name).collect();
+    if set.is_empty() { "-".into() } else { set.join(",") }
+}

@@ -1,0 +1,356 @@
+//! `gauge/`: what the kernel's ABI has no name for. Nothing in here is kept in the kernel's cache.
+//!
+//! One row of [`FILES`] is one file. One row of [`GROUPS`] is a group of files whose names come from the
+//! chip's table or another list, in a folder of its own or beside the other files.
+
+use std::fmt::Display;
+use std::time::Duration;
+
+use super::supply::Supply;
+use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
+use crate::authentication;
+use crate::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
+use crate::error::{Cause, Error, Result};
+use crate::keys;
+use crate::poll::{Answers, Done, Request, Seal};
+
+/// One file.
+struct File {
+    name: &'static str,
+    mode: Mode,
+    show: Show,
+    write: Option<Write>,
+}
+
+/// The whole text of a file; `None` while there is no such file. The text of a file that is only written is
+/// empty.
+type Show = fn(&Supply) -> Option<String>;
+/// Takes what is written to a file, and calls `Done` with the outcome.
+type Write = fn(&Supply, &[u8], Done<()>);
+
+impl File {
+    const fn written(self, write: Write) -> Self {
+        Self { write: Some(write), ..self }
+    }
+}
+
+const fn file(name: &'static str, mode: Mode, show: Show) -> File {
+    File { name, mode, show, write: None }
+}
+
+static FILES: &[File] = &[
+    file("control_status", Mode::Public, control_status),
+    file("device_type", Mode::Public, |gauge| word(identified(gauge)?.device_type)),
+    file("firmware_version", Mode::Public, |gauge| word(identified(gauge)?.firmware_version)),
+    file("hardware_version", Mode::Public, |gauge| word(identified(gauge)?.hardware_version)),
+    file("chem_id", Mode::Public, |gauge| word(identified(gauge)?.chem_id?)),
+    file("itpor", Mode::Public, itpor),
+    file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
+        .written(|gauge, data, done| gauge.submit(seal(data), done, Request::Seal)),
+    file("control", Mode::Write, |_| empty())
+        .written(|gauge, data, done| gauge.submit(subcommand(gauge.chip(), data), done, Request::Control)),
+    file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
+    file("authenticate", Mode::ReadWrite, digest).written(|gauge, data, done| {
+        gauge.submit(authentication::from_hex(data), done, Request::Authenticate)
+    }),
+    file("auth_order", Mode::Public, auth_order),
+    file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64()))
+        .written(|gauge, data, done| gauge.submit(interval(data), done, Request::Interval)),
+    file("refresh", Mode::Write, |_| empty())
+        .written(|gauge, _, done| gauge.handle.submit(Request::Refresh(done))),
+    file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
+    file("last_error", Mode::Public, last_error),
+];
+
+/// Files that are shown by one rule, with mode 0444.
+struct Group {
+    /// The folder that holds them; `None` for `gauge/` itself.
+    folder: Option<&'static str>,
+    /// Name of each file that is there now, and a number that identifies it for the life of the mount.
+    list: fn(&Supply) -> Vec<(u16, String)>,
+    /// The whole text of one; `None` while there is no such file.
+    show: fn(&Supply, u16) -> Option<String>,
+}
+
+static GROUPS: &[Group] = &[
+    Group { folder: Some("registers"), list: |gauge| registers(gauge, |_| true), show: register },
+    Group { folder: Some("statistics"), list: statistics, show: statistic },
+    // Words of flags.
+    Group { folder: None, list: |gauge| registers(gauge, |register| !register.bits.is_empty()), show: bits },
+];
+
+/// What `gauge/` holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum GaugeItem {
+    /// The folder itself.
+    Folder,
+    /// A row of `FILES`.
+    File(u8),
+    /// The folder of a row of `GROUPS`.
+    Group(u8),
+    /// A row of `GROUPS`, and the number of a file in it.
+    Member(u8, u16),
+}
+
+/// The folders in which files come and go with what the gauge reports.
+pub(super) fn folders() -> impl Iterator<Item = Item> {
+    let groups = (0..).zip(GROUPS).filter(|(_, group)| group.folder.is_some());
+    let groups = groups.map(|(at, _)| GaugeItem::Group(at));
+    [GaugeItem::Folder].into_iter().chain(groups).map(Item::Gauge)
+}
+
+impl Of<'_, GaugeItem> {
+    fn node(&self, item: GaugeItem) -> Node {
+        self.supply.node(Item::Gauge(item))
+    }
+
+    fn members(&self, at: u8) -> impl Iterator<Item = (String, Node)> {
+        let members = (GROUPS[usize::from(at)].list)(self.supply);
+        members.into_iter().map(move |(number, name)| (name, self.node(GaugeItem::Member(at, number))))
+    }
+
+    /// What the folder holds beside the rows of `FILES`.
+    fn groups(&self) -> Vec<(String, Node)> {
+        let groups = (0..).zip(GROUPS);
+        let list = groups.flat_map(|(at, group)| match group.folder {
+            Some(name) => vec![(name.to_string(), self.node(GaugeItem::Group(at)))],
+            None => self.members(at).collect(),
+        });
+        list.collect()
+    }
+
+    fn file(&self) -> Option<&'static File> {
+        if let GaugeItem::File(at) = self.item { Some(&FILES[usize::from(at)]) } else { None }
+    }
+}
+
+impl Operations for Of<'_, GaugeItem> {
+    fn parent(&self) -> Node {
+        match self.item {
+            GaugeItem::Folder => self.supply.node(Item::Supply(SupplyItem::Folder)),
+            GaugeItem::Member(at, _) if GROUPS[usize::from(at)].folder.is_some() => {
+                self.node(GaugeItem::Group(at))
+            }
+            GaugeItem::File(_) | GaugeItem::Group(_) | GaugeItem::Member(..) => self.node(GaugeItem::Folder),
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        match self.item {
+            GaugeItem::Folder | GaugeItem::Group(_) => Shape::Folder,
+            GaugeItem::File(_) | GaugeItem::Member(..) => Shape::File,
+        }
+    }
+
+    fn mode(&self) -> Mode {
+        self.file().map_or(Mode::Public, |file| file.mode)
+    }
+
+    fn name(&self) -> Option<&'static str> {
+        self.file().map(|file| file.name)
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        match self.item {
+            GaugeItem::Folder => {
+                let there = (0..).zip(FILES).filter(|(_, file)| (file.show)(self.supply).is_some());
+                let files = there.map(|(at, file)| (file.name.to_string(), self.node(GaugeItem::File(at))));
+                self.groups().into_iter().chain(files).collect()
+            }
+            GaugeItem::Group(at) => self.members(at).collect(),
+            GaugeItem::File(_) | GaugeItem::Member(..) => Vec::new(),
+        }
+    }
+
+    /// Renders no file of `gauge/` but the one that is looked up.
+    fn lookup(&self, name: &str) -> Option<Node> {
+        if self.item != GaugeItem::Folder {
+            return find(self.list(), name);
+        }
+        match (0..).zip(FILES).find(|(_, file)| file.name == name) {
+            Some((at, file)) => (file.show)(self.supply).map(|_| self.node(GaugeItem::File(at))),
+            None => find(self.groups(), name),
+        }
+    }
+
+    fn content(&self) -> Content {
+        match self.item {
+            GaugeItem::Folder | GaugeItem::Group(_) => Content::Absent,
+            GaugeItem::File(at) => (FILES[usize::from(at)].show)(self.supply).into(),
+            GaugeItem::Member(at, number) => (GROUPS[usize::from(at)].show)(self.supply, number).into(),
+        }
+    }
+
+    fn write(&self, data: &[u8], done: Done<()>) {
+        match self.file().and_then(|file| file.write) {
+            Some(write) => write(self.supply, data, done),
+            None => done(Err(not_writable())),
+        }
+    }
+}
+
+fn line(text: impl Display) -> Option<String> {
+    Some(format!("{text}\n"))
+}
+
+fn empty() -> Option<String> {
+    Some(String::new())
+}
+
+fn word(word: u16) -> Option<String> {
+    line(format_args!("0x{word:04x}"))
+}
+
+/// Names of the bits that are set.
+fn set_bits(bits: &[Bit], word: i64) -> Option<String> {
+    let set = bits.iter().filter(|bit| word & i64::from(bit.mask) != 0).map(|bit| bit.name);
+    line(set.collect::<Vec<_>>().join(" "))
+}
+
+/// What the gauge answered when it was identified; `None` if it has not answered yet.
+fn identified(gauge: &Supply) -> Option<Answers> {
+    Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
+}
+
+fn can_authenticate(gauge: &Supply) -> bool {
+    gauge.chip().authentication.is_some() && gauge.has_own_table()
+}
+
+fn control_status(gauge: &Supply) -> Option<String> {
+    set_bits(gauge.chip().control_status, gauge.fresh()?.control_status.into())
+}
+
+fn itpor(gauge: &Supply) -> Option<String> {
+    let chip = gauge.chip();
+    let flags = gauge.fresh()?.value(chip.register(Role::Flags)?)?;
+    line(u8::from(flags & i64::from(chip.volatile?) != 0))
+}
+
+fn digest(gauge: &Supply) -> Option<String> {
+    match gauge.published().digest {
+        _ if !can_authenticate(gauge) => None,
+        Some(digest) => line(authentication::to_hex(&digest)),
+        None => empty(),
+    }
+}
+
+fn auth_order(gauge: &Supply) -> Option<String> {
+    line(gauge.handle.auth_order().as_str()).filter(|_| can_authenticate(gauge))
+}
+
+fn last_error(gauge: &Supply) -> Option<String> {
+    let error = gauge.published().last_error.clone();
+    if error.is_empty() { empty() } else { line(error) }
+}
+
+/// The registers that have been read, except Control() and the block-access window.
+fn registers(gauge: &Supply, wanted: impl Fn(&Register) -> bool) -> Vec<(u16, String)> {
+    let Some(snapshot) = gauge.fresh() else { return Vec::new() };
+    let is_there = |register: &Register| register.tier != Tier::Window && snapshot.value(register).is_some();
+    let all = (0..).zip(gauge.chip().registers);
+    let shown = all.filter(|(_, register)| is_there(register) && wanted(register));
+    shown.map(|(at, register)| (at, snake_case(register.name))).collect()
+}
+
+fn register(gauge: &Supply, at: u16) -> Option<String> {
+    line(gauge.fresh()?.value(&gauge.chip().registers[usize::from(at)])?)
+}
+
+fn bits(gauge: &Supply, at: u16) -> Option<String> {
+    let register = &gauge.chip().registers[usize::from(at)];
+    set_bits(register.bits, gauge.fresh()?.value(register)?)
+}
+
+fn statistics(gauge: &Supply) -> Vec<(u16, String)> {
+    (0..).zip(gauge.handle.statistics()).map(|(at, (name, _))| (at, name.to_string())).collect()
+}
+
+fn statistic(gauge: &Supply, at: u16) -> Option<String> {
+    line(gauge.handle.statistics().get(usize::from(at))?.1)
+}
+
+/// A blank write does nothing: `gaugefs keys` sends one to overwrite the key in the daemon's buffer.
+fn change_key(gauge: &Supply, data: &[u8], done: Done<()>) {
+    if data.trim_ascii().is_empty() {
+        done(Ok(()));
+    } else {
+        gauge.submit(keys::Change::parse(data), done, Request::ChangeKey);
+    }
+}
+
+fn text(data: &[u8]) -> &str {
+    std::str::from_utf8(data).unwrap_or_default().trim()
+}
+
+fn seal(data: &[u8]) -> Result<Seal> {
+    let seals = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
+    let found = seals.into_iter().find(|seal| seal.as_str() == text(data));
+    let why = "write sealed, unsealed or full-access";
+    found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
+}
+
+fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {
+    let word = text(data);
+    let digits = word.strip_prefix("0x").and_then(|digits| u16::from_str_radix(digits, 16).ok());
+    let code = digits.or(word.parse().ok());
+    let mut all = chip.subcommands.iter();
+    let found = all.find(|one| Some(one.code) == code || one.name.eq_ignore_ascii_case(word));
+    let is_allowed = |effect| matches!(effect, Effect::Answers | Effect::Safe);
+    match found {
+        Some(found) if is_allowed(found.effect) => Ok(found.code),
+        found => {
+            let allowed = chip.subcommands.iter().filter(|one| is_allowed(one.effect));
+            let allowed: Vec<_> = allowed.map(|one| one.name).collect();
+            // An unknown word is not repeated: it may be half of a key.
+            let what = found
+                .map_or("unknown subcommand".into(), |found| format!("{} is not allowed here", found.name));
+            let why = format!("{what}; write one of {}", allowed.join(" "));
+            Err(Error::new("control", Cause::Invalid(why)))
+        }
+    }
+}
+
+fn interval(data: &[u8]) -> Result<Duration> {
+    let word = text(data);
+    let seconds: f64 = word.parse().map_err(|_| {
+        Error::new("poll_interval", Cause::Invalid(format!("`{word}` is not a number of seconds")))
+    })?;
+    if !(0.5..=3600.0).contains(&seconds) {
+        let why = format!("{seconds} s is outside 0.5 to 3600 s");
+        return Err(Error::new("poll_interval", Cause::OutOfRange(why)));
+    }
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::chip::CHIPS;
+
+    #[test]
+    fn names_are_unique_on_every_chip() {
+        for chip in CHIPS {
+            let words = chip.registers.iter().filter(|register| !register.bits.is_empty());
+            let words = words.map(|register| snake_case(register.name));
+            let fixed =
+                FILES.iter().map(|file| file.name).chain(GROUPS.iter().filter_map(|group| group.folder));
+            let mut names = BTreeSet::new();
+            for name in fixed.map(str::to_string).chain(words) {
+                assert!(names.insert(name.clone()), "{}: gauge/{name}", chip.name);
+            }
+        }
+    }
+
+    #[test]
+    fn a_file_can_be_written_if_its_mode_says_so() {
+        for file in FILES {
+            let may_be_written = match file.mode {
+                Mode::Public | Mode::Read => false,
+                Mode::ReadWrite | Mode::Write | Mode::OwnerWrite => true,
+            };
+            assert_eq!(file.write.is_some(), may_be_written, "gauge/{}", file.name);
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! The mount point: a folder for each gauge, the Mains supply, and the kernel's supplies underneath.
+
+use std::collections::BTreeSet;
+
+use super::{Fs, Item, MainsItem, Node, Operations, Shape, SupplyItem, find};
+
+/// The mount point.
+pub(super) struct Root<'a>(pub(super) &'a Fs);
+
+impl Root<'_> {
+    /// The folders that are gaugefs's own.
+    fn own(&self) -> Vec<(String, Node)> {
+        let folder = |index| Node::Of(index, Item::Supply(SupplyItem::Folder));
+        let gauges = self.0.supplies.iter().map(|supply| (supply.name.clone(), folder(supply.index)));
+        let mains = self.0.mains.clone().map(|name| (name, Node::Mains(MainsItem::Folder)));
+        gauges.chain(mains).collect()
+    }
+}
+
+impl Operations for Root<'_> {
+    fn parent(&self) -> Node {
+        Node::Root
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    /// A gauge hides a supply of the kernel that has the same name.
+    fn list(&self) -> Vec<(String, Node)> {
+        let mut list = self.own();
+        let Some(covered) = &self.0.covered else { return list };
+        let taken: BTreeSet<String> = list.iter().map(|(name, _)| name.clone()).collect();
+        let (hidden, shown): (BTreeSet<_>, BTreeSet<_>) =
+            covered.names().into_iter().partition(|name| taken.contains(name));
+        covered.log_hidden(hidden);
+        list.extend(shown.into_iter().map(|name| (name.clone(), Node::Covered(covered.number(&name)))));
+        list
+    }
+
+    /// Looks only at the one name in the covered folder, which may hold many.
+    fn lookup(&self, name: &str) -> Option<Node> {
+        find(self.own(), name).or_else(|| {
+            let covered = self.0.covered.as_ref()?;
+            covered.target(name).map(|_| Node::Covered(covered.number(name)))
+        })
+    }
+}
+
+/// The first name of STEM0, STEM1 ... that is not taken.
+pub fn free_name(stem: &str, taken: &[String]) -> String {
+    let mut names = (0..).map(|number| format!("{stem}{number}"));
+    names.find(|name| !taken.contains(name)).expect("numbers do not run out")
+}

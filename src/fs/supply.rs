@@ -1,0 +1,183 @@
+//! The folder of a gauge: power_supply attributes, `uevent` and `subsystem`, and the folders `df`, `gauge` and
+//! `sim`.
+
+use std::sync::Arc;
+
+use super::attribute::{self, Attribute, Reading};
+use super::transaction::Transaction;
+use super::{
+    Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
+    SimItem, find,
+};
+use crate::chip::Chip;
+use crate::error::{Error, Result};
+use crate::poll::{Done, Handle, Published, Request, Snapshot};
+
+/// A mounted gauge, with what the tree keeps about it.
+pub(super) struct Supply {
+    /// Its index in the tree.
+    pub(super) index: u16,
+    /// Name of its folder.
+    pub(super) name: String,
+    pub(super) handle: Handle,
+    pub(super) knobs: Option<Box<dyn Knobs>>,
+    pub(super) transaction: Transaction,
+    scales: Scales,
+}
+
+impl Supply {
+    pub(super) fn new(index: u16, gauge: MountedGauge) -> Self {
+        let MountedGauge { name, handle, scales, knobs } = gauge;
+        Self { index, name, handle, knobs, transaction: Transaction::default(), scales }
+    }
+
+    pub(super) fn node(&self, item: Item) -> Node {
+        Node::Of(self.index, item)
+    }
+
+    pub(super) fn chip(&self) -> &'static Chip {
+        self.handle.chip()
+    }
+
+    pub(super) fn published(&self) -> Arc<Published> {
+        self.handle.published()
+    }
+
+    /// Whether the table is the part's own, and not that of a relative with the same standard commands.
+    pub(super) fn has_own_table(&self) -> bool {
+        self.published().sibling.is_none()
+    }
+
+    /// The last poll, unless it is older than three poll intervals: then its values are no longer shown.
+    pub(super) fn fresh(&self) -> Option<Arc<Snapshot>> {
+        let published = self.published();
+        let age = self.handle.age()?;
+        published.snapshot.clone().filter(|_| age <= published.interval * 3)
+    }
+
+    pub(super) fn reading<'a>(&'a self, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
+        let chip = self.chip();
+        let model = self.published().sibling.map_or(chip.model, |sibling| sibling.name);
+        Reading { chip, model, snapshot, scales: &self.scales }
+    }
+
+    /// Queues a request with the value that was written, unless the value is invalid.
+    pub(super) fn submit<T, E: Into<Error>>(
+        &self,
+        value: Result<T, E>,
+        done: Done<()>,
+        request: impl FnOnce(T, Done<()>) -> Request,
+    ) {
+        match value {
+            Ok(value) => self.handle.submit(request(value, done)),
+            Err(error) => self.refuse(error.into(), done),
+        }
+    }
+
+    /// Refuses what was written without asking the gauge. The log and `gauge/last_error` say why, as after any
+    /// request that fails.
+    pub(super) fn refuse(&self, error: Error, done: Done<()>) {
+        self.handle.note(&error);
+        done(Err(error));
+    }
+}
+
+/// What a gauge's folder holds beside `df`, `gauge` and `sim`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum SupplyItem {
+    /// The folder itself.
+    Folder,
+    /// A power_supply attribute.
+    Attribute(Attribute),
+    /// `uevent`.
+    Uevent,
+    /// `subsystem`.
+    Subsystem,
+}
+
+impl Of<'_, SupplyItem> {
+    fn attribute_text(&self, attribute: Attribute) -> Option<String> {
+        attribute.text(&self.supply.reading(self.supply.fresh().as_deref()))
+    }
+
+    /// What the folder holds beside attributes.
+    fn rest(&self) -> Vec<(String, Node)> {
+        let rest = [
+            ("uevent", Some(Item::Supply(SupplyItem::Uevent))),
+            ("subsystem", Some(Item::Supply(SupplyItem::Subsystem))),
+            ("df", self.supply.has_own_table().then_some(Item::Df(DfItem::Folder))),
+            ("gauge", Some(Item::Gauge(GaugeItem::Folder))),
+            ("sim", self.supply.knobs.is_some().then_some(Item::Sim(SimItem::Folder))),
+        ];
+        let there = rest.into_iter().filter_map(|(name, item)| Some((name, item?)));
+        there.map(|(name, item)| (name.to_string(), self.supply.node(item))).collect()
+    }
+
+    fn attribute_node(&self, attribute: Attribute) -> Node {
+        self.supply.node(Item::Supply(SupplyItem::Attribute(attribute)))
+    }
+}
+
+impl Operations for Of<'_, SupplyItem> {
+    fn parent(&self) -> Node {
+        match self.item {
+            SupplyItem::Folder => Node::Root,
+            _ => self.supply.node(Item::Supply(SupplyItem::Folder)),
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        match self.item {
+            SupplyItem::Folder => Shape::Folder,
+            SupplyItem::Subsystem => Shape::Link,
+            SupplyItem::Attribute(_) | SupplyItem::Uevent => Shape::File,
+        }
+    }
+
+    fn name(&self) -> Option<&'static str> {
+        if let SupplyItem::Attribute(attribute) = self.item { Some(attribute.name()) } else { None }
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        if self.item != SupplyItem::Folder {
+            return Vec::new();
+        }
+        let snapshot = self.supply.fresh();
+        let reading = self.supply.reading(snapshot.as_deref());
+        let there = Attribute::all().filter(|attribute| attribute.text(&reading).is_some());
+        let attributes =
+            there.map(|attribute| (attribute.name().to_string(), self.attribute_node(attribute)));
+        attributes.chain(self.rest()).collect()
+    }
+
+    /// Renders no attribute but the one that is looked up.
+    fn lookup(&self, name: &str) -> Option<Node> {
+        if self.item != SupplyItem::Folder {
+            return None;
+        }
+        match Attribute::by_name(name) {
+            Some(attribute) => self.attribute_text(attribute).map(|_| self.attribute_node(attribute)),
+            None => find(self.rest(), name),
+        }
+    }
+
+    fn may_be_cached(&self) -> bool {
+        true
+    }
+
+    fn content(&self) -> Content {
+        match self.item {
+            SupplyItem::Folder | SupplyItem::Subsystem => Content::Absent,
+            SupplyItem::Attribute(attribute) => self.attribute_text(attribute).map(|text| text + "\n").into(),
+            SupplyItem::Uevent => {
+                let snapshot = self.supply.fresh();
+                let reading = self.supply.reading(snapshot.as_deref());
+                Some(attribute::uevent(&self.supply.name, &reading)).into()
+            }
+        }
+    }
+
+    fn target(&self) -> Option<String> {
+        (self.item == SupplyItem::Subsystem).then(|| SUBSYSTEM.into())
+    }
+}
