@@ -1,0 +1,474 @@
+//! The handlers of the kernel's requests.
+//!
+//! No handler blocks, and none notifies the kernel: while the kernel waits for an answer it holds locks
+//! that a notification needs. A request that needs the gauge keeps its reply object, which is answered from
+//! the thread of the gauge's owner.
+
+use std::ffi::OsStr;
+use std::path::Path;
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, MutexGuard};
+use std::time::{Duration, Instant, SystemTime};
+
+use fuser::{
+    AccessFlags, BsdFileFlags, CopyFileRangeFlags, Errno, FileAttr, FileHandle, FileType, Filesystem,
+    FopenFlags, Generation, INodeNo, IoctlFlags, LockOwner, OpenFlags, PollEvents, PollFlags, PollNotifier,
+    RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty, ReplyEntry, ReplyIoctl,
+    ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request, TimeOrNow, WriteFlags,
+};
+
+use super::inodes::{Inodes, Now, Shown, Value};
+use super::notify::Answers;
+use super::{Options, Table, lock};
+use crate::error::{Error, Result};
+use crate::fs::{Fs, Node, Shape};
+
+/// How long the kernel may keep a name and a size without asking. This bounds how long a lost notification
+/// or a dead daemon goes unnoticed.
+const TTL: Duration = Duration::from_secs(2);
+
+/// How long the kernel may keep the estimated size of an unread file. Reading the file corrects it.
+const UNREAD_TTL: Duration = Duration::from_secs(3600);
+
+/// A request that is answered when an unread value has arrived.
+pub(super) enum Waiter {
+    Read { offset: u64, size: u32, reply: ReplyData },
+    Attributes(ReplyAttr),
+}
+
+impl Now {
+    pub(super) fn read() -> Self {
+        Self { instant: Instant::now(), time: SystemTime::now() }
+    }
+}
+
+#[derive(Clone)]
+pub(super) struct Adapter {
+    pub(super) fs: Arc<Fs>,
+    pub(super) table: Arc<Table>,
+    pub(super) options: Options,
+    pub(super) answers: Answers,
+    /// Disconnects when the session has ended and drops its adapter.
+    pub(super) _alive: Sender<()>,
+}
+
+impl Adapter {
+    fn inodes(&self) -> MutexGuard<'_, Inodes<Waiter>> {
+        lock(&self.table)
+    }
+
+    fn node(&self, ino: INodeNo) -> Option<Node> {
+        self.inodes().get(ino.into()).map(|inode| inode.node())
+    }
+
+    fn attr(&self, shown: &Shown) -> FileAttr {
+        let (kind, nlink) = match self.fs.shape(shown.node) {
+            Shape::Folder => (FileType::Directory, 2),
+            Shape::Link => (FileType::Symlink, 1),
+            Shape::File => (FileType::RegularFile, 1),
+        };
+        let size = match kind {
+            FileType::Symlink => self.fs.target(shown.node).map_or(0, |target| target.len() as u64),
+            _ => shown.size,
+        };
+        let (uid, gid) = self.fs.owner();
+        FileAttr {
+            ino: INodeNo(shown.number),
+            size,
+            blocks: 0,
+            atime: shown.since,
+            mtime: shown.since,
+            ctime: shown.since,
+            crtime: shown.since,
+            kind,
+            perm: self.fs.mode(shown.node),
+            nlink,
+            uid,
+            gid,
+            rdev: 0,
+            blksize: 4096,
+            flags: 0,
+        }
+    }
+
+    fn ttl(&self, node: Node) -> Duration {
+        if self.fs.may_be_cached(node) { TTL } else { Duration::ZERO }
+    }
+
+    fn attr_ttl(&self, shown: &Shown) -> Duration {
+        if shown.unread { UNREAD_TTL } else { self.ttl(shown.node) }
+    }
+
+    /// The errno of every request to add, remove or rename something, which this tree does not allow.
+    fn fixed(&self) -> Errno {
+        if self.options.read_only { Errno::EROFS } else { Errno::EPERM }
+    }
+}
+
+/// An unread value that was asked for. Whoever waits for it gets an answer, even if the gauge's owner ends
+/// without reading it.
+struct Arrival {
+    adapter: Adapter,
+    number: u64,
+    answered: bool,
+}
+
+impl Arrival {
+    fn with(mut self, read: Result<Arc<[u8]>>) {
+        self.answered = true;
+        self.answer(&read);
+    }
+
+    fn answer(&self, read: &Result<Arc<[u8]>>) {
+        let arrived = self.adapter.inodes().arrived(self.number, read.as_ref().ok(), Now::read());
+        let Some((shown, waiting)) = arrived else { return };
+        for waiter in waiting {
+            match (waiter, read) {
+                (Waiter::Read { offset, size, reply }, Ok(bytes)) => reply.data(slice(bytes, offset, size)),
+                (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
+                (Waiter::Attributes(reply), _) => {
+                    reply.attr(&Duration::ZERO, &self.adapter.attr(&shown));
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Arrival {
+    fn drop(&mut self) {
+        if !self.answered {
+            self.answer(&Err(Error::host("", nix::errno::Errno::ENODEV, "the gauge has been given up")));
+        }
+    }
+}
+
+fn errno(error: &Error) -> Errno {
+    Errno::from_i32(error.errno() as i32)
+}
+
+fn slice(bytes: &[u8], offset: u64, size: u32) -> &[u8] {
+    let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
+    &bytes[start..bytes.len().min(start.saturating_add(size as usize))]
+}
+
+impl Filesystem for Adapter {
+    fn lookup(&self, request: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
+        let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
+        let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
+            return reply.error(Errno::ENOENT);
+        };
+        // One lock for both: if a poll changed the value in between, nobody would notify the kernel of it.
+        let mut inodes = self.inodes();
+        let value = match self.fs.shape(node) {
+            Shape::File => Value::of(self.fs.content(node)),
+            Shape::Folder | Shape::Link => Some(Value::Fixed),
+        };
+        let Some(value) = value else { return reply.error(Errno::ENOENT) };
+        let shown = inodes.enter(node, value, request.pid(), Now::read());
+        drop(inodes);
+        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.ttl(node));
+        reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
+    }
+
+    fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
+        self.inodes().forget(ino.into(), lookups);
+    }
+
+    fn getattr(&self, _: &Request, ino: INodeNo, _: Option<FileHandle>, reply: ReplyAttr) {
+        let number = u64::from(ino);
+        let mut inodes = self.inodes();
+        let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+        if inode.is_awaited() {
+            // The size arrives with the value.
+            inodes.wait(number, Waiter::Attributes(reply));
+            return;
+        }
+        let shown = inode.shown(number);
+        drop(inodes);
+        reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
+    }
+
+    /// Truncation alone writes nothing, and the size stays the same, as in sysfs.
+    #[allow(clippy::too_many_arguments, reason = "the trait's signature")]
+    fn setattr(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        mode: Option<u32>,
+        uid: Option<u32>,
+        gid: Option<u32>,
+        size: Option<u64>,
+        _: Option<TimeOrNow>,
+        _: Option<TimeOrNow>,
+        _: Option<SystemTime>,
+        _: Option<FileHandle>,
+        _: Option<SystemTime>,
+        _: Option<SystemTime>,
+        _: Option<SystemTime>,
+        _: Option<BsdFileFlags>,
+        reply: ReplyAttr,
+    ) {
+        if mode.is_some() || uid.is_some() || gid.is_some() {
+            return reply.error(self.fixed());
+        }
+        let shown = self.inodes().shown(ino.into());
+        let Some(shown) = shown else { return reply.error(Errno::ESTALE) };
+        if size.is_some() && !self.fs.may_be_written(shown.node) {
+            return reply.error(Errno::EACCES);
+        }
+        reply.attr(&Duration::ZERO, &self.attr(&shown));
+    }
+
+    fn readlink(&self, _: &Request, ino: INodeNo, reply: ReplyData) {
+        match self.node(ino).and_then(|node| self.fs.target(node)) {
+            Some(target) => reply.data(target.as_bytes()),
+            None => reply.error(Errno::EINVAL),
+        }
+    }
+
+    fn open(&self, _: &Request, _: INodeNo, _: OpenFlags, reply: ReplyOpen) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn opendir(&self, _: &Request, ino: INodeNo, _: OpenFlags, reply: ReplyOpen) {
+        if !self.fs.is_overlay() {
+            return reply.error(Errno::ENOSYS);
+        }
+        let kept = FopenFlags::FOPEN_KEEP_CACHE | FopenFlags::FOPEN_CACHE_DIR;
+        reply.opened(FileHandle(0), if ino == INodeNo::ROOT { FopenFlags::empty() } else { kept });
+    }
+
+    fn flush(&self, _: &Request, _: INodeNo, _: FileHandle, _: LockOwner, reply: ReplyEmpty) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn fsync(&self, _: &Request, _: INodeNo, _: FileHandle, _: bool, reply: ReplyEmpty) {
+        reply.ok();
+    }
+
+    fn access(&self, _: &Request, _: INodeNo, _: AccessFlags, reply: ReplyEmpty) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn read(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        _: FileHandle,
+        offset: u64,
+        size: u32,
+        _: OpenFlags,
+        _: Option<LockOwner>,
+        reply: ReplyData,
+    ) {
+        let number = u64::from(ino);
+        let mut inodes = self.inodes();
+        let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+        let node = inode.node();
+        match inode.value() {
+            Value::Bytes(bytes) => {
+                let bytes = bytes.clone();
+                drop(inodes);
+                return reply.data(slice(&bytes, offset, size));
+            }
+            Value::Gone => return reply.error(Errno::ENODEV),
+            Value::Fixed => return reply.error(Errno::EISDIR),
+            Value::Unread(_) => {}
+        }
+        // The first answer becomes the value of this nodeid, for this read and every other.
+        let first = inodes.wait(number, Waiter::Read { offset, size, reply });
+        drop(inodes);
+        if first {
+            let arrival = Arrival { adapter: self.clone(), number, answered: false };
+            self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from))));
+        }
+    }
+
+    fn write(
+        &self,
+        _: &Request,
+        ino: INodeNo,
+        _: FileHandle,
+        offset: u64,
+        data: &[u8],
+        _: WriteFlags,
+        flags: OpenFlags,
+        _: Option<LockOwner>,
+        reply: ReplyWrite,
+    ) {
+        let number = u64::from(ino);
+        let Some(node) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+        let appends = flags.0 & nix::fcntl::OFlag::O_APPEND.bits() != 0;
+        if offset != 0 && !appends && !self.fs.is_stream(node) {
+            return reply.error(Errno::EINVAL);
+        }
+        self.inodes().write_begins(number, Now::read());
+        let written = u32::try_from(data.len()).unwrap_or(u32::MAX);
+        let (table, answers, fs) = (self.table.clone(), self.answers.clone(), self.fs.clone());
+        self.fs.write(
+            node,
+            data,
+            Box::new(move |outcome| {
+                answers.push(Box::new(move || {
+                    match outcome {
+                        Ok(()) => reply.written(written),
+                        Err(error) => reply.error(errno(&error)),
+                    }
+                    lock(&table).write_ended(number);
+                }));
+                fs.raise(node);
+            }),
+        );
+    }
+
+    fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {
+        let Some(folder) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+        let dots = [".", ".."].map(|name| (name.to_string(), folder));
+        let list = dots.into_iter().chain(self.fs.list(folder));
+        for (at, (name, node)) in (1u64..).zip(list).skip(offset as usize) {
+            let kind = match self.fs.shape(node) {
+                Shape::Folder => FileType::Directory,
+                Shape::Link => FileType::Symlink,
+                Shape::File => FileType::RegularFile,
+            };
+            // A file's inode number changes with its value, so any number but 0 will do here.
+            if reply.add(INodeNo(at), at, kind, name) {
+                break;
+            }
+        }
+        reply.ok();
+    }
+
+    fn statfs(&self, _: &Request, _: INodeNo, reply: ReplyStatfs) {
+        reply.statfs(0, 0, 0, 0, 0, 4096, 255, 4096);
+    }
+
+    fn getxattr(&self, _: &Request, ino: INodeNo, name: &OsStr, size: u32, reply: ReplyXattr) {
+        let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
+        // ENOSYS would make the kernel stop asking for extended attributes at all.
+        match list.iter().find(|(found, _)| OsStr::new(found) == name) {
+            Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),
+            None => reply.error(Errno::ENODATA),
+        }
+    }
+
+    fn listxattr(&self, _: &Request, ino: INodeNo, size: u32, reply: ReplyXattr) {
+        let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
+        let names: String = list.iter().flat_map(|(name, _)| [name, "\0"]).collect();
+        answer_xattr(names.as_bytes(), size, reply);
+    }
+
+    fn setxattr(&self, _: &Request, _: INodeNo, _: &OsStr, _: &[u8], _: i32, _: u32, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn removexattr(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    // Requests that sysfs refuses too. The default methods of the trait would log a warning for each.
+
+    fn create(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, _: i32, reply: ReplyCreate) {
+        reply.error(self.fixed());
+    }
+
+    fn link(&self, _: &Request, _: INodeNo, _: INodeNo, _: &OsStr, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+
+    fn rename(
+        &self,
+        _: &Request,
+        _: INodeNo,
+        _: &OsStr,
+        _: INodeNo,
+        _: &OsStr,
+        _: RenameFlags,
+        reply: ReplyEmpty,
+    ) {
+        reply.error(self.fixed());
+    }
+
+    fn fallocate(&self, _: &Request, _: INodeNo, _: FileHandle, _: u64, _: u64, _: i32, reply: ReplyEmpty) {
+        reply.error(Errno::EOPNOTSUPP);
+    }
+
+    /// Programs call it to find out whether a file is a terminal.
+    fn ioctl(
+        &self,
+        _: &Request,
+        _: INodeNo,
+        _: FileHandle,
+        _: IoctlFlags,
+        _: u32,
+        _: &[u8],
+        _: u32,
+        reply: ReplyIoctl,
+    ) {
+        reply.error(Errno::ENOTTY);
+    }
+
+    // After ENOSYS the kernel handles these by itself and does not ask again.
+
+    fn poll(
+        &self,
+        _: &Request,
+        _: INodeNo,
+        _: FileHandle,
+        _: PollNotifier,
+        _: PollEvents,
+        _: PollFlags,
+        reply: ReplyPoll,
+    ) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn lseek(&self, _: &Request, _: INodeNo, _: FileHandle, _: i64, _: i32, reply: ReplyLseek) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn copy_file_range(
+        &self,
+        _: &Request,
+        _: INodeNo,
+        _: FileHandle,
+        _: u64,
+        _: INodeNo,
+        _: FileHandle,
+        _: u64,
+        _: u64,
+        _: CopyFileRangeFlags,
+        reply: ReplyWrite,
+    ) {
+        reply.error(Errno::ENOSYS);
+    }
+
+    fn mknod(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, _: u32, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+
+    fn mkdir(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+
+    fn unlink(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn rmdir(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
+        reply.error(self.fixed());
+    }
+
+    fn symlink(&self, _: &Request, _: INodeNo, _: &OsStr, _: &Path, reply: ReplyEntry) {
+        reply.error(self.fixed());
+    }
+}
+
+fn answer_xattr(value: &[u8], size: u32, reply: ReplyXattr) {
+    let length = value.len() as u32;
+    match size {
+        0 => reply.size(length),
+        size if size < length => reply.error(Errno::ERANGE),
+        _ => reply.data(value),
+    }
+}

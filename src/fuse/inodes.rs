@@ -1,0 +1,765 @@
+//! The table of nodeids: which file each number means, and which value it shows.
+//!
+//! One nodeid is one immutable value, so a reader never gets the size of one value with the bytes of
+//! another. A new value gets a new nodeid; the old one is superseded and keeps its bytes. Only a file that is
+//! held open across a change has to follow it under the nodeid that it has: that nodeid is renewed, either
+//! after a delay or when a write through it has been answered.
+//!
+//! This module knows neither FUSE nor any lock, and reads no clock: every caller passes the time.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+use crate::fs::{Content, Node};
+
+/// The nodeid of the mount point, which the kernel never looks up and never forgets.
+pub(super) const ROOT: u64 = 1;
+
+/// Delay before an open file switches to its new value, so that no read of the old value is still under
+/// way. 50 ms was too short: one torn read in 5 million.
+pub(super) const RENEWAL_DELAY: Duration = Duration::from_secs(2);
+
+/// The present time on both clocks: one measures delays, the other is shown as a file's time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Now {
+    /// Monotonic.
+    pub(super) instant: Instant,
+    /// The calendar's.
+    pub(super) time: SystemTime,
+}
+
+/// What a nodeid shows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Value {
+    /// A folder or a link.
+    Fixed,
+    /// A file's bytes.
+    Bytes(Arc<[u8]>),
+    /// A file that has not been read from the gauge yet, and its apparent size.
+    Unread(u64),
+    /// A file held open whose value does not exist any more.
+    Gone,
+}
+
+impl Value {
+    /// The value of a file; `None` if the file does not exist.
+    pub(super) fn of(content: Content) -> Option<Self> {
+        match content {
+            Content::Bytes(bytes) => Some(Value::Bytes(bytes.into())),
+            Content::Unread(size) => Some(Value::Unread(size)),
+            Content::Absent => None,
+        }
+    }
+
+    fn size(&self) -> u64 {
+        match self {
+            Value::Fixed => 0,
+            // Not 0: the kernel answers a read at the end of a file by itself, and would not return ENODEV.
+            Value::Gone => 4096,
+            Value::Bytes(bytes) => bytes.len() as u64,
+            Value::Unread(size) => *size,
+        }
+    }
+}
+
+/// What `stat` shows of a nodeid, apart from what follows from the node alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Shown {
+    pub(super) number: u64,
+    pub(super) node: Node,
+    pub(super) size: u64,
+    /// When the nodeid got its present value.
+    pub(super) since: SystemTime,
+    /// The size is an estimate until the file is read.
+    pub(super) unread: bool,
+}
+
+/// One nodeid. `W` is a request that waits for the value.
+#[derive(Debug)]
+pub(super) struct Inode<W> {
+    node: Node,
+    /// How often the kernel has looked it up and not forgotten it.
+    lookups: u64,
+    /// The thread that looked it up first.
+    thread: u32,
+    value: Value,
+    since: SystemTime,
+    /// When another value took its place, while that is not yet shown under this nodeid.
+    superseded: Option<Instant>,
+    /// Writes that have not been answered. The kernel keeps the file's page locked until they are.
+    writing: u32,
+    /// Requests that wait for an unread value, from the first READ until the value arrives.
+    waiting: Option<Vec<W>>,
+}
+
+impl<W> Inode<W> {
+    fn new(node: Node, value: Value, thread: u32, since: SystemTime) -> Self {
+        Self { node, lookups: 1, thread, value, since, superseded: None, writing: 0, waiting: None }
+    }
+
+    /// The file, folder or link.
+    pub(super) fn node(&self) -> Node {
+        self.node
+    }
+
+    /// What it shows.
+    pub(super) fn value(&self) -> &Value {
+        &self.value
+    }
+
+    /// Whether its value has been asked for and has not arrived.
+    pub(super) fn is_awaited(&self) -> bool {
+        self.waiting.is_some()
+    }
+
+    fn is_idle(&self) -> bool {
+        self.writing == 0 && !self.is_awaited()
+    }
+
+    /// What `stat` shows of it; `number` is its own.
+    pub(super) fn shown(&self, number: u64) -> Shown {
+        let unread = matches!(self.value, Value::Unread(_));
+        Shown { number, node: self.node, size: self.value.size(), since: self.since, unread }
+    }
+}
+
+/// All nodeids that the kernel has not forgotten.
+#[derive(Debug)]
+pub(super) struct Inodes<W> {
+    next: u64,
+    started: SystemTime,
+    live: HashMap<u64, Inode<W>>,
+    /// The nodeid that a lookup of the node finds, unless the value has changed.
+    current: HashMap<Node, u64>,
+    /// Nodeids through which a write has been answered since the last renewal.
+    written: Vec<u64>,
+}
+
+impl<W> Inodes<W> {
+    /// A table that holds the mount point alone.
+    pub(super) fn new(now: Now) -> Self {
+        Self {
+            next: ROOT + 1,
+            started: now.time,
+            live: HashMap::from([(ROOT, Inode::new(Node::Root, Value::Fixed, 0, now.time))]),
+            current: HashMap::from([(Node::Root, ROOT)]),
+            written: Vec::new(),
+        }
+    }
+
+    /// The nodeid, if the kernel has not forgotten it.
+    pub(super) fn get(&self, number: u64) -> Option<&Inode<W>> {
+        self.live.get(&number)
+    }
+
+    /// What `stat` shows of it.
+    pub(super) fn shown(&self, number: u64) -> Option<Shown> {
+        self.get(number).map(|inode| inode.shown(number))
+    }
+
+    /// The nodeid of a node's present value, if the kernel knows one.
+    pub(super) fn current(&self, node: Node) -> Option<u64> {
+        self.current.get(&node).copied()
+    }
+
+    /// Counts a lookup of a node that has this value now, and returns its nodeid.
+    ///
+    /// An unread file has a nodeid for each thread that looks it up. The kernel corrects the file's
+    /// estimated size when a READ returns less, but only if no LOOKUP or GETATTR of that nodeid was answered
+    /// in between: with a shared nodeid, the value would be padded with zero bytes. Lookups of one thread
+    /// precede its READ and may share a nodeid; they must, because `cp` takes a file whose inode number
+    /// changes for another file.
+    pub(super) fn enter(&mut self, node: Node, value: Value, thread: u32, now: Now) -> Shown {
+        if let Some(&number) = self.current.get(&node)
+            && let Some(inode) = self.live.get_mut(&number)
+        {
+            // Threads outside this process's PID namespace all have the number 0.
+            let own = inode.thread == thread && thread != 0 && !inode.is_awaited();
+            if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
+                inode.lookups += 1;
+                return inode.shown(number);
+            }
+            self.retire(number, now);
+        }
+        let number = self.next;
+        self.next += 1;
+        let since = if value == Value::Fixed { self.started } else { now.time };
+        let inode = Inode::new(node, value, thread, since);
+        let shown = inode.shown(number);
+        self.live.insert(number, inode);
+        self.current.insert(node, number);
+        shown
+    }
+
+    /// Marks a nodeid as superseded: its node has another value now.
+    pub(super) fn retire(&mut self, number: u64, now: Now) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        // An unread nodeid has not shown any value yet, so there is nothing to keep.
+        if !matches!(inode.value, Value::Unread(_)) {
+            inode.superseded.get_or_insert(now.instant);
+        }
+        let node = inode.node;
+        self.drop_current(node, number);
+    }
+
+    fn drop_current(&mut self, node: Node, number: u64) {
+        if self.current(node) == Some(number) {
+            self.current.remove(&node);
+        }
+    }
+
+    /// The files of which a change has to be noticed: those that show a value which was read and is not
+    /// superseded.
+    pub(super) fn up_to_date(&self) -> impl Iterator<Item = (u64, Node, &Value)> {
+        let files = self.live.iter().filter(|(_, inode)| {
+            inode.superseded.is_none() && !matches!(inode.value, Value::Fixed | Value::Unread(_))
+        });
+        files.map(|(&number, inode)| (number, inode.node, &inode.value))
+    }
+
+    /// Adds a request that waits for an unread value. Returns whether it is the first, so that the caller
+    /// has to ask for the value.
+    pub(super) fn wait(&mut self, number: u64, waiter: W) -> bool {
+        let Some(inode) = self.live.get_mut(&number) else { return false };
+        let first = inode.waiting.is_none();
+        inode.waiting.get_or_insert_default().push(waiter);
+        first
+    }
+
+    /// Takes the value that was asked for, `None` if it could not be read. Returns what the nodeid shows now,
+    /// and the requests that waited.
+    pub(super) fn arrived(
+        &mut self,
+        number: u64,
+        value: Option<&Arc<[u8]>>,
+        now: Now,
+    ) -> Option<(Shown, Vec<W>)> {
+        let inode = self.live.get_mut(&number)?;
+        let waiting = inode.waiting.take().unwrap_or_default();
+        if let Some(bytes) = value {
+            inode.value = Value::Bytes(bytes.clone());
+        }
+        let shown = inode.shown(number);
+        if value.is_some() && inode.superseded.is_none() && inode.writing == 0 {
+            // Lookups until the next poll find the value that was read.
+            if let Some(other) = self.current(shown.node).filter(|&other| other != number) {
+                self.retire(other, now);
+            }
+            self.current.insert(shown.node, number);
+        }
+        Some((shown, waiting))
+    }
+
+    /// Takes back lookups; a nodeid without any is dropped.
+    pub(super) fn forget(&mut self, number: u64, lookups: u64) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.lookups = inode.lookups.saturating_sub(lookups);
+        if inode.lookups == 0 && number != ROOT {
+            let node = inode.node;
+            self.live.remove(&number);
+            self.drop_current(node, number);
+        }
+    }
+
+    /// A write through this nodeid has begun. Whatever comes of it, the kernel's copy holds what was written.
+    pub(super) fn write_begins(&mut self, number: u64, now: Now) {
+        self.retire(number, now);
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.writing += 1;
+        }
+    }
+
+    /// The write has been answered.
+    pub(super) fn write_ended(&mut self, number: u64) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.writing -= 1;
+            self.written.push(number);
+        }
+    }
+
+    /// Whether [`Self::take_due`] has anything to return, now or later.
+    pub(super) fn is_renewal_pending(&self) -> bool {
+        !self.written.is_empty() || self.live.values().any(|inode| inode.superseded.is_some())
+    }
+
+    /// When [`Self::take_due`] has to be called next. A nodeid that is being read or written has to wait for
+    /// the answer, which calls for a renewal by itself.
+    pub(super) fn next_due(&self) -> Option<Instant> {
+        let idle = self.live.values().filter(|inode| inode.is_idle());
+        idle.filter_map(|inode| inode.superseded).min().map(|oldest| oldest + RENEWAL_DELAY)
+    }
+
+    /// The nodeids to renew now: a superseded one after the delay, a written one at once, so that the writer
+    /// reads the result of its write.
+    pub(super) fn take_due(&mut self, now: Now) -> Vec<(u64, Node)> {
+        let written = std::mem::take(&mut self.written);
+        let is_due = |(number, inode): &(&u64, &Inode<W>)| {
+            let settled = inode.superseded.is_some_and(|since| now.instant >= since + RENEWAL_DELAY);
+            inode.is_idle() && (settled || written.contains(number))
+        };
+        self.live.iter().filter(is_due).map(|(&number, inode)| (number, inode.node)).collect()
+    }
+
+    /// Gives a nodeid its node's present value.
+    pub(super) fn renew(&mut self, number: u64, value: Value, now: Now) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.superseded = None;
+            inode.value = value;
+            inode.since = now.time;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::sync::LazyLock;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const FILE: Node = Node::Covered(0);
+    const OTHER: Node = Node::Covered(1);
+    const THREAD: u32 = 100;
+
+    fn at(millis: u64) -> Now {
+        static START: LazyLock<Instant> = LazyLock::new(Instant::now);
+        let after = Duration::from_millis(millis);
+        Now { instant: *START + after, time: SystemTime::UNIX_EPOCH + after }
+    }
+
+    fn delay() -> u64 {
+        RENEWAL_DELAY.as_millis() as u64
+    }
+
+    fn bytes(text: &str) -> Value {
+        Value::Bytes(text.as_bytes().into())
+    }
+
+    fn inodes() -> Inodes<u32> {
+        Inodes::new(at(0))
+    }
+
+    /// Renews what is due, to the value that every file has now.
+    fn renew(inodes: &mut Inodes<u32>, value: &Value, now: Now) -> Vec<u64> {
+        let due: Vec<u64> = inodes.take_due(now).into_iter().map(|(number, _)| number).collect();
+        for &number in &due {
+            inodes.renew(number, value.clone(), now);
+        }
+        due
+    }
+
+    fn value(inodes: &Inodes<u32>, number: u64) -> &Value {
+        inodes.get(number).expect("the nodeid is known").value()
+    }
+
+    #[test]
+    fn an_unchanged_value_keeps_its_nodeid() {
+        let mut inodes = inodes();
+        let first = inodes.enter(FILE, bytes("1\n"), THREAD, at(0));
+        assert_eq!(first.size, 2);
+        assert_eq!(inodes.enter(FILE, bytes("1\n"), THREAD + 1, at(5)), first);
+        assert_ne!(inodes.enter(OTHER, bytes("1\n"), THREAD, at(5)).number, first.number);
+    }
+
+    #[test]
+    fn a_changed_value_gets_a_new_nodeid_and_the_old_one_keeps_its_bytes() {
+        let mut inodes = inodes();
+        let old = inodes.enter(FILE, bytes("9\n"), THREAD, at(0));
+        let new = inodes.enter(FILE, bytes("10\n"), THREAD, at(5));
+        assert_ne!(new.number, old.number);
+        assert_eq!((new.size, new.since), (3, at(5).time));
+        assert_eq!(inodes.shown(old.number), Some(old));
+        assert_eq!(value(&inodes, old.number), &bytes("9\n"));
+        // An old value that comes back gets a nodeid of its own.
+        let again = inodes.enter(FILE, bytes("9\n"), THREAD, at(9));
+        assert!(again.number != old.number && again.number != new.number);
+    }
+
+    #[test]
+    fn a_retired_nodeid_is_not_found_again() {
+        let mut inodes = inodes();
+        let old = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.retire(old, at(1));
+        assert_eq!(inodes.current(FILE), None);
+        assert_eq!(inodes.up_to_date().count(), 0);
+        assert_ne!(inodes.enter(FILE, bytes("1\n"), THREAD, at(2)).number, old);
+    }
+
+    #[test]
+    fn forget_drops_a_nodeid_when_all_lookups_are_taken_back() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.enter(FILE, bytes("1\n"), THREAD, at(0));
+        inodes.forget(number, 1);
+        assert!(inodes.get(number).is_some());
+        inodes.forget(number, 1);
+        assert!(inodes.get(number).is_none());
+        assert_eq!(inodes.current(FILE), None);
+        assert_ne!(inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number, number, "numbers are not reused");
+        // Neither an unknown number nor a count that is too large does any harm.
+        inodes.forget(number, 1);
+        inodes.forget(number + 1, u64::MAX);
+    }
+
+    #[test]
+    fn forgetting_a_superseded_nodeid_leaves_the_current_one() {
+        let mut inodes = inodes();
+        let old = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        let new = inodes.enter(FILE, bytes("2\n"), THREAD, at(1)).number;
+        inodes.forget(old, 1);
+        assert_eq!(inodes.current(FILE), Some(new));
+    }
+
+    #[test]
+    fn the_root_is_never_dropped() {
+        let mut inodes = inodes();
+        inodes.forget(ROOT, u64::MAX);
+        assert_eq!(inodes.get(ROOT).map(|root| root.node()), Some(Node::Root));
+        assert_eq!(inodes.current(Node::Root), Some(ROOT));
+    }
+
+    #[test]
+    fn folders_have_the_time_of_the_mount() {
+        let mut inodes = inodes();
+        assert_eq!(inodes.enter(FILE, Value::Fixed, THREAD, at(77)).since, at(0).time);
+    }
+
+    #[test]
+    fn an_unread_file_has_a_nodeid_for_each_thread() {
+        let mut inodes = inodes();
+        let mut enter = |thread| inodes.enter(FILE, Value::Unread(4096), thread, at(0)).number;
+        let first = enter(THREAD);
+        assert_eq!(enter(THREAD), first);
+        let second = enter(THREAD + 1);
+        assert_ne!(second, first);
+        // Threads of other PID namespaces cannot be told apart.
+        let unknown = enter(0);
+        assert_ne!(enter(0), unknown);
+    }
+
+    #[test]
+    fn a_nodeid_whose_value_is_awaited_is_not_shared() {
+        let mut inodes = inodes();
+        let awaited = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
+        assert!(inodes.wait(awaited, 1));
+        assert_ne!(inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number, awaited);
+    }
+
+    #[test]
+    fn a_value_that_arrives_answers_all_who_wait_and_is_found_by_lookups() {
+        let mut inodes = inodes();
+        let mine = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
+        let theirs = inodes.enter(FILE, Value::Unread(4096), THREAD + 1, at(0)).number;
+        assert!(inodes.wait(mine, 1), "the first asks for the value");
+        assert!(!inodes.wait(mine, 2));
+        assert!(inodes.wait(theirs, 3), "a different nodeid waits for itself");
+        let (shown, waiters) = inodes.arrived(mine, Some(&b"3000\n"[..].into()), at(3)).expect("it is known");
+        assert_eq!((shown.size, shown.unread, waiters), (5, false, vec![1, 2]));
+        assert_eq!(inodes.enter(FILE, bytes("3000\n"), THREAD + 2, at(4)).number, mine);
+        assert!(inodes.shown(theirs).is_some_and(|shown| shown.unread));
+        let (_, waiters) = inodes.arrived(theirs, Some(&b"3000\n"[..].into()), at(5)).expect("it is known");
+        assert_eq!(waiters, [3]);
+    }
+
+    #[test]
+    fn a_value_that_cannot_be_read_leaves_the_file_unread() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
+        inodes.wait(number, 1);
+        let (shown, waiters) = inodes.arrived(number, None, at(3)).expect("it is known");
+        assert_eq!((shown.size, shown.unread, waiters), (4096, true, vec![1]));
+        assert!(inodes.wait(number, 2), "the next reader asks again");
+    }
+
+    #[test]
+    fn a_value_that_arrives_for_a_forgotten_nodeid_is_dropped() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
+        inodes.wait(number, 1);
+        inodes.forget(number, 1);
+        assert!(inodes.arrived(number, Some(&b"1\n"[..].into()), at(3)).is_none());
+        assert_eq!(inodes.current(FILE), None);
+    }
+
+    #[test]
+    fn a_superseded_nodeid_is_renewed_only_after_the_delay() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        assert!(!inodes.is_renewal_pending());
+        inodes.retire(number, at(10));
+        inodes.retire(number, at(500));
+        assert!(inodes.is_renewal_pending());
+        assert_eq!(inodes.next_due(), Some(at(10 + delay()).instant));
+        assert!(renew(&mut inodes, &bytes("22\n"), at(9 + delay())).is_empty());
+        assert_eq!(value(&inodes, number), &bytes("1\n"));
+        assert_eq!(renew(&mut inodes, &bytes("22\n"), at(10 + delay())), [number]);
+        let shown = inodes.shown(number).expect("it is known");
+        assert_eq!((shown.size, shown.since), (3, at(10 + delay()).time));
+        assert!(!inodes.is_renewal_pending());
+        assert_eq!(inodes.next_due(), None);
+        // From now on a change of the new value is noticed.
+        assert_eq!(inodes.up_to_date().count(), 1);
+    }
+
+    #[test]
+    fn a_nodeid_that_is_being_read_is_not_renewed() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.retire(number, at(0));
+        renew(&mut inodes, &Value::Unread(4096), at(delay()));
+        inodes.wait(number, 1);
+        inodes.retire(number, at(delay()));
+        assert!(renew(&mut inodes, &bytes("2\n"), at(3 * delay())).is_empty());
+    }
+
+    #[test]
+    fn a_nodeid_that_is_being_written_waits_for_the_end_of_the_write() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.write_begins(number, at(0));
+        assert_eq!(inodes.current(FILE), None, "lookups no longer find it");
+        assert_eq!(inodes.next_due(), None);
+        assert!(renew(&mut inodes, &bytes("2\n"), at(5 * delay())).is_empty());
+        inodes.write_ended(number);
+        assert_eq!(renew(&mut inodes, &bytes("2\n"), at(5 * delay())), [number]);
+    }
+
+    #[test]
+    fn a_written_nodeid_is_renewed_at_once() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.write_begins(number, at(10));
+        inodes.write_ended(number);
+        assert_eq!(renew(&mut inodes, &bytes("2\n"), at(11)), [number]);
+        assert_eq!(value(&inodes, number), &bytes("2\n"));
+    }
+
+    #[derive(Clone, Debug)]
+    enum Step {
+        /// A file gets another value of a random length, which may have to be read from the gauge.
+        Change(u32, usize, bool),
+        /// A thread looks up a file.
+        Lookup(u32, u32),
+        Forget(usize, u64),
+        Read(usize),
+        /// The gauge answers the READs of a nodeid, or fails to.
+        Arrive(usize, bool),
+        WriteBegins(usize),
+        WriteEnds(usize),
+        /// The nodeids whose files have changed are retired.
+        Announce,
+        Renew,
+        Wait(u64),
+    }
+
+    fn step() -> impl Strategy<Value = Step> {
+        let nodeid = any::<usize>;
+        prop_oneof![
+            2 => (0..3u32, 0..20usize, any::<bool>()).prop_map(|(a, b, c)| Step::Change(a, b, c)),
+            4 => (0..3u32, 1..3u32).prop_map(|(file, thread)| Step::Lookup(file, thread)),
+            1 => (nodeid(), 1..3u64).prop_map(|(number, lookups)| Step::Forget(number, lookups)),
+            2 => nodeid().prop_map(Step::Read),
+            2 => (nodeid(), any::<bool>()).prop_map(|(number, ok)| Step::Arrive(number, ok)),
+            1 => nodeid().prop_map(Step::WriteBegins),
+            1 => nodeid().prop_map(Step::WriteEnds),
+            1 => Just(Step::Announce),
+            1 => Just(Step::Renew),
+            1 => (0..2 * delay()).prop_map(Step::Wait),
+        ]
+    }
+
+    /// What a nodeid has to show.
+    struct Known {
+        file: u32,
+        thread: u32,
+        lookups: u64,
+        last_lookup: u64,
+        /// `None` before the first READ is answered.
+        bytes: Option<Vec<u8>>,
+        writing: u32,
+        written: bool,
+        waiting: Vec<u32>,
+    }
+
+    /// A small reference model of the table.
+    struct Model {
+        now: u64,
+        /// The files: what they hold, and whether that has been read from the gauge.
+        files: Vec<(Vec<u8>, bool)>,
+        /// The nodeid of each file's last lookup, until something but the file's value replaces it.
+        last: HashMap<u32, u64>,
+        known: BTreeMap<u64, Known>,
+        /// Makes values and requests unique.
+        count: u32,
+    }
+
+    impl Model {
+        fn new() -> Self {
+            let files = (0..3).map(|file| (vec![b'a' + file], true)).collect();
+            Self { now: 0, files, last: HashMap::new(), known: BTreeMap::new(), count: 0 }
+        }
+
+        fn bytes(&self, file: u32) -> Option<Vec<u8>> {
+            let (bytes, read) = &self.files[file as usize];
+            read.then(|| bytes.clone())
+        }
+
+        fn value(&self, file: u32) -> Value {
+            self.bytes(file).map_or(Value::Unread(4096), |bytes| Value::Bytes(bytes.into()))
+        }
+
+        /// Any nodeid that the kernel knows.
+        fn pick(&self, at: usize) -> Option<u64> {
+            self.known.keys().nth(at.checked_rem(self.known.len())?).copied()
+        }
+
+        fn unique(&mut self) -> u32 {
+            self.count += 1;
+            self.count
+        }
+
+        /// Does a step here and in the table, and compares what the table returns.
+        fn apply(&mut self, step: &Step, inodes: &mut Inodes<u32>) {
+            let now = at(self.now);
+            match *step {
+                Step::Change(file, length, read) => {
+                    let text = format!("{}{}", self.unique(), "x".repeat(length));
+                    self.files[file as usize] = (text.into_bytes(), read);
+                }
+                Step::Lookup(file, thread) => self.look_up(file, thread, inodes),
+                Step::Forget(picked, lookups) => {
+                    let Some(number) = self.pick(picked) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    // The kernel does not forget a file that is in use.
+                    if known.writing > 0 || !known.waiting.is_empty() {
+                        return;
+                    }
+                    let lookups = lookups.min(known.lookups);
+                    known.lookups -= lookups;
+                    if known.lookups == 0 {
+                        self.known.remove(&number);
+                    }
+                    inodes.forget(number, lookups);
+                }
+                Step::Read(picked) => {
+                    let (Some(number), request) = (self.pick(picked), self.unique()) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    if known.bytes.is_none() {
+                        assert_eq!(inodes.wait(number, request), known.waiting.is_empty());
+                        known.waiting.push(request);
+                    }
+                }
+                Step::Arrive(picked, ok) => {
+                    let Some(number) = self.pick(picked) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    if known.waiting.is_empty() {
+                        return;
+                    }
+                    let (bytes, read) = &mut self.files[known.file as usize];
+                    let value: Option<Arc<[u8]>> = ok.then(|| bytes.as_slice().into());
+                    let (_, waiters) = inodes.arrived(number, value.as_ref(), now).expect("it is known");
+                    assert_eq!(waiters, std::mem::take(&mut known.waiting));
+                    if ok {
+                        *read = true;
+                        known.bytes = Some(bytes.clone());
+                        self.last.remove(&known.file);
+                    }
+                }
+                Step::WriteBegins(picked) => {
+                    let Some(number) = self.pick(picked) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    known.writing += 1;
+                    self.last.remove(&known.file);
+                    inodes.write_begins(number, now);
+                }
+                Step::WriteEnds(picked) => {
+                    let Some(number) = self.pick(picked) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    if known.writing > 0 {
+                        known.writing -= 1;
+                        known.written = true;
+                        inodes.write_ended(number);
+                    }
+                }
+                Step::Announce => {
+                    let shown: Vec<_> = inodes.up_to_date().map(|(n, _, value)| (n, value.clone())).collect();
+                    for (number, value) in shown {
+                        let file = self.known[&number].file;
+                        if value != self.value(file) {
+                            inodes.retire(number, now);
+                            self.last.remove(&file);
+                        }
+                    }
+                }
+                Step::Renew => {
+                    for (number, node) in inodes.take_due(now) {
+                        let known = &self.known[&number];
+                        assert_eq!(node, Node::Covered(known.file));
+                        assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
+                        let settled = self.now >= known.last_lookup + delay();
+                        assert!(known.written || settled, "only after the delay");
+                        inodes.renew(number, self.value(known.file), now);
+                        let bytes = self.bytes(known.file);
+                        self.known.get_mut(&number).expect("as above").bytes = bytes;
+                    }
+                    self.known.values_mut().for_each(|known| known.written = false);
+                }
+                Step::Wait(millis) => self.now += millis,
+            }
+        }
+
+        fn look_up(&mut self, file: u32, thread: u32, inodes: &mut Inodes<u32>) {
+            let shown = inodes.enter(Node::Covered(file), self.value(file), thread, at(self.now));
+            let (bytes, number) = (self.bytes(file), shown.number);
+            if let Some(last) = self.last.insert(file, number)
+                && bytes.is_some()
+                && self.known.get(&last).is_some_and(|known| known.bytes == bytes)
+            {
+                assert_eq!(number, last, "an unchanged value keeps its nodeid");
+            }
+            let known = self.known.entry(number).or_insert_with(|| Known {
+                file,
+                thread,
+                lookups: 0,
+                last_lookup: 0,
+                bytes: bytes.clone(),
+                writing: 0,
+                written: false,
+                waiting: Vec::new(),
+            });
+            assert_eq!((known.file, &known.bytes), (file, &bytes), "a lookup finds the present value");
+            assert!(bytes.is_some() || known.thread == thread, "threads do not share an unread nodeid");
+            assert!(known.writing == 0, "a lookup does not find what is being written");
+            known.lookups += 1;
+            known.last_lookup = self.now;
+        }
+
+        /// One nodeid never shows two values unless it was renewed, and its size matches its bytes.
+        fn check(&self, inodes: &Inodes<u32>) {
+            assert_eq!(inodes.live.len(), self.known.len() + 1, "the root, and what was not forgotten");
+            for (&number, known) in &self.known {
+                let (bytes, size) = match &known.bytes {
+                    Some(bytes) => (Value::Bytes(bytes.as_slice().into()), bytes.len() as u64),
+                    None => (Value::Unread(4096), 4096),
+                };
+                assert_eq!(value(inodes, number), &bytes);
+                assert_eq!(inodes.shown(number).expect("it is known").size, size);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..Default::default() })]
+        #[test]
+        fn random_operations_match_the_model(steps in proptest::collection::vec(step(), 1..60)) {
+            let (mut inodes, mut model) = (inodes(), Model::new());
+            for step in steps {
+                model.apply(&step, &mut inodes);
+                model.check(&inodes);
+            }
+        }
+    }
+}
