@@ -1,20 +1,25 @@
 //! Opening the gauges of a mount: one that has to be there, or many at once, of which some may not be.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use super::{Gauge, Opened, SimKnobs, journal, log, saved, too_fast};
+use super::journal_dir::journal;
+use super::source::{Opened, SimKnobs};
+use super::{Gauge, Keyring, log};
 use crate::bus::trace::Trace;
+use crate::chip::Chip;
 use crate::clock::Clock;
+use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Entry, Knobs};
 use crate::keys::Keys;
 use crate::lock::Lock;
 use crate::poll::{self, Place, Settings, Signal};
+use crate::saved;
 
 /// So long a mount of many waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -170,4 +175,26 @@ fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready
 
 fn slow() -> Error {
     Error::new("", Cause::Slow(format!("it has not answered within {} s", PATIENCE.as_secs())))
+}
+
+fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    saved::parse(chip, &text).map_err(|error| error.within(&name))
+}
+
+/// Whether the part takes only one byte a write at that clock.
+fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
+    chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
+}
+
+impl Keyring {
+    fn open(&self, gauge: &str) -> Result<Keys> {
+        let mut keys = match &self.file {
+            Some(path) => Keys::from_file(path, gauge)?,
+            None => Keys::from_credential(gauge)?.unwrap_or_default(),
+        };
+        keys.no_default = self.no_default;
+        Ok(keys)
+    }
 }
