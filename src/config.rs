@@ -19,10 +19,9 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use crate::authentication::Order;
-use crate::bus::GAUGE_ADDRESS;
 use crate::chip::{CHIPS, Chip};
+use crate::daemon::Source;
 use crate::daemon::node::Node;
-use crate::daemon::{self, Keyring, Source};
 use crate::dataflash::{Limits, WRITES_PER_HOUR};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
@@ -36,29 +35,29 @@ pub(crate) struct GaugeOptions {
     /// A simulated gauge of this kind; `gaugefs chips` lists them
     #[arg(long, value_name = "CHIP", value_parser = known_chips(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "chip")]
-    sim: Option<&'static Chip>,
+    pub(crate) sim: Option<&'static Chip>,
     /// Keep the simulated gauge's flash in this file; made if it is missing
     #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
-    sim_state: Option<PathBuf>,
+    pub(crate) sim_state: Option<PathBuf>,
     /// Unseal key of a new simulated gauge [default: the manual's]
     #[arg(long, value_name = "WORDS", value_parser = key_words, conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "sim_key")]
-    sim_key: Option<Key>,
+    pub(crate) sim_key: Option<Key>,
     /// The I2C bus that the gauge is on, such as /dev/i2c-1, or its device, such as
     /// /sys/bus/i2c/devices/1-0055
     #[arg(long, value_name = "DEVICE", help_heading = "Gauge")]
-    bus: Option<PathBuf>,
+    pub(crate) bus: Option<PathBuf>,
     /// The gauge's 7-bit address [default: 0x55]
     #[arg(long, value_name = "ADDRESS", value_parser = address, conflicts_with_all = ["sim", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "address_word")]
-    address: Option<u8>,
+    pub(crate) address: Option<u8>,
     /// What the gauge is [default: it is asked]
     #[arg(long, value_name = "CHIP", value_parser = known_chips(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["sim", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "chip")]
-    chip: Option<&'static Chip>,
+    pub(crate) chip: Option<&'static Chip>,
     /// A recorded gauge, read-only: the file that --trace wrote
     #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "trace", "config"], help_heading = "Gauge")]
-    replay: Option<PathBuf>,
+    pub(crate) replay: Option<PathBuf>,
     /// Write one byte a transfer, as some gauges want above 100 kHz
     #[arg(
         long,
@@ -67,19 +66,19 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "Gauge"
     )]
-    byte_writes: Option<bool>,
+    pub(crate) byte_writes: Option<bool>,
     /// A copy of df/index to write again when a gauge without flash has lost its power
     #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "config"], help_heading = "Gauge")]
-    restore: Option<PathBuf>,
+    pub(crate) restore: Option<PathBuf>,
 
     /// Name of the gauge's folder [default: BAT0, or the first BATn that the kernel does not have]
     #[arg(long, value_name = "NAME", value_parser = name, conflicts_with = "config", help_heading = "What is shown")]
     #[serde(deserialize_with = "name_word")]
-    name: Option<String>,
+    pub(crate) name: Option<String>,
     /// Time between two polls, 0.5 to 3600 s [default: 30; 3 with --sim and --replay]
     #[arg(long, value_name = "SECONDS", value_parser = interval, conflicts_with = "config", help_heading = "What is shown")]
     #[serde(deserialize_with = "interval_word")]
-    poll: Option<Duration>,
+    pub(crate) poll: Option<Duration>,
     /// Show energy_now and power_avg too; beside charge_now they mislead some monitors
     #[arg(
         long,
@@ -88,7 +87,7 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "What is shown"
     )]
-    energy: Option<bool>,
+    pub(crate) energy: Option<bool>,
     /// Show currents without their sign, for monitors that cannot bear it
     #[arg(
         long,
@@ -97,19 +96,19 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "What is shown"
     )]
-    absolute_current: Option<bool>,
+    pub(crate) absolute_current: Option<bool>,
     /// Multiply currents and charges by this factor [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor, conflicts_with = "config", help_heading = "What is shown")]
     #[serde(deserialize_with = "factor_word")]
-    current_scale: Option<f64>,
+    pub(crate) current_scale: Option<f64>,
     /// Multiply voltages by this factor [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor, conflicts_with = "config", help_heading = "What is shown")]
     #[serde(deserialize_with = "factor_word")]
-    voltage_scale: Option<f64>,
+    pub(crate) voltage_scale: Option<f64>,
     /// Multiply energies and powers by this factor [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor, conflicts_with = "config", help_heading = "What is shown")]
     #[serde(deserialize_with = "factor_word")]
-    energy_scale: Option<f64>,
+    pub(crate) energy_scale: Option<f64>,
 
     /// Write parameters too whose address or range is not sure
     #[arg(
@@ -119,7 +118,7 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "Access"
     )]
-    allow_unproven: Option<bool>,
+    pub(crate) allow_unproven: Option<bool>,
     /// Write in the middle of a learning cycle too; the reset that follows ends it
     #[arg(
         long,
@@ -128,13 +127,13 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "Access"
     )]
-    allow_learning: Option<bool>,
+    pub(crate) allow_learning: Option<bool>,
     /// Program at most so many blocks of flash an hour, 0 for any number [default: 300]
     #[arg(long, value_name = "N", conflicts_with_all = ["replay", "config"], help_heading = "Access")]
-    writes_per_hour: Option<u32>,
+    pub(crate) writes_per_hour: Option<u32>,
     /// File with the gauge's keys: lines such as `unseal = 0414 3672`; nobody else may read it
     #[arg(long, value_name = "FILE", conflicts_with = "config", help_heading = "Access")]
-    key_file: Option<PathBuf>,
+    pub(crate) key_file: Option<PathBuf>,
     /// Never try the manual's default key
     #[arg(
         long,
@@ -143,16 +142,16 @@ pub(crate) struct GaugeOptions {
         conflicts_with = "config",
         help_heading = "Access"
     )]
-    no_default_keys: Option<bool>,
+    pub(crate) no_default_keys: Option<bool>,
     /// In which order the gauge takes the bytes of a challenge, lsb-first or as-sent; `gaugefs auth`
     /// tells which one fits [default: lsb-first]
     #[arg(long, value_name = "ORDER", value_parser = order, conflicts_with = "config", help_heading = "Access")]
     #[serde(deserialize_with = "order_word")]
-    auth_order: Option<Order>,
+    pub(crate) auth_order: Option<Order>,
 
     /// Write every transfer to this file; keys are left out
     #[arg(long, value_name = "FILE", conflicts_with = "config", help_heading = "Running")]
-    trace: Option<PathBuf>,
+    pub(crate) trace: Option<PathBuf>,
 }
 
 /// What belongs to one gauge and is no default for many.
@@ -192,7 +191,7 @@ pub(crate) struct MountOptions {
 
 /// Key words, which are not shown again.
 #[derive(Clone)]
-pub(crate) struct Key([u16; 2]);
+pub(crate) struct Key(pub(crate) [u16; 2]);
 
 impl fmt::Debug for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -214,32 +213,9 @@ impl MountOptions {
         }
     }
 
-    fn relative_to(mut self, folder: &Path) -> Self {
-        for path in [&mut self.mountpoint, &mut self.log, &mut self.state_dir].into_iter().flatten() {
-            *path = folder.join(&path);
-        }
-        self
-    }
-
-    /// Everything that the daemon is told.
-    pub(crate) fn with(self, gauges: daemon::Gauges, foreground: bool) -> daemon::Options {
-        let recorded = |gauge: &daemon::Gauge| matches!(gauge.source, Source::Recorded(_));
-        let recorded = match &gauges {
-            daemon::Gauges::One(gauge) => recorded(gauge),
-            daemon::Gauges::Many(gauges) => gauges.iter().any(recorded),
-        };
-        daemon::Options {
-            mountpoint: self.mountpoint.expect("nothing is mounted without a mount point"),
-            gauges,
-            read_only: self.read_only || recorded,
-            private: self.private,
-            group: self.group,
-            foreground,
-            service: false,
-            log: self.log,
-            ac: self.ac,
-            state_dir: self.state_dir,
-        }
+    /// Its paths.
+    fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        [&mut self.mountpoint, &mut self.log, &mut self.state_dir].into_iter().flatten()
     }
 }
 
@@ -249,11 +225,6 @@ impl GaugeOptions {
         let node = self.bus.as_deref().map(Node::find).transpose()?.flatten();
         let Some(Node { bus, address, chip }) = node else { return Ok(self) };
         Ok(Self { bus: Some(bus), address: self.address.or(Some(address)), chip: self.chip.or(chip), ..self })
-    }
-
-    /// The bus of the command line.
-    pub(crate) fn bus(&self) -> Option<&Path> {
-        self.bus.as_deref()
     }
 
     /// These, and where they say nothing, the others.
@@ -283,12 +254,10 @@ impl GaugeOptions {
         }
     }
 
-    fn relative_to(mut self, folder: &Path) -> Self {
-        let Self { sim_state, bus, replay, restore, key_file, trace, .. } = &mut self;
-        for path in [sim_state, bus, replay, restore, key_file, trace].into_iter().flatten() {
-            *path = folder.join(&path);
-        }
-        self
+    /// Its paths.
+    fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let Self { sim_state, bus, replay, restore, key_file, trace, .. } = self;
+        [sim_state, bus, replay, restore, key_file, trace].into_iter().flatten()
     }
 
     /// Two options that exclude each other, or one that needs another: what the command line refuses too.
@@ -311,70 +280,92 @@ impl GaugeOptions {
         None
     }
 
-    /// The gauge, where it is said which one.
-    pub(crate) fn gauge(self) -> Option<daemon::Gauge> {
-        let source = match (self.sim, self.replay, self.bus) {
-            (Some(chip), _, _) => {
-                Source::Sim { chip, state: self.sim_state, key: self.sim_key.map(|key| key.0) }
-            }
-            (None, Some(file), _) => Source::Recorded(file),
-            (None, None, bus) => {
-                Source::Bus { bus: bus?, address: self.address.unwrap_or(GAUGE_ADDRESS), chip: self.chip }
-            }
-        };
-        let seconds = if matches!(source, Source::Bus { .. }) { 30 } else { 3 };
-        Some(daemon::Gauge {
-            name: self.name,
-            source,
-            byte_writes: self.byte_writes.unwrap_or_default(),
-            interval: self.poll.unwrap_or(Duration::from_secs(seconds)),
-            scales: Scales {
-                current: self.current_scale.unwrap_or(1.0),
-                voltage: self.voltage_scale.unwrap_or(1.0),
-                energy: self.energy_scale.unwrap_or(1.0),
-                absolute_current: self.absolute_current.unwrap_or_default(),
-                energy_shown: self.energy.unwrap_or_default(),
-            },
-            allow_unproven: self.allow_unproven.unwrap_or_default(),
-            limits: Limits {
-                allow_learning: self.allow_learning.unwrap_or_default(),
-                writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
-            },
-            auth_order: self.auth_order.unwrap_or_default(),
-            restore: self.restore,
-            keyring: Keyring { file: self.key_file, no_default: self.no_default_keys.unwrap_or_default() },
-            trace: self.trace,
-        })
+    /// Time between two polls.
+    pub(crate) fn interval(&self) -> Duration {
+        let on_bus = matches!(Source::of(self), Source::Bus { .. });
+        self.poll.unwrap_or(Duration::from_secs(if on_bus { 30 } else { 3 }))
+    }
+
+    /// How its figures are shown.
+    pub(crate) fn scales(&self) -> Scales {
+        Scales {
+            current: self.current_scale.unwrap_or(1.0),
+            voltage: self.voltage_scale.unwrap_or(1.0),
+            energy: self.energy_scale.unwrap_or(1.0),
+            absolute_current: self.absolute_current.unwrap_or_default(),
+            energy_shown: self.energy.unwrap_or_default(),
+        }
+    }
+
+    /// What may be overruled, and how often flash may be programmed.
+    pub(crate) fn limits(&self) -> Limits {
+        Limits {
+            allow_learning: self.allow_learning.unwrap_or_default(),
+            writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
+        }
     }
 }
 
-/// Reads a configuration: what the mount is told, the command line's `mount` before the file, and its
-/// gauges. `bus` is where those are that name none.
-pub(crate) fn read(
-    path: &Path,
-    mount: MountOptions,
-    bus: Option<&Path>,
-) -> Result<(MountOptions, Vec<daemon::Gauge>)> {
-    let name = path.display().to_string();
-    let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
-    let full = std::path::absolute(path).map_err(|error| Error::io(&name, "cannot find it", &error))?;
-    let folder = full.parent().unwrap_or(Path::new("/"));
-    let file = File { name: &name, text: &text, folder };
-    let (told, defaults, gauges) = file.parse()?;
-    let mount = mount.over(told);
-    if mount.mountpoint.is_none() {
-        let why = "names no mount point; add `mountpoint = \"/run/gauges\"`, or give one on the command line";
-        return Err(Error::new(name, Cause::Invalid(why.into())));
+/// What `gaugefs mount` mounts, from the command line and a configuration file. Every path in it is
+/// absolute: a daemon in the background works in `/`.
+#[derive(Debug)]
+pub(crate) struct Setup {
+    pub(crate) mount: MountOptions,
+    /// Each is simulated, recorded or on a bus.
+    pub(crate) gauges: Vec<GaugeOptions>,
+    /// They come from a configuration file: the mount does without those that do not answer.
+    pub(crate) configured: bool,
+}
+
+impl Setup {
+    /// The one gauge of a command line.
+    pub(crate) fn one(mut mount: MountOptions, gauge: GaugeOptions) -> Result<Self> {
+        let mut gauge = gauge.of_node()?;
+        make_absolute(mount.paths().chain(gauge.paths()), Path::new(""))?;
+        mount.read_only |= gauge.replay.is_some();
+        Ok(Self { mount, gauges: vec![gauge], configured: false })
     }
-    let defaults = GaugeOptions { bus: bus.map(Path::to_path_buf).or(defaults.bus.clone()), ..defaults };
-    let gauges = file.resolve(gauges, &defaults)?;
-    let recorded = gauges.iter().filter(|gauge| matches!(gauge.source, Source::Recorded(_))).count();
-    if recorded > 0 && recorded < gauges.len() && !mount.read_only {
-        let why = "a recorded gauge beside others makes all of them read-only; add `read-only = true`, or mount \
-                   it apart";
-        return Err(Error::new(name, Cause::Invalid(why.into())));
+
+    /// The gauges of a configuration file. The options of the command line go before those of the file;
+    /// `bus` is for the gauges that have no source of their own.
+    pub(crate) fn read(path: &Path, mut mount: MountOptions, bus: Option<&Path>) -> Result<Self> {
+        let mut bus = bus.map(Path::to_path_buf);
+        make_absolute(mount.paths().chain(&mut bus), Path::new(""))?;
+        let name = path.display().to_string();
+        let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        let file = File { name: &name, text: &text, folder: path.parent().unwrap_or(Path::new("/")) };
+        let (told, defaults, gauges) = file.parse()?;
+        let mut mount = mount.over(told);
+        if mount.mountpoint.is_none() {
+            let why =
+                "names no mount point; add `mountpoint = \"/run/gauges\"`, or give one on the command line";
+            return Err(Error::new(name, Cause::Invalid(why.into())));
+        }
+        let defaults = GaugeOptions { bus: bus.or(defaults.bus.clone()), ..defaults };
+        let gauges = file.resolve(gauges, &defaults)?;
+        let recorded = gauges.iter().filter(|gauge| gauge.replay.is_some()).count();
+        if recorded > 0 && recorded < gauges.len() && !mount.read_only {
+            let why = "a recorded gauge beside others makes all of them read-only; add `read-only = true`, or \
+                       mount it apart";
+            return Err(Error::new(name, Cause::Invalid(why.into())));
+        }
+        mount.read_only |= recorded > 0;
+        Ok(Self { mount, gauges, configured: true })
     }
-    Ok((mount, gauges))
+
+    /// Folder to mount at.
+    pub(crate) fn mountpoint(&self) -> &Path {
+        self.mount.mountpoint.as_deref().expect("neither clap nor `read` do without a mount point")
+    }
+}
+
+/// Makes paths absolute that begin at `folder`; the empty path is the current folder.
+fn make_absolute<'a>(paths: impl Iterator<Item = &'a mut PathBuf>, folder: &Path) -> Result<()> {
+    for path in paths {
+        *path = std::path::absolute(folder.join(&*path))
+            .map_err(|error| Error::io(path.display().to_string(), "cannot find it", &error))?;
+    }
+    Ok(())
 }
 
 /// A configuration that is being read.
@@ -430,9 +421,10 @@ impl File<'_> {
                 return Err(self.unknown(at, &word, &known));
             }
         }
-        let mount: MountOptions = self.read(Spanned::new(span.clone(), mount))?;
-        let defaults: GaugeOptions = self.read(Spanned::new(span, defaults))?;
-        Ok((mount.relative_to(self.folder), defaults.relative_to(self.folder), gauges))
+        let mut mount: MountOptions = self.read(Spanned::new(span.clone(), mount))?;
+        let mut defaults: GaugeOptions = self.read(Spanned::new(span, defaults))?;
+        make_absolute(mount.paths().chain(defaults.paths()), self.folder)?;
+        Ok((mount, defaults, gauges))
     }
 
     /// The tables of `[[gauge]]`.
@@ -475,8 +467,9 @@ impl File<'_> {
         let at = table.span().start;
         let place = |key: &Spanned<DeString<'_>>| (key.get_ref().to_string(), key.span().start);
         let keys = table.get_ref().keys().map(place).collect();
-        let options: GaugeOptions = self.read(table)?;
-        let section = Section { options: options.relative_to(self.folder), at, keys };
+        let mut options: GaugeOptions = self.read(table)?;
+        make_absolute(options.paths(), self.folder)?;
+        let section = Section { options, at, keys };
         match section.options.contradiction() {
             Some((key, why)) => Err(self.refuse(section.place(key), key, why)),
             None => Ok(section),
@@ -498,7 +491,7 @@ impl File<'_> {
     }
 
     /// The gauges with their defaults. No two are the same.
-    fn resolve(&self, sections: Vec<Section>, defaults: &GaugeOptions) -> Result<Vec<daemon::Gauge>> {
+    fn resolve(&self, sections: Vec<Section>, defaults: &GaugeOptions) -> Result<Vec<GaugeOptions>> {
         if sections.is_empty() {
             let why = "names no gauge; write [[gauge]] and below it the options of one";
             return Err(Error::new(self.name, Cause::Invalid(why.into())));
@@ -506,11 +499,11 @@ impl File<'_> {
         let mut taken: HashMap<Mark, usize> = HashMap::new();
         let mut gauges = Vec::new();
         for section in sections {
-            let options = section.options.clone().over(defaults);
-            let Some(gauge) = options.gauge() else {
+            let gauge = section.options.clone().over(defaults);
+            if gauge.sim.is_none() && gauge.replay.is_none() && gauge.bus.is_none() {
                 let why = "says nowhere what it is; add `bus = \"/dev/i2c-1\"`, or give --bus";
                 return Err(self.refuse(section.at, "gauge", why));
-            };
+            }
             for (key, mark) in marks(&gauge) {
                 if let Some(other) = taken.insert(mark, section.place(key)) {
                     let why = format!("the same as on line {}; give each gauge its own", self.line(other));
@@ -538,16 +531,16 @@ enum Mark {
     File(PathBuf),
 }
 
-fn marks(gauge: &daemon::Gauge) -> Vec<(&'static str, Mark)> {
+fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     let mut marks: Vec<_> = gauge.name.iter().map(|name| ("name", Mark::Name(name.clone()))).collect();
-    match &gauge.source {
+    match Source::of(gauge) {
         Source::Bus { bus, address, .. } => {
             // Two names of one adapter are the same bus.
-            let bus = fs::canonicalize(bus).unwrap_or_else(|_| bus.clone());
-            marks.push(("address", Mark::Address(bus, *address)));
+            let bus = fs::canonicalize(bus).unwrap_or_else(|_| bus.into());
+            marks.push(("address", Mark::Address(bus, address)));
         }
-        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state.clone()))),
-        Source::Sim { .. } | Source::Recorded(_) => {}
+        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state.into()))),
+        Source::Sim { .. } | Source::Recording(_) => {}
     }
     marks.extend(gauge.trace.iter().map(|trace| ("trace", Mark::File(trace.clone()))));
     marks

@@ -1,16 +1,13 @@
 //! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
-use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 
 use nix::unistd::{getegid, geteuid};
 
-use crate::authentication::Order;
 use crate::clock::{Clock, RealClock};
-use crate::dataflash::Limits;
+use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Fs, Scales, free_name};
+use crate::fs::{Access, Covered, Fs, free_name};
 use crate::fuse;
 use crate::poll::{Handle, Signal};
 
@@ -27,135 +24,72 @@ mod source;
 
 use gauges::{Opening, Ready};
 use shutdown::{Phase, Shutdown, finish};
-pub use source::Source;
+pub(crate) use source::Source;
 
-/// Where the keys come from.
-#[derive(Debug)]
-pub struct Keyring {
-    /// File that holds them; without one, systemd's credential where there is one.
-    pub file: Option<PathBuf>,
-    /// Never try the manual's default key.
-    pub no_default: bool,
-}
-
-/// One gauge of a mount.
-#[derive(Debug)]
-pub struct Gauge {
-    /// Name of its folder; without one, the first of BAT0, BAT1 ... that is free.
-    pub name: Option<String>,
-    /// Where it is.
-    pub source: Source,
-    /// Write one byte a transfer.
-    pub byte_writes: bool,
-    /// Time between polls.
-    pub interval: Duration,
-    /// How figures are shown.
-    pub scales: Scales,
-    /// Write parameters too whose address or range is not sure.
-    pub allow_unproven: bool,
-    /// What else may be overruled, and how often flash may be programmed.
-    pub limits: Limits,
-    /// The order of bytes in which challenges are sent.
-    pub auth_order: Order,
-    /// A copy of `df/index`, for gauges that lose their configuration with their power.
-    pub restore: Option<PathBuf>,
-    /// Where the keys come from.
-    pub keyring: Keyring,
-    /// File to write transfers to.
-    pub trace: Option<PathBuf>,
-}
-
-/// Everything that `gaugefs mount` can be told.
-#[derive(Debug)]
-pub struct Options {
-    /// Folder to mount at.
-    pub mountpoint: PathBuf,
-    /// What to mount.
-    pub gauges: Gauges,
-    /// Refuse every write.
-    pub read_only: bool,
-    /// Shut other users out.
-    pub private: bool,
-    /// Group that may read and write data flash.
-    pub group: Option<u32>,
-    /// Stay in the foreground.
-    pub foreground: bool,
-    /// Leave the mounting to `service::attach`.
-    pub service: bool,
-    /// File to log to.
-    pub log: Option<PathBuf>,
-    /// Show a Mains supply too, of this name where one was chosen.
-    pub ac: Option<Option<String>>,
-    /// Folder for journals; without one, the system's or the user's own.
-    pub state_dir: Option<PathBuf>,
-}
-
-/// The gauges of a mount.
-#[derive(Debug)]
-pub enum Gauges {
-    /// The one of the command line, without which there is no mount.
-    One(Box<Gauge>),
-    /// Those of a configuration. The mount goes on without some of them.
-    Many(Vec<Gauge>),
+/// How the daemon of a mount runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mode {
+    /// As a child that has left its terminal, and whose parent waits until the mount is ready.
+    Background,
+    /// As the process that was started.
+    Foreground,
+    /// In the foreground as a systemd service without privilege, for which `service::attach` mounts.
+    Service,
 }
 
 /// Mounts gauges and serves them until they are unmounted.
-pub fn run(options: Options) -> Result<()> {
+pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let inherited = background::inherited();
     let shutdown = Shutdown::watch()?;
-    self::log::start(match &options.log {
+    self::log::start(match &setup.mount.log {
         Some(path) => self::log::Destination::File(path),
-        None if options.foreground => self::log::Destination::Stderr,
-        None => self::log::Destination::Syslog,
+        None if mode == Mode::Background => self::log::Destination::Syslog,
+        None => self::log::Destination::Stderr,
     })?;
 
-    let (mountpoint, device) = if options.service {
-        (options.mountpoint, Some(service::device()?))
-    } else {
-        (mountpoint::prepare(&options.mountpoint)?, None)
+    let (mountpoint, device) = match mode {
+        Mode::Service => (setup.mountpoint().to_path_buf(), Some(service::device()?)),
+        Mode::Background | Mode::Foreground => (mountpoint::prepare(setup.mountpoint())?, None),
     };
-    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let Setup { mount, gauges, configured } = setup;
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let (gauges, one) = match options.gauges {
-        Gauges::One(gauge) => (vec![*gauge], true),
-        Gauges::Many(gauges) => (gauges, false),
-    };
-    let mut gauges = named(gauges, &taken);
-    let mains = options.ac.map(|name| mains_name(name, &taken));
-    if let Some((name, _)) = gauges.iter().find(|(name, _)| mains.as_ref() == Some(name)) {
-        let why = "a gauge and the Mains supply cannot share a name; choose another --name or --ac";
-        return Err(Error::new(name, Cause::Invalid(why.into())));
-    }
+    let names = names(&gauges, &taken);
+    let mains = mains_name(&mount, &names, &taken)?;
+
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
     let signal = Arc::new(Signal::default());
     let opening = Opening {
         mountpoint: mountpoint.clone(),
         clock: clock.clone(),
         signal: signal.clone(),
-        read_only: options.read_only,
-        state_dir: options.state_dir,
+        read_only: mount.read_only,
+        state_dir: mount.state_dir.clone(),
     };
-    let gauges = match gauges.pop() {
-        Some((name, gauge)) if one => vec![opening.one(name, gauge)?],
-        last => opening.many(gauges.into_iter().chain(last).collect(), !options.foreground)?,
+    let named = names.into_iter().zip(gauges);
+    let gauges: Vec<Ready> = if configured {
+        opening.many(named.collect(), mode == Mode::Background)?
+    } else {
+        named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
     };
 
-    // What root mounts is root's.
-    let (uid, gid) = if options.service { (0, 0) } else { (geteuid().as_raw(), getegid().as_raw()) };
-    let access = Access { uid, gid: options.group.unwrap_or(gid), group: options.group.is_some() };
     let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();
-    adapters::watch(
-        gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone()))),
-    );
-    let mut told = Vec::new();
-    let (mut entries, mut locks) = (Vec::new(), Vec::new());
+    let nodes = gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone())));
+    adapters::watch(nodes);
+    let (mut entries, mut locks, mut logged) = (Vec::new(), Vec::new(), Vec::new());
     for Ready { entry, what, lock, .. } in gauges {
-        told.push((what, format!("{}/{}", mountpoint.display(), entry.name)));
+        logged.push((what, format!("{}/{}", mountpoint.display(), entry.name)));
         entries.push(entry);
         locks.push(lock);
     }
+    // What root mounts is root's, whoever serves it.
+    let (uid, gid) = match mode {
+        Mode::Service => (0, 0),
+        Mode::Background | Mode::Foreground => (geteuid().as_raw(), getegid().as_raw()),
+    };
+    let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).over(covered));
-    let how = fuse::Options { private: options.private, read_only: options.read_only };
+    let how = fuse::Options { private: mount.private, read_only: mount.read_only };
     let mounted = match device {
         Some(device) => {
             // Its mount is the answer.
@@ -172,43 +106,51 @@ pub fn run(options: Options) -> Result<()> {
             mounted
         }
     };
-    for (what, place) in &told {
+    for (what, place) in &logged {
         ::log::info!("{what} mounted at {place}");
     }
-    if !options.foreground {
-        background::ready(&inherited)?;
-    } else if !options.service {
-        background::notify();
+    match mode {
+        Mode::Background => background::ready(&inherited)?,
+        Mode::Foreground => background::notify(),
+        Mode::Service => {}
     }
     mounted.wait();
     shutdown.reach(Phase::Ending);
     finish(&handles);
-    for (_, place) in &told {
+    for (_, place) in &logged {
         ::log::info!("{place} unmounted");
     }
     drop(locks);
     Ok(())
 }
 
-/// The gauges with their names, in their order. Those that were given none get the first that are free.
-pub fn named(gauges: Vec<Gauge>, taken: &[String]) -> Vec<(String, Gauge)> {
+/// The names of the gauges' folders. Gauges without a name get the first of BAT0, BAT1 ... that are free.
+pub(crate) fn names(gauges: &[GaugeOptions], taken: &[String]) -> Vec<String> {
     let mut taken = taken.to_vec();
     taken.extend(gauges.iter().filter_map(|gauge| gauge.name.clone()));
-    let name = |gauge: Gauge| {
-        let name = gauge.name.clone().unwrap_or_else(|| {
+    let name = |gauge: &GaugeOptions| {
+        gauge.name.clone().unwrap_or_else(|| {
             let free = free_name("BAT", &taken);
             taken.push(free.clone());
             free
-        });
-        (name, gauge)
+        })
     };
-    gauges.into_iter().map(name).collect()
+    gauges.iter().map(name).collect()
 }
 
-/// `AC`, unless another name was chosen or the kernel has one of that name.
-fn mains_name(chosen: Option<String>, taken: &[String]) -> String {
-    chosen.unwrap_or_else(|| {
-        let usual = "AC".to_string();
-        if taken.contains(&usual) { free_name(&usual, taken) } else { usual }
-    })
+/// The name of the Mains supply, where there is one: as given, else `AC` or the first like it that the
+/// kernel does not have.
+fn mains_name(mount: &MountOptions, gauges: &[String], taken: &[String]) -> Result<Option<String>> {
+    let Some(given) = &mount.ac else { return Ok(None) };
+    let usual = "AC".to_string();
+    let name = match given {
+        Some(name) => name.clone(),
+        None if taken.contains(&usual) => free_name(&usual, taken),
+        None => usual,
+    };
+    if gauges.contains(&name) {
+        let why = "a gauge and the Mains supply cannot share a name; choose another --name or --ac";
+        return Err(Error::new(name, Cause::Invalid(why.into())));
+    }
+    Ok(Some(name))
 }

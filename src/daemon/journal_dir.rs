@@ -21,9 +21,6 @@ pub(super) fn journal(folder: Option<&Path>, key: Option<String>, subject: &str)
         (None, None) => return Ok(None),
     };
     let folder = folder.map_or_else(state_dir, |path| Ok(path.to_path_buf()))?;
-    // The daemon leaves this folder when it goes to the background.
-    let folder = std::path::absolute(&folder)
-        .map_err(|error| Error::io(folder.display().to_string(), "no such path", &error))?;
     Ok(Some(Journal::new(folder, key, subject.into())))
 }
 

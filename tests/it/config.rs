@@ -17,7 +17,7 @@ use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
 
-use super::cli::{CHIP, Folder, can_mount, gaugefs, read, within};
+use super::cli::{CHIP, Folder, can_mount, command, gaugefs, read, within};
 
 const LONG: Duration = Duration::from_secs(60);
 
@@ -403,4 +403,76 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
     within(LONG, "who it is", || path("gauge/device_type").exists());
     assert_eq!(cat("gauge/device_type"), "0x0100\n");
     assert_eq!(cat("df/80/53"), "3000\n");
+}
+
+/// The daemon goes to `/` when it goes to the background. Its paths still begin where it was started.
+#[test]
+fn relative_paths_begin_where_gaugefs_was_started() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    write_keys(&folder.file("keys"));
+    let run = |arguments: &str| {
+        let output = command(&arguments.split(' ').collect::<Vec<_>>()).current_dir(&folder.0).output();
+        let output = output.expect("gaugefs runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "gaugefs {arguments}: {said}");
+    };
+    let mount = format!(
+        "mount --sim {CHIP} --sim-state state --key-file keys --trace trace --log log --state-dir journal m"
+    );
+    keeps_its_files(&folder, &folder.file(""), || run(&mount));
+
+    run(&format!("mount --sim {CHIP} --poll 0.5 --trace recording m"));
+    let polls = || read(&folder.file("m"), "BAT0/gauge/statistics/polls").parse::<u32>();
+    within(LONG, "polls of every register", || polls().is_ok_and(|polls| polls >= 3));
+    run("umount m");
+    run("mount --replay recording m");
+    assert_eq!(read(&folder.file("m"), "BAT0/model_name"), "bq34z100-G1");
+    run("umount m");
+
+    run("mount --sim bq27441-g1 m");
+    fs::copy(folder.file("m/BAT0/df/index"), folder.file("index")).expect("a copy of df/index");
+    run("umount m");
+    run("mount --sim bq27441-g1 --restore index m");
+}
+
+/// Those of a configuration begin at the folder of its file.
+#[test]
+fn relative_paths_of_a_configuration_begin_at_its_folder() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let path = folder.config(&format!(
+        "mountpoint = 'm'\nlog = 'log'\nstate-dir = 'journal'\n\
+         key-file = 'keys'\n\
+         [[gauge]]\nsim = '{CHIP}'\nsim-state = 'state'\ntrace = 'trace'\n"
+    ));
+    write_keys(&folder.file("keys"));
+    keeps_its_files(&folder, &folder.file(""), || {
+        gaugefs(&["mount", "--config", &path]).done();
+    });
+}
+
+fn write_keys(path: &str) {
+    fs::write(path, "unseal = 0414 3672\n").expect("a key file");
+    fs::set_permissions(path, Permissions::from_mode(0o600)).expect("its mode");
+}
+
+/// Mounts twice: a parameter that was written the first time is kept, and every other file is in the folder.
+fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
+    let at = folder.file("m");
+    mount();
+    fs::write(Path::new(&at).join("BAT0/df/80/53"), "3100").expect("written");
+    gaugefs(&["umount", &at]).done();
+    let file = |name: &str| fs::read_to_string(Path::new(files).join(name)).unwrap_or_default();
+    within(LONG, "the log ends with the unmount", || file("log").contains("unmounted"));
+    assert!(file("log").contains("Cell Terminate Voltage: written"), "{}", file("log"));
+    assert!(file("trace").contains("W: AA 3E 50"), "the trace has no write of that block");
+    assert!(Path::new(files).join("journal").is_dir(), "no folder for the journal");
+    mount();
+    assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
+    gaugefs(&["umount", &at]).done();
 }
