@@ -60,8 +60,8 @@ impl Daemon {
         let folder = std::env::temp_dir().join(format!("gaugefs-bench-{}", std::process::id()));
         fs::create_dir_all(&folder).expect("a folder");
         let config = folder.join("gauges.toml");
-        let text =
-            format!("mountpoint = 'm'\npoll = {poll}\n") + &"[[gauge]]\nsim = 'bq34z100-g1'\n".repeat(gauges);
+        let text = format!("[mount]\nmountpoint = 'm'\n[defaults]\npoll = {poll}\n")
+            + &"[[gauge]]\nsim = 'bq34z100-g1'\n".repeat(gauges);
         fs::write(&config, text).expect("a file");
         let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
         command.args(["mount", "-f", "--config"]).arg(&config).stderr(Stdio::null());

@@ -15,8 +15,8 @@ use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::{CHIPS, Chip, Evidence, Role, Scheme};
 use crate::clock::{Clock, RealClock};
-use crate::config::{self, GaugeOptions, MountOptions, address, chip_names};
-use crate::daemon::{self, Gauges, background, mountpoint, service};
+use crate::config::{GaugeOptions, MountOptions, Setup, address, chip_names};
+use crate::daemon::{self, Mode, Source, background, mountpoint, service};
 use crate::error::{Error, Result};
 use crate::fs::Covered;
 use crate::image::{Format, Group};
@@ -371,8 +371,8 @@ pub fn run(
         Command::Mount(mount) => mount.run(),
         Command::Attach(attach) => attach
             .mount
-            .options()
-            .and_then(|options| service::attach(attach.pid, &options))
+            .setup()
+            .and_then(|setup| service::attach(attach.pid, &setup))
             .map(|()| ExitCode::SUCCESS),
         Command::Detach => service::detach().map(|()| ExitCode::SUCCESS),
         Command::Umount(umount) => mountpoint::unmount(&umount.mountpoint).map(|()| ExitCode::SUCCESS),
@@ -423,35 +423,35 @@ fn print(text: &str) {
 impl Mount {
     fn run(self) -> Result<ExitCode> {
         if self.check {
-            print(&plan(self.options()?)?);
+            print(&plan(&self.setup()?)?);
             return Ok(ExitCode::SUCCESS);
         }
-        if !self.foreground && !background::is_child() {
-            return background::start();
-        }
-        daemon::run(self.options()?).map(|()| ExitCode::SUCCESS)
+        let mode = match (self.foreground, self.service) {
+            (_, true) => Mode::Service,
+            (true, false) => Mode::Foreground,
+            (false, false) if background::is_child() => Mode::Background,
+            (false, false) => return background::start(),
+        };
+        daemon::run(self.setup()?, mode).map(|()| ExitCode::SUCCESS)
     }
 
-    fn options(self) -> Result<daemon::Options> {
-        let Self { config, gauge, mount, foreground, service, .. } = self;
-        let Some(file) = config else {
-            let gauge = gauge.of_node()?.gauge().expect("clap wants --sim, --bus, --replay or --config");
-            return Ok(daemon::Options { service, ..mount.with(Gauges::One(Box::new(gauge)), foreground) });
-        };
-        let (mount, gauges) = config::read(&file, mount, gauge.bus())?;
-        Ok(daemon::Options { service, ..mount.with(Gauges::Many(gauges), foreground) })
+    fn setup(self) -> Result<Setup> {
+        match self.config {
+            Some(file) => Setup::read(&file, self.mount, self.gauge.bus.as_deref()),
+            None => Setup::one(self.mount, self.gauge),
+        }
     }
 }
 
 /// What a configuration would mount.
-fn plan(options: daemon::Options) -> Result<String> {
-    let Gauges::Many(gauges) = options.gauges else { return Ok(String::new()) };
-    let covered = mountpoint::covered(&options.mountpoint)?;
+fn plan(setup: &Setup) -> Result<String> {
+    let covered = mountpoint::covered(setup.mountpoint())?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let rows = daemon::named(gauges, &taken).into_iter().map(|(name, gauge)| {
-        let chip = gauge.source.chip().map_or("asked", |chip| chip.name);
-        let place = options.mountpoint.join(name).display().to_string();
-        [place, gauge.source.to_string(), chip.to_string()]
+    let rows = daemon::names(&setup.gauges, &taken).into_iter().zip(&setup.gauges).map(|(name, gauge)| {
+        let source = Source::of(gauge);
+        let chip = source.chip().map_or("asked", |chip| chip.name);
+        let place = setup.mountpoint().join(name).display().to_string();
+        [place, source.to_string(), chip.to_string()]
     });
     Ok(align(&rows.collect::<Vec<_>>()))
 }

@@ -1,17 +1,24 @@
 //! Opening the gauges of a mount: one that has to be there, or many at once, of which some may not be.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use super::{Gauge, Opened, SimKnobs, journal, log, saved, too_fast};
+use super::journal_dir::journal;
+use super::log;
+use super::source::{Opened, SimKnobs, Source};
 use crate::bus::trace::Trace;
+use crate::chip::Chip;
 use crate::clock::Clock;
+use crate::config::GaugeOptions;
+use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Knobs, MountedGauge};
+use crate::image::Image;
+use crate::key_file;
 use crate::keys::Keys;
 use crate::lock::Lock;
 use crate::poll::{self, Place, Settings, Signal};
@@ -46,9 +53,9 @@ type Begun = Receiver<Result<()>>;
 
 impl Opening {
     /// The one gauge of a mount.
-    pub(super) fn one(&self, name: String, gauge: Gauge) -> Result<Ready> {
-        let keys = gauge.keyring.open(&name)?;
-        let subject = gauge.source.to_string();
+    pub(super) fn one(&self, name: String, gauge: GaugeOptions) -> Result<Ready> {
+        let keys = keys(&gauge, &name)?;
+        let subject = Source::of(&gauge).to_string();
         let (ready, begun) = self.begin(name, gauge, keys, Place::default(), false)?;
         let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
         begun.recv().unwrap_or_else(|_| ended()).map_err(|error| error.within(&subject))?;
@@ -57,19 +64,19 @@ impl Opening {
 
     /// Many gauges, all at the same time. Those that do not answer are waited for later where it is known
     /// what they are, and else left out; `aloud` has that said on standard error too.
-    pub(super) fn many(&self, gauges: Vec<(String, Gauge)>, aloud: bool) -> Result<Vec<Ready>> {
+    pub(super) fn many(&self, gauges: Vec<(String, GaugeOptions)>, aloud: bool) -> Result<Vec<Ready>> {
         // What the configuration names and cannot be used is not the gauge's fault.
-        let keys = gauges.iter().map(|(name, gauge)| gauge.keyring.open(name)).collect::<Result<Vec<_>>>()?;
+        let keys = gauges.iter().map(|(name, gauge)| keys(gauge, name)).collect::<Result<Vec<_>>>()?;
         let names: Vec<String> = gauges.iter().map(|(name, _)| name.clone()).collect();
-        let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| gauge.source.chip().is_some()).collect();
+        let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| Source::of(gauge).chip().is_some()).collect();
         let (tell, opened) = mpsc::channel();
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
-            let phase = gauge.interval * at / all;
+            let phase = gauge.interval() * at / all;
             let place = Place { name: name.clone(), phase, ..Place::default() };
             let (tell, opening) = (tell.clone(), self.clone());
             let open = move || {
-                let waits = gauge.source.chip().is_some();
+                let waits = Source::of(&gauge).chip().is_some();
                 // Where the mount has not waited so long, the gauge is let go of.
                 let _ = tell.send((at as usize, opening.begin(name, gauge, keys, place, waits)));
             };
@@ -118,12 +125,12 @@ impl Opening {
     fn begin(
         &self,
         name: String,
-        gauge: Gauge,
+        gauge: GaugeOptions,
         keys: Keys,
         place: Place,
         waits: bool,
     ) -> Result<(Ready, Begun)> {
-        let opened = gauge.source.open(&self.mountpoint, &self.clock, waits)?;
+        let opened = Source::of(&gauge).open(&self.mountpoint, &self.clock, waits)?;
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
             let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
@@ -132,24 +139,24 @@ impl Opening {
         }
         let settings = Settings {
             keys,
-            interval: gauge.interval,
-            byte_writes: gauge.byte_writes || too_fast(chip, clock_hz),
-            allow_unproven: gauge.allow_unproven,
-            limits: gauge.limits,
-            auth_order: gauge.auth_order,
+            interval: gauge.interval(),
+            byte_writes: gauge.byte_writes.unwrap_or_default() || too_fast(chip, clock_hz),
+            allow_unproven: gauge.allow_unproven.unwrap_or_default(),
+            limits: gauge.limits(),
+            auth_order: gauge.auth_order.unwrap_or_default(),
             restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
             journal: match self.read_only {
                 true => None,
-                false => journal(self.state_dir.as_deref(), opened.key, &subject)?,
+                false => journal(self.state_dir.as_deref(), opened.journal_key, &subject)?,
             },
         };
-        let place = Place { unseen: opened.unseen, missing: opened.missing, ..place };
+        let place = Place { unseen: opened.unverified, missing: opened.missing, ..place };
         let (handle, begun) =
             poll::start(chip, bus, self.clock.clone(), settings, place, self.signal.clone())?;
         let entry = MountedGauge {
             name,
             handle,
-            scales: gauge.scales,
+            scales: gauge.scales(),
             knobs: opened.sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
         };
         let what = format!("{} ({subject})", chip.model);
@@ -170,4 +177,24 @@ fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready
 
 fn slow() -> Error {
     Error::new("", Cause::TimedOut(format!("it has not answered within {} s", PATIENCE.as_secs())))
+}
+
+fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
+    let image = Image::open(path, Some(chip))?;
+    Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+}
+
+/// Whether the part takes only one byte a write at that clock.
+fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
+    chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
+}
+
+/// The gauge's keys: of its key file, else of systemd's credential where there is one.
+fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
+    let mut keys = match &gauge.key_file {
+        Some(path) => key_file::from_file(path, name)?,
+        None => key_file::from_credential(name)?.unwrap_or_default(),
+    };
+    keys.no_default = gauge.no_default_keys.unwrap_or_default();
+    Ok(keys)
 }

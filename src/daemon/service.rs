@@ -20,8 +20,9 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::{Mode, makedev, umask};
 use rustix::process::{Pid, PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 
-use super::{Options, mountpoint};
+use super::mountpoint;
 use crate::clock::Clock;
+use crate::config::Setup;
 use crate::error::{Error, Result};
 
 const DEVICE: &str = "/dev/fuse";
@@ -58,18 +59,18 @@ pub(super) fn wait(device: &OwnedFd, clock: &dyn Clock) -> Result<()> {
 }
 
 /// Mounts what the daemon of that process serves. For root.
-pub fn attach(pid: i32, options: &Options) -> Result<()> {
+pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     let device = device_of(pid)?;
     // The folders that are made are for everybody, whatever the unit says of files.
     umask(Mode::S_IWGRP | Mode::S_IWOTH);
-    let mountpoint = mountpoint::prepare(&options.mountpoint)?;
+    let mountpoint = mountpoint::prepare(setup.mountpoint())?;
     mountpoint::make(&mountpoint)?;
     // As fuser mounts it for a daemon of root's. The mount is root's, whoever serves it.
-    let others = if options.private { "" } else { ",allow_other" };
+    let others = if setup.mount.private { "" } else { ",allow_other" };
     let data =
         format!("fd={},rootmode=40000,user_id=0,group_id=0,default_permissions{others}", device.as_raw_fd());
     let mut flags = MsFlags::MS_NOSUID | MsFlags::MS_NODEV | MsFlags::MS_NOEXEC;
-    flags.set(MsFlags::MS_RDONLY, options.read_only);
+    flags.set(MsFlags::MS_RDONLY, setup.mount.read_only);
     let mounted = mount(Some(mountpoint::SOURCE), &mountpoint, Some("fuse.gaugefs"), flags, Some(&*data));
     mounted.map_err(|errno| Error::io(mountpoint.display().to_string(), "cannot mount it", &errno.into()))
 }

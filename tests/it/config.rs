@@ -17,7 +17,7 @@ use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
 
-use super::cli::{CHIP, Folder, can_mount, gaugefs, read, within};
+use super::cli::{CHIP, Folder, can_mount, command, gaugefs, read, within};
 
 const LONG: Duration = Duration::from_secs(60);
 
@@ -31,7 +31,7 @@ impl Folder {
 }
 
 #[test]
-fn the_example_is_understood() {
+fn the_example_is_accepted() {
     let shown = gaugefs(&["mount", "--config", "udev/gaugefs.toml", "--check"]).done();
     assert_eq!(
         shown,
@@ -41,45 +41,103 @@ fn the_example_is_understood() {
     );
 }
 
+/// But for its buses, which a machine may have, and for the folder.
 #[test]
-fn what_a_file_cannot_mean_is_told_with_its_place() {
+fn the_example_mounts_as_it_is_shipped() {
+    if !can_mount() {
+        return;
+    }
     let folder = Folder::new();
-    let all = "mountpoint = 'm'\n[[gauge]]\nsim = 'bq34z100-g1'\n";
+    let text = fs::read_to_string("udev/gaugefs.toml").expect("the example");
+    let path =
+        folder.config(&text.replace("/dev/i2c-1", "/dev/i2c-998").replace("/dev/i2c-7", "/dev/i2c-999"));
+    let at = folder.file("m");
+    let ran = gaugefs(&["mount", "--config", &path, &at]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert_eq!(read(&at, "SIM/present"), "1");
+    assert_eq!(read(&at, "SIM/gauge/poll_interval"), "3");
+    assert_eq!((read(&at, "BAT0/present"), read(&at, "BAT1/present")), ("0".into(), "0".into()));
+    assert_eq!(read(&at, "BAT0/gauge/poll_interval"), "10");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn a_file_that_makes_no_sense_is_refused_with_the_place() {
+    let folder = Folder::new();
+    let mount = "[mount]\nmountpoint = 'm'\n";
+    let sim = "[[gauge]]\nsim = 'bq34z100-g1'\n";
+    let all = &format!("{mount}{sim}");
     let cases: &[(&str, &[&str])] = &[
-        ("poll = \n", &["line 1: not TOML:"]),
-        ("\npol = 3\n", &["line 2: pol: there is no such option; did you mean `poll`?"]),
-        ("x = 3\n", &["line 1: x: there is no such option; there are: mountpoint, ac, read-only"]),
-        ("ac = 3\n", &["line 1: ac: expected true, false or a name"]),
-        ("poll = 0.1\n", &["line 1: poll: expected 0.5 to 3600 seconds"]),
-        ("energy = 'yes'\n", &["line 1: energy:", "expected a boolean"]),
-        ("address = 0xaa\n", &["line 1: address: expected a 7-bit address"]),
-        ("current-scale = []\n", &["line 1: current-scale: expected a number or a text"]),
-        ("group = 'no-such-group'\n", &["line 1: group: there is no such group"]),
-        ("name = 'PACK'\n", &["line 1: name: belongs to one gauge; write it below a [[gauge]]"]),
-        ("[gauge]\nname = 'PACK'\n", &["line 1: gauge: write [[gauge]]"]),
-        ("poll = 3\npoll = 4\n", &["line 2: not TOML: duplicate key"]),
-        ("[[gauge]]\nenergi = true\n", &["line 2: energi: there is no such option; did you mean `energy`?"]),
-        ("[[gauge]]\nprivate = true\n", &["line 2: private: is for the whole mount"]),
+        // Keys that are not known, or not there.
+        ("[defaults]\npoll = \n", &["line 2: not TOML:"]),
+        ("[defaults]\npoll = 3\npoll = 4\n", &["line 3: not TOML: duplicate key"]),
+        ("[mount]\n[mount]\n", &["line 2: not TOML: duplicate key"]),
+        ("\n[defaults]\npol = 3\n", &["line 3: pol: unknown key; did you mean `poll`?"]),
+        ("[mount]\nmountpont = 'm'\n", &["line 2: mountpont: unknown key; did you mean `mountpoint`?"]),
+        ("[mount]\nstate_dir = 's'\n", &["line 2: state_dir: unknown key; did you mean `state-dir`?"]),
+        ("[[gauge]]\nsim_sate = 's'\n", &["line 2: sim_sate: unknown key; did you mean `sim-state`?"]),
+        ("[[gauge]]\n[[gauge]]\nenergi = true\n", &["line 3: energi: unknown key; did you mean `energy`?"]),
+        ("[mount]\nx = 3\n", &["line 2: x: unknown key; known here are mountpoint, ac, read-only, private"]),
+        ("[defaults]\nx = 3\n", &["line 2: x: unknown key; known here are bus, address, chip"]),
+        ("[[gauge]]\nx = 3\n", &["line 2: x: unknown key; known here are sim, sim-state, sim-key, bus"]),
+        ("[[gague]]\n", &["line 1: gague: unknown key; did you mean [[gauge]]?"]),
+        ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),
+        ("x.y = 3\n", &["line 1: x: unknown key; a file has the tables [mount], [defaults] and [[gauge]]"]),
+        ("[mount]\n'' = 3\n'--help' = 3\n", &["line 2: : unknown key; known here are"]),
+        // Keys in the wrong table, as in files without [mount] and [defaults].
+        ("mountpoint = 'm'\n", &["line 1: mountpoint: belongs to the mount; move it below [mount]"]),
+        (
+            "poll = 3\n",
+            &["line 1: poll: belongs to the gauges; move it below [defaults], or below a [[gauge]]"],
+        ),
+        ("name = 'PACK'\n", &["line 1: name: belongs to one gauge; move it below its [[gauge]]"]),
+        ("[mount]\npoll = 3\n", &["line 2: poll: belongs to the gauges; move it below [defaults]"]),
+        ("[mount]\nsim = 'bq34110'\n", &["line 2: sim: belongs to one gauge"]),
+        ("[defaults]\nname = 'PACK'\n", &["line 2: name: belongs to one gauge; move it below its [[gauge]]"]),
+        ("[defaults]\nlog = 'l'\n", &["line 2: log: belongs to the mount; move it below [mount]"]),
+        ("[[gauge]]\nprivate = true\n", &["line 2: private: belongs to the mount; move it below [mount]"]),
+        // Tables of another kind.
+        ("[gauge]\nname = 'PACK'\n", &["line 1: gauge: write [[gauge]] above the keys of each gauge"]),
+        ("gauge.name = 'PACK'\n", &["line 1: gauge: write [[gauge]]"]),
+        ("gauge = 3\n", &["line 1: gauge: write [[gauge]]"]),
+        ("gauge = ['x']\n", &["line 1: gauge: write [[gauge]]"]),
+        ("[[mount]]\nmountpoint = 'm'\n", &["line 1: mount: write [mount] above its keys"]),
+        ("defaults = 3\n", &["line 1: defaults: write [defaults] above its keys"]),
+        // Values.
+        ("[mount]\nac = 3\n", &["line 2: ac: expected true, false or a name"]),
+        ("[mount]\ngroup = 'no-such-group'\n", &["line 2: group: no such group"]),
+        ("[mount]\nprivate = 'yes'\n", &["line 2: private:", "expected a boolean"]),
+        ("[defaults]\npoll = 0.1\n", &["line 2: poll: expected 0.5 to 3600 seconds"]),
+        ("[defaults]\nenergy = 'yes'\n", &["line 2: energy:", "expected a boolean"]),
+        ("[defaults]\naddress = 0xaa\n", &["line 2: address: expected a 7-bit address"]),
+        ("[defaults]\ncurrent-scale = []\n", &["line 2: current-scale: expected a number or a string"]),
+        ("defaults = { poll = 0.1 }\n", &["line 1: poll: expected 0.5 to 3600 seconds"]),
         ("[[gauge]]\nname = 'a/b'\n", &["line 2: name: expected letters"]),
-        ("[[gauge]]\nchip = 'bq99'\n", &["line 2: chip: `bq99`", "gaugefs chips"]),
-        ("[[gauge]]\nsim = 'bq34110'\n\nchip = 'bq34110'\n", &["line 4: chip: cannot stand beside sim"]),
-        ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: is for simulated gauges"]),
-        ("[[gauge]]\nreplay = 'r'\ntrace = 't'\n", &["line 3: trace: cannot stand beside replay"]),
-        ("mountpoint = 'm'\n[[gauge]]\nname = 'A'\n", &["line 2: gauge: says nowhere what it is", "--bus"]),
-        ("mountpoint = 'm'\n", &["names no gauge", "[[gauge]]"]),
-        ("[[gauge]]\nsim = 'bq34110'\n", &["names no mount point"]),
+        ("[[gauge]]\n[[gauge]]\nchip = 'bq99'\n", &["line 3: chip: unknown chip `bq99`", "gaugefs chips"]),
+        ("[[gauge]]\nwrites-per-hour = -1\n", &["line 2: writes-per-hour:", "-1"]),
+        // Keys that contradict each other, or lack another.
+        ("[[gauge]]\nsim = 'bq34110'\n\nchip = 'bq34110'\n", &["line 4: chip: cannot be combined with sim"]),
+        ("[[gauge]]\nreplay = 'r'\nbus = 'b'\n", &["line 3: bus: cannot be combined with replay"]),
+        ("[[gauge]]\nreplay = 'r'\ntrace = 't'\n", &["line 3: trace: cannot be combined with replay"]),
+        ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: only for simulated gauges"]),
+        (&format!("{mount}[[gauge]]\nname = 'A'\n"), &["line 3: gauge: no source given", "--bus"]),
+        (mount, &["no gauge", "[[gauge]]"]),
+        ("", &["no gauge", "[[gauge]]"]),
+        (sim, &["no mount point", "[mount]"]),
+        (&format!("{all}[[gauge]]\nreplay = 'r'\n"), &["a recording", "read-only = true"]),
+        // What only one gauge can have.
         (
             &format!("{all}name = 'A'\n[[gauge]]\nsim = 'bq34110'\nname = 'A'\n"),
-            &["line 7: name: the same as on line 4"],
+            &["line 8: name: the same as on line 5"],
         ),
         (
             &format!("{all}sim-state = 's'\n[[gauge]]\nsim = 'bq34110'\nsim-state = './s'\n"),
-            &["line 7: sim-state: the same as on line 4"],
+            &["line 8: sim-state: the same as on line 5"],
         ),
-        (&format!("{all}[[gauge]]\nreplay = 'r'\n"), &["recorded gauge", "read-only = true"]),
+        (&format!("{all}trace = 't'\n{sim}trace = 't'\n"), &["line 8: trace: the same as on line 5"]),
         (
-            "mountpoint = 'm'\nbus = '/dev/i2c-1'\n[[gauge]]\n[[gauge]]\naddress = 85\n",
-            &["line 5: address: the same as on line 3"],
+            &format!("{mount}[defaults]\nbus = '/dev/i2c-1'\n[[gauge]]\n[[gauge]]\naddress = 85\n"),
+            &["line 7: address: the same as on line 5"],
         ),
     ];
     for (text, words) in cases {
@@ -94,7 +152,8 @@ fn what_a_file_cannot_mean_is_told_with_its_place() {
 fn defaults_names_and_the_command_line_come_together() {
     let folder = Folder::new();
     let path = folder.config(
-        "mountpoint = 'm'\nbus = '/dev/i2c-1'\nchip = 'bq34z100-g1'\n\
+        "[mount]\nmountpoint = 'm'\n\
+         [defaults]\nbus = '/dev/i2c-1'\nchip = 'bq34z100-g1'\n\
          [[gauge]]\n[[gauge]]\nname = 'BAT0'\naddress = '0x56'\n\
          [[gauge]]\nsim = 'bq34110'\n[[gauge]]\nbus = 'dev/pack'\nchip = 'BQ27427'\n",
     );
@@ -133,7 +192,8 @@ fn many_gauges_are_mounted_together() {
     fs::write(&keys, "unseal = 1234 5678\n").expect("a file");
     fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its owner's");
     let path = folder.config(
-        "mountpoint = 'm'\nlog = 'log'\nenergy = true\nac = true\n\
+        "[mount]\nmountpoint = 'm'\nlog = 'log'\nac = true\n\
+         [defaults]\nenergy = true\n\
          [[gauge]]\nsim = 'bq34z100-g1'\npoll = 0.5\n\
          [[gauge]]\nsim = 'bq27441-g1'\nenergy = false\nname = 'PACK'\n\
          [[gauge]]\nbus = '/dev/i2c-998'\nchip = 'bq34z100-g1'\n\
@@ -206,8 +266,8 @@ fn many_gauges_are_mounted_together() {
 #[test]
 fn without_any_gauge_the_mount_fails_with_all_reasons() {
     let folder = Folder::new();
-    let path =
-        folder.config("mountpoint = 'm'\n[[gauge]]\nbus = '/dev/i2c-998'\n[[gauge]]\nbus = '/dev/null'\n");
+    let path = folder
+        .config("[mount]\nmountpoint = 'm'\n[[gauge]]\nbus = '/dev/i2c-998'\n[[gauge]]\nbus = '/dev/null'\n");
     gaugefs(&["mount", "--config", &path]).failed(&[
         "no gauge can be mounted",
         "BAT0: /dev/i2c-998: no such bus",
@@ -215,7 +275,7 @@ fn without_any_gauge_the_mount_fails_with_all_reasons() {
     ]);
     // What a file names and cannot be used is not left out.
     let path = folder.config(&format!(
-        "mountpoint = 'm'\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nsim = '{CHIP}'\nkey-file = 'none'\n"
+        "[mount]\nmountpoint = 'm'\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nsim = '{CHIP}'\nkey-file = 'none'\n"
     ));
     gaugefs(&["mount", "--config", &path]).failed(&["none: cannot read the key file"]);
     assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
@@ -403,4 +463,76 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
     within(LONG, "who it is", || path("gauge/device_type").exists());
     assert_eq!(cat("gauge/device_type"), "0x0100\n");
     assert_eq!(cat("df/80/53"), "3000\n");
+}
+
+/// The daemon goes to `/` when it goes to the background. Its paths still begin where it was started.
+#[test]
+fn relative_paths_begin_where_gaugefs_was_started() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    write_keys(&folder.file("keys"));
+    let run = |arguments: &str| {
+        let output = command(&arguments.split(' ').collect::<Vec<_>>()).current_dir(&folder.0).output();
+        let output = output.expect("gaugefs runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "gaugefs {arguments}: {said}");
+    };
+    let mount = format!(
+        "mount --sim {CHIP} --sim-state state --key-file keys --trace trace --log log --state-dir journal m"
+    );
+    keeps_its_files(&folder, &folder.file(""), || run(&mount));
+
+    run(&format!("mount --sim {CHIP} --poll 0.5 --trace recording m"));
+    let polls = || read(&folder.file("m"), "BAT0/gauge/statistics/polls").parse::<u32>();
+    within(LONG, "polls of every register", || polls().is_ok_and(|polls| polls >= 3));
+    run("umount m");
+    run("mount --replay recording m");
+    assert_eq!(read(&folder.file("m"), "BAT0/model_name"), "bq34z100-G1");
+    run("umount m");
+
+    run("mount --sim bq27441-g1 m");
+    fs::copy(folder.file("m/BAT0/df/index"), folder.file("index")).expect("a copy of df/index");
+    run("umount m");
+    run("mount --sim bq27441-g1 --restore index m");
+}
+
+/// Those of a configuration begin at the folder of its file.
+#[test]
+fn relative_paths_of_a_configuration_begin_at_its_folder() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let path = folder.config(&format!(
+        "[mount]\nmountpoint = 'm'\nlog = 'log'\nstate-dir = 'journal'\n\
+         [defaults]\nkey-file = 'keys'\n\
+         [[gauge]]\nsim = '{CHIP}'\nsim-state = 'state'\ntrace = 'trace'\n"
+    ));
+    write_keys(&folder.file("keys"));
+    keeps_its_files(&folder, &folder.file(""), || {
+        gaugefs(&["mount", "--config", &path]).done();
+    });
+}
+
+fn write_keys(path: &str) {
+    fs::write(path, "unseal = 0414 3672\n").expect("a key file");
+    fs::set_permissions(path, Permissions::from_mode(0o600)).expect("its mode");
+}
+
+/// Mounts twice: a parameter that was written the first time is kept, and every other file is in the folder.
+fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
+    let at = folder.file("m");
+    mount();
+    fs::write(Path::new(&at).join("BAT0/df/80/53"), "3100").expect("written");
+    gaugefs(&["umount", &at]).done();
+    let file = |name: &str| fs::read_to_string(Path::new(files).join(name)).unwrap_or_default();
+    within(LONG, "the log ends with the unmount", || file("log").contains("unmounted"));
+    assert!(file("log").contains("Cell Terminate Voltage: written"), "{}", file("log"));
+    assert!(file("trace").contains("W: AA 3E 50"), "the trace has no write of that block");
+    assert!(Path::new(files).join("journal").is_dir(), "no folder for the journal");
+    mount();
+    assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
+    gaugefs(&["umount", &at]).done();
 }

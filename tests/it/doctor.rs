@@ -250,8 +250,8 @@ fn journals_are_told() {
 #[test]
 fn what_the_administrator_wrote_is_parsed() {
     let system = System::new();
-    system
-        .write("etc/gaugefs/i2c-1.toml", "# a pack\nkey-file = \"pack.keys\"\n[[gauge]]\nname = \"PACK\"\n");
+    let text = "# a pack\n[defaults]\nkey-file = \"pack.keys\"\n[[gauge]]\nname = \"PACK\"\n";
+    system.write("etc/gaugefs/i2c-1.toml", text);
     system.says("ok", "/etc/gaugefs/i2c-1.toml", &["one gauge"]);
     system.says("problem", "/etc/gaugefs/pack.keys", &["not there"]);
     system.mode("etc/gaugefs/pack.keys", 0o640);
@@ -259,8 +259,10 @@ fn what_the_administrator_wrote_is_parsed() {
     system.mode("etc/gaugefs/pack.keys", 0o600);
     system.says("ok", "/etc/gaugefs/pack.keys", &["only its owner"]);
     system.says("problem", "gaugefs@.service", &["60-gaugefs.rules is not installed"]);
-    system.write("etc/gaugefs/i2c-1.toml", "pol = 10\n[[gauge]]\n");
-    system.says("problem", "/etc/gaugefs/i2c-1.toml", &["line 1: pol", "poll"]);
+    system.write("etc/gaugefs/i2c-1.toml", "[defaults]\npol = 10\n[[gauge]]\n");
+    system.says("problem", "/etc/gaugefs/i2c-1.toml", &["line 2: pol", "`poll`"]);
+    system.write("etc/gaugefs/i2c-1.toml", "poll = 10\n[[gauge]]\n");
+    system.says("problem", "/etc/gaugefs/i2c-1.toml", &["line 1: poll", "[defaults]"]);
     system.write("etc/gaugefs/i2c-7.toml", "[[gauge]]\n");
     system.says("warning", "/etc/gaugefs/i2c-7.toml", &["/dev/i2c-7 is not there"]);
     system.write("etc/gaugefs/gaugefs.toml", "[[gauge]]\nbus = \"/dev/i2c-1\"\n");

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::config::{self, MountOptions};
+use crate::config::{MountOptions, Setup};
 
 const FOLDER: &str = "/etc/gaugefs";
 /// The one of gaugefs.service, which names its mount point itself.
@@ -46,15 +46,15 @@ fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBu
     let place = (name != MANY).then(|| format!("/run/gaugefs/{name}").into());
     let mount = MountOptions { mountpoint: place, ..MountOptions::default() };
     let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));
-    let gauges = match config::read(&host.at(path), mount, bus) {
-        Ok((_, gauges)) => gauges,
+    let gauges = match Setup::read(&host.at(path), mount, bus) {
+        Ok(setup) => setup.gauges,
         Err(error) => {
             let why = error.to_string().replace(&*host.at(path).to_string_lossy(), path);
             let why = why.strip_prefix(&format!("{path}: ")).unwrap_or(&why).to_string();
             return problem(path, why, "Correct it; see gaugefs.toml(5).");
         }
     };
-    let files = gauges.iter().filter_map(|gauge| gauge.keyring.file.as_deref());
+    let files = gauges.iter().filter_map(|gauge| gauge.key_file.as_deref());
     key_files.extend(files.map(|file| {
         let below = file.strip_prefix(host.at(FOLDER)).map(|below| Path::new(FOLDER).join(below));
         below.unwrap_or_else(|_| file.to_path_buf())

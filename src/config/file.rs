@@ -1,0 +1,277 @@
+//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]`.
+//!
+//! A file is read strictly. Whatever it holds that is not known or makes no sense is an error with file,
+//! line and key, and no gauge is opened before the whole file has been understood.
+
+use std::collections::HashMap;
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, Args, Command};
+use serde::Deserialize;
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+use super::{GaugeOptions, MountOptions, make_absolute};
+use crate::daemon::Source;
+use crate::error::{Cause, Error, Result};
+
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[derive(Default)]
+struct Document {
+    mount: MountOptions,
+    defaults: GaugeOptions,
+    gauge: Vec<Spanned<GaugeOptions>>,
+}
+
+/// Keys that belong to one gauge, and are no defaults for many.
+const OWN: [&str; 6] = ["sim", "sim-state", "sim-key", "replay", "name", "trace"];
+/// Keys of one gauge, and those that cannot be combined with them. The command line refuses the same.
+const CONFLICTS: [(&str, &[&str]); 2] = [
+    ("sim", &["replay", "bus", "address", "chip"]),
+    ("replay", &["bus", "address", "chip", "restore", "trace"]),
+];
+/// Keys that are for simulated gauges only.
+const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];
+
+/// Reads the options of a mount and of its gauges. Those are on `bus` where the file gives them no source.
+pub(super) fn read(path: &Path, bus: Option<PathBuf>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
+    let name = path.display().to_string();
+    let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    let mut file = File { name, text: &text, places: Vec::new() };
+    let Document { mut mount, mut defaults, mut gauge } = file.parse()?;
+    file.check_keys(gauge.len())?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
+    let gauges = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
+    make_absolute(mount.paths().chain(defaults.paths()).chain(gauges), folder)?;
+    defaults.bus = bus.or(defaults.bus);
+    Ok((mount, file.complete(gauge, &defaults)?))
+}
+
+/// A configuration file that is being read.
+struct File<'a> {
+    name: String,
+    text: &'a str,
+    places: Vec<Place>,
+}
+
+/// Where a key is.
+struct Place {
+    table: Table,
+    key: String,
+    at: usize,
+    value: Range<usize>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Table {
+    /// The file outside of any table.
+    Top,
+    Mount,
+    Defaults,
+    /// By its number in the file.
+    Gauge(usize),
+}
+
+impl File<'_> {
+    fn line(&self, at: usize) -> usize {
+        1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
+    }
+
+    /// An error about a key of the file.
+    fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
+        // TOML's own errors may have several lines.
+        let why = why.lines().collect::<Vec<_>>().join(", ");
+        Error::new(format!("{}: line {}: {key}", self.name, self.line(at)), Cause::Invalid(why))
+    }
+
+    fn place(&self, table: Table, key: &str) -> Option<&Place> {
+        self.places.iter().find(|place| place.table == table && place.key == key)
+    }
+
+    fn parse(&mut self) -> Result<Document> {
+        let document = DeTable::parse(self.text).map_err(|error| {
+            let at = error.span().map_or(0, |span| span.start);
+            self.refuse(at, "not TOML", error.message())
+        })?;
+        self.places = places(document.get_ref());
+        Document::deserialize(toml::de::Deserializer::from(document)).map_err(|error| self.explain(&error))
+    }
+
+    /// What is wrong at the place where the structs above do not fit the file.
+    fn explain(&self, error: &toml::de::Error) -> Error {
+        let at = error.span().unwrap_or_default().start;
+        // Keys of a table come after the table, so the last place is the innermost one.
+        let is_in = |place: &&Place| place.at == at || place.value.contains(&at);
+        let Some(Place { table, key, at: start, .. }) = self.places.iter().rev().find(is_in) else {
+            return self.refuse(at, "not a configuration", error.message());
+        };
+        let why = match (table, key.as_str()) {
+            (Table::Top, "gauge") => "write [[gauge]] above the keys of each gauge".into(),
+            (Table::Top, "mount" | "defaults") => format!("write [{key}] above its keys"),
+            // It is about the key itself, not about its value.
+            _ if *start == at => unknown(*table, key),
+            _ => error.message().into(),
+        };
+        self.refuse(*start, key, &why)
+    }
+
+    /// Refuses keys that do not belong together.
+    fn check_keys(&self, gauges: usize) -> Result<()> {
+        if let Some(own) = OWN.iter().find_map(|key| self.place(Table::Defaults, key)) {
+            return Err(self.refuse(own.at, &own.key, &unknown(own.table, &own.key)));
+        }
+        for table in (0..gauges).map(Table::Gauge) {
+            for (key, others) in CONFLICTS.iter().filter(|(key, _)| self.place(table, key).is_some()) {
+                if let Some(other) = others.iter().find_map(|other| self.place(table, other)) {
+                    return Err(self.refuse(other.at, &other.key, &format!("cannot be combined with {key}")));
+                }
+            }
+            if let Some(place) = OF_SIM.iter().find_map(|key| self.place(table, key))
+                && self.place(table, "sim").is_none()
+            {
+                let why = "only for simulated gauges; set sim too, or remove this key";
+                return Err(self.refuse(place.at, &place.key, why));
+            }
+        }
+        Ok(())
+    }
+
+    /// The gauges with their defaults. Each has a source, and no two share what only one can have.
+    fn complete(
+        &self,
+        gauges: Vec<Spanned<GaugeOptions>>,
+        defaults: &GaugeOptions,
+    ) -> Result<Vec<GaugeOptions>> {
+        if gauges.is_empty() {
+            let why = "no gauge; add one below a line [[gauge]]";
+            return Err(Error::new(&self.name, Cause::Invalid(why.into())));
+        }
+        let mut taken: HashMap<Mark, usize> = HashMap::new();
+        let mut complete = Vec::new();
+        for (number, gauge) in gauges.into_iter().enumerate() {
+            let start = gauge.span().start;
+            let gauge = gauge.into_inner().over(defaults);
+            if gauge.sim.is_none() && gauge.replay.is_none() && gauge.bus.is_none() {
+                let why = "no source given: set bus, sim or replay, or pass --bus";
+                return Err(self.refuse(start, "gauge", why));
+            }
+            for (key, mark) in marks(&gauge) {
+                // Without the key, the gauge as a whole is where the default is from.
+                let at = self.place(Table::Gauge(number), key).map_or(start, |place| place.at);
+                if let Some(other) = taken.insert(mark, at) {
+                    let why = format!("the same as on line {}; give each gauge its own", self.line(other));
+                    return Err(self.refuse(at, key, &why));
+                }
+            }
+            complete.push(gauge);
+        }
+        Ok(complete)
+    }
+}
+
+/// All keys of a file: those outside of tables, and those of the tables that are known.
+fn places(document: &DeTable<'_>) -> Vec<Place> {
+    let mut places = Vec::new();
+    let mut add = |table, (key, value): (&Spanned<DeString<'_>>, &Spanned<DeValue<'_>>)| {
+        places.push(Place {
+            table,
+            key: key.get_ref().to_string(),
+            at: key.span().start,
+            value: value.span(),
+        });
+    };
+    for (key, value) in document {
+        add(Table::Top, (key, value));
+        match (key.get_ref().as_ref(), value.get_ref()) {
+            ("mount", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Mount, key)),
+            ("defaults", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Defaults, key)),
+            ("gauge", DeValue::Array(list)) => {
+                for (number, gauge) in list.iter().enumerate() {
+                    let table = gauge.get_ref().as_table();
+                    table.into_iter().flatten().for_each(|key| add(Table::Gauge(number), key));
+                }
+            }
+            _ => {}
+        }
+    }
+    places
+}
+
+/// Why a key cannot be in a table.
+fn unknown(table: Table, key: &str) -> String {
+    let of_mount = keys::<MountOptions>();
+    let of_gauge = keys::<GaugeOptions>();
+    let is_of = |keys: &[String]| keys.iter().any(|known| known == key);
+    if OWN.contains(&key) {
+        return "belongs to one gauge; move it below its [[gauge]]".into();
+    }
+    if is_of(&of_mount) {
+        return "belongs to the mount; move it below [mount]".into();
+    }
+    if is_of(&of_gauge) {
+        return "belongs to the gauges; move it below [defaults], or below a [[gauge]]".into();
+    }
+    if let Some(known) = nearest(key) {
+        return format!("unknown key; did you mean {known}?");
+    }
+    let here = match table {
+        Table::Top => return "unknown key; a file has the tables [mount], [defaults] and [[gauge]]".into(),
+        Table::Mount => of_mount,
+        Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
+        Table::Gauge(_) => of_gauge,
+    };
+    format!("unknown key; known here are {}", here.join(", "))
+}
+
+/// The names of options as the command line has them.
+fn keys<Options: Args>() -> Vec<String> {
+    let command = Options::augment_args(Command::new("gaugefs"));
+    command.get_arguments().map(|option| option.get_id().as_str().replace('_', "-")).collect()
+}
+
+/// The key or table that was probably meant, as clap would suggest an option.
+fn nearest(word: &str) -> Option<String> {
+    let options = GaugeOptions::augment_args(MountOptions::augment_args(Command::new("gaugefs")));
+    // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
+    // the rest of the command line.
+    let options = options.mut_args(|option| Arg::new(option.get_id()).long(option.get_id().clone()));
+    let options = options.args(["mount", "defaults", "gauge"].map(|table| Arg::new(table).long(table)));
+    let options = options.no_binary_name(true).disable_help_flag(true);
+    // With dashes it is none of the ids, only like one.
+    let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;
+    match refused.get(ContextKind::SuggestedArg)? {
+        ContextValue::String(option) => Some(match option.trim_start_matches('-') {
+            "gauge" => "[[gauge]]".into(),
+            table @ ("mount" | "defaults") => format!("[{table}]"),
+            key => format!("`{}`", key.replace('_', "-")),
+        }),
+        _ => None,
+    }
+}
+
+/// What only one gauge can have.
+#[derive(PartialEq, Eq, Hash)]
+enum Mark {
+    Name(String),
+    Address(PathBuf, u8),
+    File(PathBuf),
+}
+
+fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
+    let mut marks: Vec<_> = gauge.name.iter().map(|name| ("name", Mark::Name(name.clone()))).collect();
+    match Source::of(gauge) {
+        Source::Bus { bus, address, .. } => {
+            // Two names of one adapter are the same bus.
+            let bus = fs::canonicalize(bus).unwrap_or_else(|_| bus.into());
+            marks.push(("address", Mark::Address(bus, address)));
+        }
+        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state.into()))),
+        Source::Sim { .. } | Source::Recording(_) => {}
+    }
+    marks.extend(gauge.trace.iter().map(|trace| ("trace", Mark::File(trace.clone()))));
+    marks
+}

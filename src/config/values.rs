@@ -1,0 +1,100 @@
+//! The values of options, checked alike on the command line and in a configuration file.
+
+use std::fmt;
+use std::time::Duration;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
+use crate::authentication::Order;
+use crate::chip::{CHIPS, Chip};
+use crate::keys;
+
+/// Key words, which are not shown again.
+#[derive(Clone)]
+pub(crate) struct Key(pub(crate) [u16; 2]);
+
+impl fmt::Debug for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("hidden")
+    }
+}
+
+pub(crate) fn chip_names() -> PossibleValuesParser {
+    PossibleValuesParser::new(CHIPS.iter().map(|chip| chip.name))
+}
+
+/// The chips as clap takes them, which lists them in errors and completes them in shells.
+pub(super) fn chips() -> impl TypedValueParser<Value = &'static Chip> {
+    chip_names().map(|name| chip(&name).expect("clap accepts only names of chips"))
+}
+
+pub(super) fn chip(name: &str) -> Result<&'static Chip, String> {
+    Chip::by_name(name).ok_or_else(|| format!("unknown chip `{name}`; `gaugefs chips` lists the known ones"))
+}
+
+pub(super) fn key(text: &str) -> Result<Key, String> {
+    keys::words(text).map(Key).ok_or_else(|| "expected two words, such as '0414 3672'".into())
+}
+
+pub(super) fn order(text: &str) -> Result<Order, String> {
+    Order::by_name(text).ok_or_else(|| "expected lsb-first or as-sent".into())
+}
+
+pub(crate) fn address(text: &str) -> Result<u8, String> {
+    let digits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let number = digits.map_or_else(|| text.parse(), |digits| u8::from_str_radix(digits, 16));
+    match number {
+        Ok(address @ 0x08..=0x77) => Ok(address),
+        _ => Err("expected a 7-bit address, 0x08 to 0x77".into()),
+    }
+}
+
+pub(super) fn interval(text: &str) -> Result<Duration, String> {
+    match text.parse() {
+        Ok(seconds @ 0.5..=3600.0) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("expected 0.5 to 3600 seconds".into()),
+    }
+}
+
+pub(super) fn factor(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(factor @ 0.001..=1000.0) => Ok(factor),
+        _ => Err("expected a factor from 0.001 to 1000".into()),
+    }
+}
+
+/// The name of a folder, which also appears in uevent, in paths and in other people's shell scripts.
+pub(super) fn name(text: &str) -> Result<String, String> {
+    if keys::is_name(text) {
+        Ok(text.to_string())
+    } else {
+        Err("expected letters, digits and . _ + -, at most 64, not beginning with a dot or dash".into())
+    }
+}
+
+pub(super) fn group(text: &str) -> Result<u32, String> {
+    if let Ok(gid) = text.parse() {
+        return Ok(gid);
+    }
+    match nix::unistd::Group::from_name(text) {
+        Ok(Some(group)) => Ok(group.gid.as_raw()),
+        _ => Err("no such group".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_checked() {
+        assert_eq!(address("0x55"), Ok(0x55));
+        assert_eq!(address("85"), Ok(0x55));
+        assert!(["0x07", "0x78", "0xaa", "55h", ""].iter().all(|text| address(text).is_err()));
+        assert_eq!(interval("0.5"), Ok(Duration::from_millis(500)));
+        assert!(["0.4", "3601", "NaN", "-1", "inf"].iter().all(|text| interval(text).is_err()));
+        assert!(["0", "-1", "NaN", "1e9"].iter().all(|text| factor(text).is_err()));
+        assert!(["", "..", "a/b", "a b", "-x", "BAT\n"].iter().all(|text| name(text).is_err()));
+        assert_eq!(name("BAT_1.2"), Ok("BAT_1.2".into()));
+    }
+}

@@ -1,0 +1,103 @@
+//! How a mount ends from outside: by SIGTERM or SIGINT, which do what is right at that point of its life.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+
+use nix::errno::Errno;
+use nix::sys::signal::{SigSet, Signal};
+
+use super::mountpoint;
+use crate::error::{Error, Result};
+use crate::fuse;
+use crate::poll::{Handle, Request};
+
+/// How far a mount has come.
+#[derive(Default)]
+pub(super) enum Phase {
+    /// Nothing is mounted, and nothing but reads has been sent to a gauge.
+    #[default]
+    Starting,
+    /// A signal has to unmount this.
+    Mounted(PathBuf, Vec<Handle>),
+    /// `service::attach` has mounted it, and `service::detach` will unmount it.
+    Serving(Vec<Handle>, fuse::Answers),
+    /// It is unmounted, and `run` is about to return.
+    Ending,
+}
+
+/// The thread that takes signals, as the rest of the daemon sees it.
+pub(super) struct Shutdown(Arc<Mutex<Phase>>);
+
+impl Shutdown {
+    /// Waits for signals on a thread of its own. To be called before any other thread is started: all of
+    /// them inherit that the signals are blocked, and so leave them to this one.
+    pub(super) fn watch() -> Result<Self> {
+        let signals = [Signal::SIGTERM, Signal::SIGINT].into_iter().collect::<SigSet>();
+        signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
+        let phase = Arc::new(Mutex::default());
+        let watched = Arc::clone(&phase);
+        let watch = move || {
+            while let Ok(signal) = signals.wait() {
+                end(signal, &mut watched.lock().unwrap_or_else(PoisonError::into_inner));
+            }
+        };
+        let thread = std::thread::Builder::new().name("signals".into()).stack_size(128 * 1024);
+        thread.spawn(watch).map_err(|error| Error::io("signals", "cannot start a thread", &error))?;
+        Ok(Self(phase))
+    }
+
+    /// From now on a signal finds the mount in this phase.
+    pub(super) fn reach(&self, phase: Phase) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = phase;
+    }
+}
+
+fn end(signal: Signal, phase: &mut Phase) {
+    let (path, handles) = match phase {
+        Phase::Starting => {
+            eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
+            std::process::exit(1);
+        }
+        Phase::Mounted(path, handles) => (path, handles),
+        Phase::Serving(handles, answers) => {
+            log::info!("{signal}: ending");
+            finish(handles);
+            answers.flush();
+            std::process::exit(0);
+        }
+        Phase::Ending => return,
+    };
+    log::info!("{signal}: unmounting {}", path.display());
+    match mountpoint::detach(path, false) {
+        // The FUSE session ends, and `run` with it.
+        Ok(()) => *phase = Phase::Ending,
+        Err(error) if error.errno() == Errno::EBUSY => {
+            log::warn!("{}: in use, so it is detached", path.display());
+            let detached = mountpoint::detach(path, true);
+            finish(handles);
+            std::process::exit(i32::from(detached.is_err()));
+        }
+        Err(error) => log::error!("{error}"),
+    }
+}
+
+/// Waits until the gauges' owners have completed the request that they are serving, such as a transaction,
+/// and keeps them from starting another.
+pub(super) fn finish(handles: &[Handle]) {
+    let (done, is_done) = mpsc::channel::<()>();
+    for handle in handles {
+        let done = done.clone();
+        // Requests are served in order, and this one changes nothing.
+        let same = handle.published().interval;
+        let stop = move |_| {
+            drop(done);
+            loop {
+                std::thread::park();
+            }
+        };
+        handle.submit(Request::Interval(same, Box::new(stop)));
+    }
+    drop(done);
+    // Nothing is ever sent: each owner drops its end with the request, served or not.
+    let _ = is_done.recv();
+}

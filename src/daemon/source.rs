@@ -1,0 +1,266 @@
+//! Opening a gauge: a simulated one, a recording, or one on a bus.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use nix::errno::Errno;
+
+use super::mountpoint;
+use crate::bus::linux::{Adapter, LinuxBus};
+use crate::bus::replay::{Recording, Replay, Seals};
+use crate::bus::{Bus, GAUGE_ADDRESS};
+use crate::chip::{Chip, SealStatus, Tier};
+use crate::clock::Clock;
+use crate::config::GaugeOptions;
+use crate::error::{Cause, Error, Result};
+use crate::fs::Knobs;
+use crate::gauge::bursts;
+use crate::lock::{self, Holder, Lock};
+use crate::probe;
+use crate::sim::{self, Sim, SimBus};
+
+/// How long a simulated gauge may take from power-up to its first answer.
+const POWER_UP: Duration = Duration::from_secs(2);
+
+/// Where a gauge is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Source<'a> {
+    /// In this process.
+    Sim {
+        chip: &'static Chip,
+        /// File that keeps its flash.
+        state: Option<&'a Path>,
+        /// Unseal key of a new one.
+        key: Option<[u16; 2]>,
+    },
+    /// In a file that `--trace` wrote.
+    Recording(&'a Path),
+    /// On a bus.
+    Bus {
+        /// The adapter's node.
+        bus: &'a Path,
+        /// Its 7-bit address.
+        address: u8,
+        /// `None` where the gauge is asked.
+        chip: Option<&'static Chip>,
+    },
+}
+
+/// A gauge that is reached and locked, and nothing more.
+pub(super) struct Opened {
+    pub(super) chip: &'static Chip,
+    pub(super) bus: Box<dyn Bus>,
+    /// The bus clock, where it is known.
+    pub(super) clock_hz: Option<u32>,
+    pub(super) address: u8,
+    /// What to call it in messages.
+    pub(super) subject: String,
+    pub(super) sim: Option<Sim>,
+    pub(super) lock: Option<Lock>,
+    /// The name of its journal; `None` for a gauge that ends with this process.
+    pub(super) journal_key: Option<String>,
+    /// The node of its adapter.
+    pub(super) node: Option<PathBuf>,
+    /// Nothing has shown yet that what is at the address reads like a gauge.
+    pub(super) unverified: bool,
+    /// Why it cannot be reached yet.
+    pub(super) missing: Option<Error>,
+}
+
+impl fmt::Display for Source<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sim { state: Some(state), .. } => write!(f, "simulated gauge kept in {}", state.display()),
+            Self::Sim { .. } => f.write_str("simulated gauge"),
+            Self::Recording(path) => write!(f, "recording {}", path.display()),
+            Self::Bus { bus, address, .. } => write!(f, "{} address 0x{address:02x}", bus.display()),
+        }
+    }
+}
+
+impl<'a> Source<'a> {
+    /// The source that the options name.
+    pub(crate) fn of(gauge: &'a GaugeOptions) -> Self {
+        match (gauge.sim, &gauge.replay, &gauge.bus) {
+            (Some(chip), _, _) => {
+                let key = gauge.sim_key.as_ref().map(|key| key.0);
+                Self::Sim { chip, state: gauge.sim_state.as_deref(), key }
+            }
+            (None, Some(file), _) => Self::Recording(file),
+            (None, None, Some(bus)) => {
+                Self::Bus { bus, address: gauge.address.unwrap_or(GAUGE_ADDRESS), chip: gauge.chip }
+            }
+            (None, None, None) => unreachable!("the command line and the configuration demand a source"),
+        }
+    }
+
+    /// What the gauge is, where the options say so.
+    pub(crate) fn chip(self) -> Option<&'static Chip> {
+        match self {
+            Self::Sim { chip, .. } => Some(chip),
+            Self::Bus { chip, .. } => chip,
+            Self::Recording(_) => None,
+        }
+    }
+
+    /// Opens and locks the gauge. With `waits`, one on a bus whose chip is known may be out of reach now.
+    pub(super) fn open(self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
+        let subject = self.to_string();
+        match self {
+            Self::Sim { chip, state, key } => {
+                let lock =
+                    state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
+                let (sim, bus) = power_up(chip, state, key, clock)?;
+                let journal_key = state.map(lock::key_of_state);
+                let opened = Opened::new(chip, Box::new(bus), subject);
+                Ok(Opened { sim: Some(sim), lock, journal_key, ..opened })
+            }
+            Self::Recording(path) => {
+                let (chip, replay) = recorded(path)?;
+                Ok(Opened::new(chip, Box::new(replay), subject))
+            }
+            Self::Bus { bus, address, chip } => {
+                let opened = match (on_bus(bus, address, chip, &subject, mountpoint, clock), chip) {
+                    (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
+                        absent(bus, address, chip, subject, error, clock)?
+                    }
+                    (opened, _) => opened?,
+                };
+                Ok(Opened { address, node: Some(bus.into()), ..opened })
+            }
+        }
+    }
+}
+
+/// Whether the daemon that holds a lock is about to end: its mount is gone.
+fn is_ending(holder: &Holder) -> bool {
+    !mountpoint::is_ours(&holder.mountpoint)
+}
+
+/// A simulated gauge that answers.
+fn power_up(
+    chip: &'static Chip,
+    state: Option<&Path>,
+    unseal_key: Option<[u16; 2]>,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Sim, SimBus)> {
+    let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
+    let options = sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed };
+    let sim = Sim::new(chip.name, &options, clock.clone())?;
+    let mut bus = sim.bus();
+    let start = clock.now();
+    while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
+        clock.sleep(Duration::from_millis(20));
+    }
+    Ok((sim, bus))
+}
+
+/// A gauge on a bus that is there; without a chip, the gauge is asked.
+fn on_bus(
+    bus: &Path,
+    address: u8,
+    chip: Option<&'static Chip>,
+    subject: &str,
+    mountpoint: &Path,
+    clock: &Arc<dyn Clock>,
+) -> Result<Opened> {
+    let adapter = Adapter::find(bus)?;
+    let lock = Lock::gauge(&adapter, address, mountpoint, &**clock, is_ending)?;
+    let open = || {
+        let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
+        Ok(Box::new(bus) as Box<dyn Bus>)
+    };
+    let known = match chip {
+        Some(chip) => chip,
+        None => probe::find(subject, &open, clock)?,
+    };
+    Ok(Opened {
+        clock_hz: adapter.clock_hz(),
+        lock: Some(lock),
+        journal_key: Some(lock::key_of_gauge(&adapter, address)),
+        unverified: chip.is_some(),
+        ..Opened::new(known, open()?, subject.into())
+    })
+}
+
+/// A gauge whose bus is not there, or does not reach it, because of `error`.
+fn absent(
+    bus: &Path,
+    address: u8,
+    chip: &'static Chip,
+    subject: String,
+    error: Error,
+    clock: &Arc<dyn Clock>,
+) -> Result<Opened> {
+    // The journal has the same name whether the adapter is there at the start or not.
+    let Some(journal_key) = lock::key_of_place(bus, address) else {
+        let why = format!("{error}; to wait for an adapter, name it /dev/i2c-N");
+        return Err(Error::host("", error.errno(), why));
+    };
+    let bus = LinuxBus::absent(bus, address, clock.clone());
+    Ok(Opened {
+        journal_key: Some(journal_key),
+        unverified: true,
+        missing: Some(error),
+        ..Opened::new(chip, Box::new(bus), subject)
+    })
+}
+
+impl Opened {
+    fn new(chip: &'static Chip, bus: Box<dyn Bus>, subject: String) -> Self {
+        Self {
+            chip,
+            bus,
+            clock_hz: None,
+            address: GAUGE_ADDRESS,
+            subject,
+            sim: None,
+            lock: None,
+            node: None,
+            journal_key: None,
+            unverified: false,
+            missing: None,
+        }
+    }
+}
+
+/// The gauge of a recording, which has to hold all that a mount reads by itself.
+fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
+    let name = path.display().to_string();
+    let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
+    let recording = Recording::open(path)?;
+    let chip = Chip::by_name(&recording.chip)
+        .ok_or_else(|| refuse(format!("`{}` is no gauge that gaugefs knows", recording.chip)))?;
+    let status = match chip.security.status {
+        SealStatus::Field { register, .. } => register,
+        SealStatus::Bits { .. } => None,
+    };
+    let replay = Replay::new(&recording, Seals { command: chip.security.seal, status });
+    for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
+        let mut read = bursts(chip.registers, |found| found == tier).into_iter();
+        if !read.all(|(register, length)| replay.covers(register, length)) {
+            let why = "it ends before every register was read; a few seconds of a mount have them all";
+            return Err(refuse(why.into()));
+        }
+    }
+    Ok((chip, replay))
+}
+
+/// The files of `sim/`.
+pub(super) struct SimKnobs(pub(super) Sim);
+
+impl Knobs for SimKnobs {
+    fn list(&self) -> Vec<(&'static str, bool)> {
+        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+    }
+
+    fn get(&self, name: &str) -> Option<String> {
+        self.0.get(name)
+    }
+
+    fn set(&self, name: &str, text: &str) -> Result<()> {
+        self.0.set(name, text)
+    }
+}
