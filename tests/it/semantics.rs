@@ -1,5 +1,5 @@
-//! docs/SEMANTICS.md held to what a mount does: every file of the tree has its row there and every row its
-//! file, attributes are what their row says, and each errno of the table comes from what the table says.
+//! Holds docs/SEMANTICS.md to what a mount does: every file of the tree has a row there and every row a file,
+//! attributes have the value that their row describes, and each errno of the table occurs when the table says.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,7 +16,7 @@ use crate::rig::Rig;
 
 const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
 
-/// The rows of the table below a heading, a cell each.
+/// The cells of each row of the table below a heading.
 fn table(heading: &str) -> Vec<Vec<&'static str>> {
     let section = TEXT.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
     let rows =
@@ -24,12 +24,12 @@ fn table(heading: &str) -> Vec<Vec<&'static str>> {
     rows.skip(2).map(|row| row.trim_matches('|').split('|').map(str::trim).collect()).collect()
 }
 
-/// What stands in backticks.
+/// The parts of a cell that are in backticks.
 fn quoted(cell: &str) -> impl Iterator<Item = &str> {
     cell.split('`').skip(1).step_by(2)
 }
 
-/// A simulated gauge, mounted by the program as a user would. Unmounted with its folder.
+/// A simulated gauge, mounted with the program, as by a user. Unmounted when the folder is dropped.
 struct Mount(Folder);
 
 impl Mount {
@@ -40,7 +40,7 @@ impl Mount {
         let folder = Folder::new();
         gaugefs(&[&["mount", "--sim", chip, &folder.file("m")], more].concat()).done();
         let mount = Self(folder);
-        // The registers that no attribute needs come with the second poll.
+        // The second poll reads the registers that no attribute needs.
         mount.until("a second poll", |mount| mount.number("gauge/statistics/polls") >= 2);
         Some(mount)
     }
@@ -56,7 +56,7 @@ impl Mount {
 
     fn number(&self, name: &str) -> i64 {
         let text = self.cat(name);
-        text.parse().unwrap_or_else(|_| panic!("{name}: `{text}` is no number"))
+        text.parse().unwrap_or_else(|_| panic!("{name}: `{text}` is not a number"))
     }
 
     fn echo(&self, text: &str, name: &str) -> Result<(), Errno> {
@@ -68,7 +68,7 @@ impl Mount {
         within(Duration::from_secs(60), what, || holds(self));
     }
 
-    /// Names and modes of the files of a folder of the gauge.
+    /// Names and modes of the files in a folder of the gauge.
     fn list(&self, name: &str) -> BTreeMap<String, u32> {
         let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
         let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
@@ -98,7 +98,7 @@ fn semantics_of_the_tree() {
             let polls = mount.number("gauge/statistics/polls");
             mount.until("a poll", |mount| mount.number("gauge/statistics/polls") >= polls + 2);
             if chip.name == "bq34z100-g1" && load == "-500" {
-                // Its averages take their time.
+                // It averages over a while.
                 mount.until("a time to full", |mount| mount.path("time_to_full_now").exists());
             }
             seen.extend(mount.list(".").into_keys());
@@ -108,7 +108,7 @@ fn semantics_of_the_tree() {
             let row = match &*name {
                 "registers" => "registers/NAME",
                 "statistics" => "statistics/NAME",
-                // Words of bits are files of their own, whatever the part calls them.
+                // A word of flags without a row of its own is covered by the row of `flags` and `control_status`.
                 name if gauge.contains_key(name) => name,
                 _ if flags => "control_status",
                 name => name,
@@ -172,8 +172,8 @@ fn semantics_of_the_attributes() {
     }
 }
 
-/// What the engine answers when some transfer and the four after it, retries included, meet the same of
-/// these faults: the errno that is looked for, if any of them leads to it.
+/// Writes with one of these faults in five transfers in a row, so that retries see it too, beginning with each
+/// transfer in turn. Fails with the wanted errno as soon as one of the writes does.
 fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
     let tries = faults.iter().flat_map(|fault| (1..40).map(move |first| (fault, first)));
     for (fault, first) in tries {
@@ -192,33 +192,33 @@ fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
 fn semantics_of_the_errnos() {
     let rows = table("## Errnos");
     let documented: BTreeSet<_> = rows.iter().flat_map(|row| row[0].split(", ")).collect();
-    let mut met = BTreeMap::new();
-    let mut meets = |what: &'static str, outcome: Result<(), Errno>| {
+    let mut occurred = BTreeMap::new();
+    let mut occurs = |what: &'static str, outcome: Result<(), Errno>| {
         let errno = outcome.expect_err(what);
-        met.insert(format!("{errno:?}"), what);
+        occurred.insert(format!("{errno:?}"), what);
     };
     let parameter = "df/80/53";
     let Some(mount) = Mount::new("bq34z100-g1", &["--poll", "0.5"]) else { return };
-    meets("not a value of that type", mount.echo("abc", parameter));
-    meets("outside the range", mount.echo("9999", parameter));
-    meets("no transaction is open", mount.echo("commit", "df/transaction"));
+    occurs("not a value of that type", mount.echo("abc", parameter));
+    occurs("outside the range", mount.echo("9999", parameter));
+    occurs("no transaction is open", mount.echo("commit", "df/transaction"));
     mount.echo("begin", "df/transaction").expect("a transaction");
-    meets("a transaction is open", mount.echo("3100", parameter));
+    occurs("a transaction is open", mount.echo("3100", parameter));
     mount.echo("abort", "df/transaction").expect("the end of it");
     mount.echo("corrupt-commit", "sim/fault").expect("a fault");
-    meets("the old bytes are back", mount.echo("3100", parameter));
+    occurs("the old bytes are back", mount.echo("3100", parameter));
     assert_eq!(mount.cat(parameter), "3000");
     mount.echo("2700", "sim/voltage_mv").expect("a knob");
-    meets("below the flash-update voltage", mount.echo("3100", parameter));
+    occurs("below the flash-update voltage", mount.echo("3100", parameter));
     mount.echo("3900", "sim/voltage_mv").expect("a knob");
     mount.echo("torn-commit 1", "sim/fault").expect("a fault");
-    meets("data flash is unknown", mount.echo("3100", parameter));
+    occurs("data flash is unknown", mount.echo("3100", parameter));
     mount.echo("none", "sim/fault").expect("a knob");
     mount.echo("on", "sim/power").expect("a knob");
     mount.until("the gauge is back", |mount| mount.echo("now", "gauge/refresh").is_ok());
     let mut held = fs::File::open(mount.path("voltage_now")).expect("there");
     mount.echo("off", "sim/power").expect("a knob");
-    meets("the address is not acknowledged", mount.echo("3100", parameter));
+    occurs("the address is not acknowledged", mount.echo("3100", parameter));
     mount.until("it is gone", |mount| mount.cat("present") == "0");
     let mut gone =
         || held.rewind().and_then(|()| held.read_to_string(&mut String::new())).map(drop).map_err(errno);
@@ -227,33 +227,33 @@ fn semantics_of_the_errnos() {
     while gone().is_ok() && Instant::now() < end {
         std::thread::sleep(Duration::from_millis(20));
     }
-    meets("gone", gone());
+    occurs("gone", gone());
     drop(mount);
 
     let Some(mount) = Mount::new("bq34z100-g1", &["--no-default-keys"]) else { return };
-    meets("sealed and no key works", mount.echo("3100", parameter));
+    occurs("sealed and no key works", mount.echo("3100", parameter));
     drop(mount);
     let Some(mount) = Mount::new("bq34z100-g1", &["--read-only"]) else { return };
-    meets("mounted read-only", mount.echo("3100", parameter));
+    occurs("mounted read-only", mount.echo("3100", parameter));
     drop(mount);
     let Some(mount) = Mount::new("bq34110", &[]) else { return };
     let index = mount.cat("df/index");
     let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");
     let unproven = format!("df/flash/{}", row.split('\t').nth(1).expect("an address"));
-    meets("a row that is not proven", mount.echo(&mount.cat(&unproven), &unproven));
+    occurs("an unproven parameter", mount.echo(&mount.cat(&unproven), &unproven));
     drop(mount);
 
-    // What takes a fault at one transfer is asked of the engine, whose errno write(2) answers with.
-    meets("bus or gauge too slow", engine(&["stretch N 60000"], Errno::ETIMEDOUT));
-    meets("the checksum is wrong", engine(&["flip N 20 3"], Errno::EBADMSG));
-    // The reply that names another block than the one that was asked for.
+    // Faults in single transfers are given to the engine directly; write(2) answers with its errno.
+    occurs("bus or gauge too slow", engine(&["stretch N 60000"], Errno::ETIMEDOUT));
+    occurs("the checksum is wrong", engine(&["flip N 20 3"], Errno::EBADMSG));
+    // A reply that names a block other than the requested one.
     let echoes = ["flip N 2 0", "flip N 3 0", "flip N 4 0", "flip N 35 0", "flip N 36 0", "flip N 37 0"];
-    meets("the reply breaks the protocol", engine(&echoes, Errno::EPROTO));
+    occurs("the reply breaks the protocol", engine(&echoes, Errno::EPROTO));
 
-    // A full disk takes root to be had: `without_room_for_the_journal_the_gauge_is_not_touched`.
+    // A full disk needs root, and has a test of its own: `without_room_for_the_journal_the_gauge_is_not_touched`.
     let elsewhere = "ENOSPC";
-    let met: BTreeSet<_> = met.keys().map(String::as_str).chain([elsewhere]).collect();
-    assert_eq!(met, documented, "met; documented");
+    let occurred: BTreeSet<_> = occurred.keys().map(String::as_str).chain([elsewhere]).collect();
+    assert_eq!(occurred, documented, "occurred; documented");
 }
 
 #[test]
