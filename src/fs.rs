@@ -939,7 +939,7 @@ impl Fs {
 
     /// A refusal that the gauge never heard of shows in `gauge/last_error` all the same.
     fn refuse(&self, gauge: u16, error: Error, done: Done<()>) {
-        self.entry(gauge).handle.note(&error);
+        self.entry(gauge).handle.report(&error);
         done(Err(error));
     }
 

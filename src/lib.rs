@@ -18,10 +18,12 @@ pub mod journal;
 pub mod json;
 pub mod keys;
 pub mod lock;
-pub mod poll;
+pub mod owner;
 pub mod probe;
 pub mod registers;
 pub mod saved;
 pub mod sim;
 pub mod text;
 pub mod value;
+
+pub use owner as poll;

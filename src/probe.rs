@@ -69,7 +69,7 @@ fn reading(gauge: &mut Gauge) -> Result<Reading> {
 }
 
 /// Makes sure that what is there reads like the gauge that it is said to be. Nothing is written.
-pub fn look(gauge: &mut Gauge) -> Result<()> {
+pub fn check(gauge: &mut Gauge) -> Result<()> {
     if reading(gauge)?.is_plausible() {
         return Ok(());
     }
@@ -203,7 +203,7 @@ mod tests {
             assert!(candidates(&open, &clock).expect("it answers").is_empty());
             find("here", &open, &clock).expect_err("not a gauge");
             let mut gauge = gauge(CHIPS[0], &open, &clock).expect("it opens");
-            look(&mut gauge).expect_err("not a gauge");
+            check(&mut gauge).expect_err("not a gauge");
         }
     }
 

@@ -14,7 +14,7 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Entry, Knobs};
 use crate::keys::Keys;
 use crate::lock::Lock;
-use crate::poll::{self, Place, Settings, Signal};
+use crate::poll::{self, Settings, Signal, Startup};
 
 /// So long a mount of many waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -49,7 +49,7 @@ impl Opening {
     pub(super) fn one(&self, name: String, gauge: Gauge) -> Result<Ready> {
         let keys = gauge.keyring.open(&name)?;
         let subject = gauge.source.to_string();
-        let (ready, begun) = self.begin(name, gauge, keys, Place::default(), false)?;
+        let (ready, begun) = self.begin(name, gauge, keys, Startup::default(), false)?;
         let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
         begun.recv().unwrap_or_else(|_| ended()).map_err(|error| error.within(&subject))?;
         Ok(ready)
@@ -66,12 +66,12 @@ impl Opening {
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
             let phase = gauge.interval * at / all;
-            let place = Place { name: name.clone(), phase, ..Place::default() };
+            let startup = Startup { name: name.clone(), phase, ..Startup::default() };
             let (tell, opening) = (tell.clone(), self.clone());
             let open = move || {
                 let waits = gauge.source.chip().is_some();
                 // Where the mount has not waited so long, the gauge is let go of.
-                let _ = tell.send((at as usize, opening.begin(name, gauge, keys, place, waits)));
+                let _ = tell.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
             };
             let thread = std::thread::Builder::new().name("open".into()).stack_size(256 * 1024);
             thread.spawn(open).map_err(|error| Error::io("gauges", "cannot start a thread", &error))?;
@@ -120,7 +120,7 @@ impl Opening {
         name: String,
         gauge: Gauge,
         keys: Keys,
-        place: Place,
+        startup: Startup,
         waits: bool,
     ) -> Result<(Ready, Begun)> {
         let opened = gauge.source.open(&self.mountpoint, &self.clock, waits)?;
@@ -143,9 +143,9 @@ impl Opening {
                 false => journal(self.state_dir.as_deref(), opened.key, &subject)?,
             },
         };
-        let place = Place { unseen: opened.unseen, missing: opened.missing, ..place };
+        let startup = Startup { unverified: opened.unseen, missing: opened.missing, ..startup };
         let (handle, begun) =
-            poll::start(chip, bus, self.clock.clone(), settings, place, self.signal.clone())?;
+            poll::start(chip, bus, self.clock.clone(), settings, startup, self.signal.clone())?;
         let entry = Entry {
             name,
             handle,

@@ -13,7 +13,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, RealClock};
 use gaugefs::fs::{Access, Entry, Fs, Scales};
 use gaugefs::fuse;
-use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
+use gaugefs::poll::{self, Handle, Request, Settings, Signal, Startup};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
 
@@ -369,10 +369,10 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
     let signal = Arc::new(Signal::default());
     let (holds, written) = (Arc::new(AtomicU8::new(NOTHING)), Arc::new(AtomicU64::new(0)));
     let socket = Socket { bus: sim(&clock).bus(), holds: holds.clone(), written: written.clone() };
-    let place = Place { name: "PACK".into(), unseen: true, ..Place::default() };
+    let startup = Startup { name: "PACK".into(), unverified: true, ..Startup::default() };
     let settings = settings(Duration::from_millis(500));
     let (handle, begun) =
-        poll::start(chip, Box::new(socket), clock, settings, place, signal.clone()).expect("a thread");
+        poll::start(chip, Box::new(socket), clock, settings, startup, signal.clone()).expect("a thread");
     let error = begun.recv().expect("an outcome").expect_err("nothing is there");
     assert_eq!(error.errno(), Errno::ENXIO);
     let tree = Tree::new("later", vec![entry("PACK", &handle)], signal);
