@@ -18,7 +18,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::poll::{self, Handle, Settings, Signal};
+use gaugefs::owner::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 
 const ROUNDS: usize = 20;
@@ -47,7 +47,7 @@ fn gauge(interval: Duration) -> (Sim, Handle, Arc<Signal>) {
     let signal = Arc::new(Signal::default());
     let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
     let settings = Settings { interval, ..Settings::default() };
-    let handle = poll::spawn(chip, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
+    let handle = owner::spawn(chip, Box::new(sim.bus()), clock, settings, signal.clone()).expect("a gauge");
     (sim, handle, signal)
 }
 

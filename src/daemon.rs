@@ -9,7 +9,7 @@ use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Covered, Fs, free_name};
 use crate::fuse;
-use crate::poll::{Handle, Signal};
+use crate::owner::{Handle, Signal};
 
 mod adapters;
 pub mod background;

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
-use crate::poll::{Done, Handle};
+use crate::owner::{Done, Handle};
 
 mod attribute;
 mod covered;

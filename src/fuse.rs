@@ -23,7 +23,7 @@ use fuser::{Config, MountOption, Session, SessionACL};
 
 use crate::error::{Error, Result};
 use crate::fs::Fs;
-use crate::poll::Signal;
+use crate::owner::Signal;
 
 mod adapter;
 mod inodes;

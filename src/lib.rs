@@ -17,5 +17,5 @@ pub mod json;
 pub mod key_file;
 pub mod lock;
 mod mounted;
-pub mod poll;
+pub mod owner;
 pub mod sim;

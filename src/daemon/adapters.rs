@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, WatchDescriptor};
 
-use crate::poll::{Handle, Request};
+use crate::owner::{Handle, Request};
 
 /// What happens to a name when its device goes, comes, or may be opened from now on.
 const EVENTS: AddWatchFlags = AddWatchFlags::IN_CREATE

@@ -21,7 +21,7 @@ use crate::image::Image;
 use crate::key_file;
 use crate::keys::Keys;
 use crate::lock::Lock;
-use crate::poll::{self, Place, Settings, Signal};
+use crate::owner::{self, Settings, Signal, Startup};
 
 /// So long a mount of many waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -56,7 +56,7 @@ impl Opening {
     pub(super) fn one(&self, name: String, gauge: GaugeOptions) -> Result<Ready> {
         let keys = keys(&gauge, &name)?;
         let subject = Source::of(&gauge).to_string();
-        let (ready, begun) = self.begin(name, gauge, keys, Place::default(), false)?;
+        let (ready, begun) = self.begin(name, gauge, keys, Startup::default(), false)?;
         let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
         begun.recv().unwrap_or_else(|_| ended()).map_err(|error| error.within(&subject))?;
         Ok(ready)
@@ -73,12 +73,12 @@ impl Opening {
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
             let phase = gauge.interval() * at / all;
-            let place = Place { name: name.clone(), phase, ..Place::default() };
+            let startup = Startup { name: name.clone(), phase, ..Startup::default() };
             let (tell, opening) = (tell.clone(), self.clone());
             let open = move || {
                 let waits = Source::of(&gauge).chip().is_some();
                 // Where the mount has not waited so long, the gauge is let go of.
-                let _ = tell.send((at as usize, opening.begin(name, gauge, keys, place, waits)));
+                let _ = tell.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
             };
             let thread = std::thread::Builder::new().name("open".into()).stack_size(256 * 1024);
             thread.spawn(open).map_err(|error| Error::io("gauges", "cannot start a thread", &error))?;
@@ -127,7 +127,7 @@ impl Opening {
         name: String,
         gauge: GaugeOptions,
         keys: Keys,
-        place: Place,
+        startup: Startup,
         waits: bool,
     ) -> Result<(Ready, Begun)> {
         let opened = Source::of(&gauge).open(&self.mountpoint, &self.clock, waits)?;
@@ -150,9 +150,9 @@ impl Opening {
                 false => journal(self.state_dir.as_deref(), opened.journal_key, &subject)?,
             },
         };
-        let place = Place { unseen: opened.unverified, missing: opened.missing, ..place };
+        let startup = Startup { unverified: opened.unverified, missing: opened.missing, ..startup };
         let (handle, begun) =
-            poll::start(chip, bus, self.clock.clone(), settings, place, self.signal.clone())?;
+            owner::start(chip, bus, self.clock.clone(), settings, startup, self.signal.clone())?;
         let entry = MountedGauge {
             name,
             handle,

@@ -9,7 +9,7 @@ use nix::sys::signal::{SigSet, Signal};
 use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::fuse;
-use crate::poll::{Handle, Request};
+use crate::owner::{Handle, Request};
 
 /// How far a mount has come.
 #[derive(Default)]

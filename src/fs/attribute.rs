@@ -3,7 +3,7 @@
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
 use crate::chip::{Chip, Role};
-use crate::poll::Snapshot;
+use crate::owner::Snapshot;
 
 use super::Scales;
 

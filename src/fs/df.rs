@@ -11,7 +11,7 @@ use crate::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
-use crate::poll::{Done, Request};
+use crate::owner::{Done, Request};
 use crate::text;
 use crate::value::Value;
 

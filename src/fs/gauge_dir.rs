@@ -12,7 +12,7 @@ use crate::authentication;
 use crate::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use crate::error::{Cause, Error, Result};
 use crate::keys;
-use crate::poll::{Answers, Done, Request, Seal};
+use crate::owner::{Answers, Done, Request, Seal};
 
 /// One file.
 struct File {

@@ -4,7 +4,7 @@ use nix::errno::Errno;
 
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::Error;
-use crate::poll::Done;
+use crate::owner::Done;
 
 /// What `sim/` holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

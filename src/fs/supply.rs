@@ -11,7 +11,7 @@ use super::{
 };
 use crate::chip::Chip;
 use crate::error::{Error, Result};
-use crate::poll::{Done, Handle, Published, Request, Snapshot};
+use crate::owner::{Done, Handle, Published, Request, Snapshot};
 
 /// A mounted gauge, with what the tree keeps about it.
 pub(super) struct Supply {
@@ -77,7 +77,7 @@ impl Supply {
     /// Refuses what was written without asking the gauge. The log and `gauge/last_error` say why, as after any
     /// request that fails.
     pub(super) fn refuse(&self, error: Error, done: Done<()>) {
-        self.handle.note(&error);
+        self.handle.report(&error);
         done(Err(error));
     }
 }

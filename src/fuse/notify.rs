@@ -15,7 +15,7 @@ use fuser::{INodeNo, Notifier};
 use super::inodes::{Now, Value};
 use super::{Table, lock, thread};
 use crate::fs::{Fs, Node};
-use crate::poll::Signal;
+use crate::owner::Signal;
 
 /// Time within which the kernel forgets a nodeid that nobody holds open.
 const FORGET: Duration = Duration::from_millis(30);

@@ -13,7 +13,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, RealClock};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::poll::{self, Handle, Place, Request, Settings, Signal};
+use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
 
@@ -345,9 +345,9 @@ fn a_gauge_that_is_stuck_keeps_no_other_waiting() {
     let shut = Arc::new((Mutex::new(false), Condvar::new()));
     let quiet = || settings(Duration::from_secs(3600));
     let gate = Gate { bus: sim(&clock).bus(), shut: shut.clone() };
-    let stuck = poll::spawn(chip, Box::new(gate), clock.clone(), quiet(), signal.clone()).expect("a gauge");
+    let stuck = owner::spawn(chip, Box::new(gate), clock.clone(), quiet(), signal.clone()).expect("a gauge");
     let bus = Box::new(sim(&clock).bus());
-    let other = poll::spawn(chip, bus, clock.clone(), quiet(), signal.clone()).expect("a gauge");
+    let other = owner::spawn(chip, bus, clock.clone(), quiet(), signal.clone()).expect("a gauge");
     let tree = Tree::new("stuck", vec![entry("A", &stuck), entry("B", &other)], signal);
     let path = |name: &str| tree.0.join(name);
     let cat = |name: &str| fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -429,10 +429,10 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
     let signal = Arc::new(Signal::default());
     let (holds, written) = (Arc::new(AtomicU8::new(NOTHING)), Arc::new(AtomicU64::new(0)));
     let socket = Socket { bus: sim(&clock).bus(), holds: holds.clone(), written: written.clone() };
-    let place = Place { name: "PACK".into(), unseen: true, ..Place::default() };
+    let startup = Startup { name: "PACK".into(), unverified: true, ..Startup::default() };
     let settings = settings(Duration::from_millis(500));
     let (handle, begun) =
-        poll::start(chip, Box::new(socket), clock, settings, place, signal.clone()).expect("a thread");
+        owner::start(chip, Box::new(socket), clock, settings, startup, signal.clone()).expect("a thread");
     let error = begun.recv().expect("an outcome").expect_err("nothing is there");
     assert_eq!(error.errno(), Errno::ENXIO);
     let tree = Tree::new("later", vec![entry("PACK", &handle)], signal);

@@ -17,7 +17,7 @@ use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::image::Image;
 use gaugefs::keys::Keys;
-use gaugefs::poll::{self, Handle, Settings, Signal};
+use gaugefs::owner::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
 
@@ -83,7 +83,7 @@ impl Mount {
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let settings = Settings { keys, interval, restore, ..Settings::default() };
-        let handle = poll::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
+        let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = MountedGauge {
             name: "BAT0".into(),
             handle: handle.clone(),

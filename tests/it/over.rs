@@ -14,7 +14,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::RealClock;
 use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::poll::{self, Settings, Signal};
+use gaugefs::owner::{self, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 
 /// A folder as `/sys`, with supplies of which each is a folder below `devices` and a link to it.
@@ -75,7 +75,7 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
         std::thread::sleep(Duration::from_millis(1300));
         let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
         let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
-        let handle = poll::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
+        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
         let handle = handle.expect("a gauge");
         MountedGauge { name: (*name).into(), handle, scales: Scales::default(), knobs: None }
     });

@@ -11,7 +11,7 @@ use gaugefs::clock::{Clock, SimClock};
 use gaugefs::dataflash::{Change, DataFlash, Limits, Outcome};
 use gaugefs::gauge::{Gauge, Seal};
 use gaugefs::keys::Keys;
-use gaugefs::poll::{self, Request, Settings};
+use gaugefs::owner::{self, Request, Settings};
 use gaugefs::sim::{Options, Sim};
 use gaugefs::value::Value;
 use ti_gauge::error::Result;
@@ -603,7 +603,7 @@ fn a_swapped_pack_is_noticed() {
     let chip = Chip::by_name("bq34z100-g1").expect("a table");
     let interval = Duration::from_secs(3600);
     let settings = Settings { interval, ..Settings::default() };
-    let handle = poll::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
+    let handle = owner::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
     let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
     let subclass = &chip.subclasses[index(80)];
     let parameter = subclass.parameter(53).expect("a row");
@@ -615,7 +615,7 @@ fn a_swapped_pack_is_noticed() {
         u16::from_be_bytes([read[0][4], read[0][5]])
     };
     let run =
-        |request: &dyn Fn(poll::Done<()>) -> Request| -> std::result::Result<(), gaugefs::error::Error> {
+        |request: &dyn Fn(owner::Done<()>) -> Request| -> std::result::Result<(), gaugefs::error::Error> {
             let (done, is_done) = mpsc::channel();
             handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
             is_done.recv().expect("an answer")

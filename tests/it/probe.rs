@@ -9,7 +9,7 @@ use ti_gauge::chip::{CHIPS, Chip, SIBLINGS, Sibling};
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
-use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, find, identify, look};
+use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, check, find, identify};
 
 /// An EEPROM: a pointer, bytes, and no patience for writes.
 struct Eeprom(u8);
@@ -31,7 +31,7 @@ fn an_eeprom_is_read_and_left_alone() {
         find("here", &open, &clock).expect_err("not a gauge");
         let bus = open().expect("it opens");
         let mut gauge = Gauge::new(CHIPS[0], bus, clock.clone(), Keys::default(), false);
-        look(&mut gauge).expect_err("not a gauge");
+        check(&mut gauge).expect_err("not a gauge");
     }
 }
 

@@ -7,7 +7,7 @@ use gaugefs::chip::Chip;
 use gaugefs::clock::{Clock, SimClock};
 use gaugefs::fs::{Access, Fs, MountedGauge, Node, Scales};
 use gaugefs::keys::Keys;
-use gaugefs::poll::{self, Handle, Settings};
+use gaugefs::owner::{self, Handle, Settings};
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
 
@@ -26,7 +26,7 @@ impl Tree {
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let interval = Duration::from_secs(3600);
         let settings = Settings { keys, interval, ..Settings::default() };
-        let handle = poll::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
+        let handle = owner::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
         let handle = handle.expect("a gauge");
         let entry = MountedGauge {
             name: "BAT0".into(),

@@ -1,8 +1,8 @@
-//! Finding out what answers at an address, without harm to what is not a gauge.
+//! Finding out which gauge answers at an address, without disturbing other devices.
 //!
-//! An EEPROM may sit at a gauge's address, and for it "Control(DEVICE_TYPE)" is a write. So the registers
-//! are read first, which takes no more than a register pointer, and judged: Control() goes only to what
-//! reads like a gauge, and only where the user has named the address.
+//! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read
+//! first, which sends only a register pointer. Control() goes only to a device whose registers read like a
+//! gauge's, and only at an address that the user has named.
 
 use std::ptr;
 use std::sync::Arc;
@@ -18,31 +18,30 @@ use gauge_bus::{Bus, BusError};
 /// The address at which a gauge in ROM mode answers.
 pub const ROM_ADDRESS: u8 = 0x0b;
 
-const STRANGE: &str = "what answers there does not read like a gauge, so nothing was written to it";
+const STRANGE: &str = "the device at this address does not read like a gauge, so nothing was written to it";
 
 /// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
 
-/// What the registers of a chip's table read at an address.
+/// The polled registers of a chip, as the device at an address answers.
 #[derive(Clone, Debug)]
 pub struct Reading {
-    /// Whose table it was.
+    /// The chip whose registers were read.
     pub chip: &'static Chip,
     registers: Registers,
 }
 
 impl Reading {
-    /// What the register that feeds a property reads.
+    /// The value of the register that feeds a property.
     pub fn value(&self, role: Role) -> Option<i64> {
         self.registers.value(self.chip.register(role)?)
     }
 
-    /// Whether a gauge could say that: a temperature between -50 and 125 degrees Celsius, and percentages
-    /// of at most 100.
+    /// Whether these can be a gauge's values: a temperature between -50 and 125 degrees Celsius, and
+    /// percentages of at most 100.
     pub fn is_plausible(&self) -> bool {
         let within = |role, min, max| self.value(role).is_none_or(|value| min <= value && value <= max);
-        let known = self.value(Role::Temp).is_some();
-        known
+        self.value(Role::Temp).is_some()
             && within(Role::Temp, 2231, 3981)
             && within(Role::Capacity, 0, 100)
             && within(Role::CapacityErrorMargin, 0, 100)
@@ -50,16 +49,11 @@ impl Reading {
     }
 }
 
-/// A way to the address, opened anew each time it is called.
+/// Opens a bus to the address.
 pub type Open<'a> = dyn Fn() -> Result<Box<dyn Bus>> + 'a;
 
 fn gauge(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Gauge> {
     Ok(Gauge::new(chip, open()?, clock.clone(), Keys::default(), false))
-}
-
-/// Reads the registers of a chip's table, and nothing else.
-pub fn read(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Reading> {
-    reading(&mut gauge(chip, open, clock)?)
 }
 
 fn reading(gauge: &mut Gauge) -> Result<Reading> {
@@ -68,24 +62,24 @@ fn reading(gauge: &mut Gauge) -> Result<Reading> {
     Ok(Reading { chip: gauge.chip, registers })
 }
 
-/// Makes sure that what is there reads like the gauge that it is said to be. Nothing is written.
-pub fn look(gauge: &mut Gauge) -> Result<()> {
+/// Checks that the device's registers read like the gauge's. Nothing is written.
+pub fn check(gauge: &mut Gauge) -> Result<()> {
     if reading(gauge)?.is_plausible() {
         return Ok(());
     }
     Err(Error::new("", Cause::Gone(STRANGE.into())).at(Step::Identify))
 }
 
-/// The chips whose registers read plausibly there. An error means that nothing could be read at all.
+/// The chips whose registers read plausibly at the address. Fails if no chip's registers could be read at all.
 pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading>> {
     let (mut plausible, mut answered, mut failure) = (Vec::new(), false, None);
     for chip in CHIPS {
-        match read(chip, open, clock) {
+        match gauge(chip, open, clock).and_then(|mut gauge| reading(&mut gauge)) {
             Ok(reading) => {
                 answered = true;
                 plausible.extend(reading.is_plausible().then_some(reading));
             }
-            // A part may well refuse the registers of another.
+            // A part may refuse the registers of another.
             Err(error) if *error.cause() == Cause::Bus(BusError::NoAck) => failure = Some(error),
             Err(error) => return Err(error),
         }
@@ -93,8 +87,8 @@ pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading
     failure.filter(|_| !answered).map_or(Ok(plausible), Err)
 }
 
-/// Whether anybody answers at the address of gauges in ROM mode. One byte is read, and none written: there
-/// is nothing to ask, and a smart battery may live there.
+/// Whether a device answers at the address of gauges in ROM mode. One byte is read and nothing is written: a
+/// smart battery has the same address.
 pub fn answers_in_rom(bus: &mut dyn Bus) -> Result<bool> {
     match bus.transfer(&[], &mut [0]) {
         Ok(()) => Ok(true),
@@ -103,20 +97,20 @@ pub fn answers_in_rom(bus: &mut dyn Bus) -> Result<bool> {
     }
 }
 
-/// Who is there, as far as Control() tells.
+/// What the answers to Control() say about a device.
 #[derive(Clone, Debug, Default)]
 pub struct Who {
-    /// What it answered when it was asked as the first of `chips` is asked.
+    /// Its answers to the questions for the first of `chips`.
     pub answers: Answers,
-    /// The chips that answer so: one, none, or several that only the user can tell apart.
+    /// The chips that give these answers: one, none, or several that only the user can tell apart.
     pub chips: Vec<&'static Chip>,
-    /// A part that is known to answer so and has no table.
+    /// A part without a table that gives these answers.
     pub sibling: Option<&'static Sibling>,
 }
 
-/// Asks what reads like a gauge who it is, as each of the plausible chips would be asked.
+/// Identifies a device that reads like a gauge, by the questions for each of the plausible chips.
 ///
-/// All chips have DEVICE_TYPE at the same code; what comes after it is asked only where the type fits.
+/// All chips have DEVICE_TYPE at the same code; the other questions follow only if the type fits.
 pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Who> {
     let mut who = Who::default();
     for Reading { chip, .. } in plausible {
@@ -148,7 +142,7 @@ pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) 
     Ok(who)
 }
 
-/// The one chip that is at an address the user has named.
+/// The chip at an address that the user has named.
 pub fn find(subject: &str, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<&'static Chip> {
     let failed = |cause| Err(Error::new(subject, cause).at(Step::Identify));
     let plausible = candidates(open, clock).map_err(|error| error.within(subject))?;
@@ -166,12 +160,12 @@ pub fn find(subject: &str, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<&'
             let Answers { device_type, firmware_version, hardware_version, .. } = who.answers;
             failed(Cause::Gone(format!(
                 "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
-                 0x{hardware_version:04x} is no part that gaugefs knows; see: gaugefs chips"
+                 0x{hardware_version:04x}: unknown part; `gaugefs chips` lists the known ones"
             )))
         }
         (several, _) => {
             let names: Vec<_> = several.iter().map(|chip| chip.name).collect();
-            failed(Cause::Invalid(format!("it may be any of {}; say which with --chip", names.join(", "))))
+            failed(Cause::Invalid(format!("it may be any of {}; choose with --chip", names.join(", "))))
         }
     }
 }

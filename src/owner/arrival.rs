@@ -1,0 +1,227 @@
+//! A gauge that arrives, or comes back: which part it is, and what is done before its values are shown.
+
+use std::ptr;
+use std::time::Duration;
+
+use super::{Answers, Owner, Seal};
+use crate::chip::{Chip, Recognised, Role, Sibling, recognise};
+use crate::dataflash::Outcome;
+use crate::error::{Cause, Error, Result, Step};
+use crate::probe;
+use crate::registers::Registers;
+
+impl Owner {
+    /// Identifies the gauge and polls it for the first time.
+    pub(super) fn open(&mut self) -> Result<()> {
+        if let Some(error) = self.missing.take() {
+            return Err(error);
+        }
+        self.arrive()?;
+        self.poll()?;
+        self.after_first_poll();
+        Ok(())
+    }
+
+    /// What follows the first poll of a gauge.
+    pub(super) fn after_first_poll(&mut self) {
+        self.schedule.hurry();
+        self.restore_after_power_loss();
+        // Reading the bytes that show a quirk takes a key, unless the gauge is found unsealed.
+        let published = self.shared.published();
+        if published.seal != Seal::Sealed && published.sibling.is_none() {
+            let chip = self.gauge.chip;
+            let subclasses: Vec<_> =
+                chip.quirks.iter().filter_map(|quirk| index(chip, quirk.subclass)).collect();
+            // A failure is in the log already, and no reason to do without the gauge.
+            let _ = self.read(&subclasses, Duration::ZERO);
+        }
+    }
+
+    /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
+    pub(super) fn arrive(&mut self) -> Result<()> {
+        if self.unverified {
+            probe::check(&mut self.gauge)?;
+        }
+        let answers = self.gauge.identify()?;
+        let chip = self.gauge.chip;
+        let sibling = check_identity(chip, &answers)?;
+        if let Some(sibling) = sibling {
+            let prefix = &self.shared.prefix;
+            log::warn!("{prefix}this is a {}, not a {}: standard commands only", sibling.name, chip.model);
+        }
+        self.unverified = false;
+        self.gauge.forget_refusal();
+        self.dataflash.meet(chip, &answers);
+        self.forget_dataflash();
+        self.rare = Registers::UNREAD;
+        self.schedule.begin_anew();
+        self.restore_tried = false;
+        self.shared.publish(|published| {
+            (published.answers, published.sibling, published.digest) = (answers, sibling, None);
+        });
+        if sibling.is_none() {
+            self.settle();
+        }
+        Ok(())
+    }
+
+    /// Settles an interrupted write before anybody sees what data flash holds.
+    fn settle(&mut self) {
+        match self.dataflash.journals_of_others(&mut self.gauge) {
+            Ok(others) => {
+                let prefix = &self.shared.prefix;
+                for other in others {
+                    log::warn!("{prefix}{}: the journal of another gauge; left alone", other.display());
+                }
+            }
+            Err(error) => return self.shared.report(&error.into()),
+        }
+        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
+            Ok(Some(found)) => {
+                self.forget_dataflash();
+                self.shared.report(&Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
+            }
+            Ok(None) => {}
+            Err(error) => self.shared.report(&error.into()),
+        }
+    }
+
+    /// Writes the saved configuration to a gauge with RAM data memory that has lost its power. Called after
+    /// each scheduled poll, whose flags show the loss.
+    pub(super) fn restore_after_power_loss(&mut self) {
+        let chip = self.gauge.chip;
+        let (Some(lost), Some(flags)) = (chip.volatile, chip.register(Role::Flags)) else { return };
+        let published = self.shared.published();
+        let word = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(flags));
+        if word.is_none_or(|word| word & i64::from(lost) == 0) {
+            self.restore_tried = false;
+            return;
+        }
+        if self.restore_tried || published.sibling.is_some() {
+            return;
+        }
+        self.restore_tried = true;
+        // If the power was lost between two polls, what was read of data memory is out of date, and the seal
+        // may be open.
+        self.forget_dataflash();
+        self.publish_seal();
+        self.schedule.hurry();
+        if self.restore.is_empty() {
+            let why = "lost its configuration with its power; mount with --restore to write it again";
+            log::warn!("{}: {why}", self.shared.name());
+            return;
+        }
+        let outcome = self.dataflash.write(&mut self.gauge, &self.restore, Duration::ZERO);
+        self.forget_dataflash();
+        match self.logged(outcome.map_err(|error| error.within("--restore"))) {
+            Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.shared.name()),
+            Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.shared.name()),
+            // It is not tried again: after a failed write somebody has to check the bus.
+            Err(_) => {}
+        }
+    }
+
+    /// Reports the flaws that the table describes, if the bytes that show them have been read.
+    pub(super) fn report_quirks(&self) {
+        for quirk in self.gauge.chip.quirks {
+            let bytes = index(self.gauge.chip, quirk.subclass).and_then(|index| self.shared.kept(index));
+            let byte = bytes.and_then(|bytes| bytes.get(usize::from(quirk.offset)).copied());
+            if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
+                let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
+                let why = format!("{}; {}", quirk.effect, quirk.remedy);
+                self.shared.report(&Error::new(file, Cause::Protocol(why)));
+            }
+        }
+    }
+}
+
+/// The index of a subclass in the table.
+fn index(chip: &Chip, id: u8) -> Option<usize> {
+    chip.subclasses.iter().position(|subclass| subclass.id == id)
+}
+
+/// Checks that the part that gave these answers can be mounted with the chip's table. Returns the part if it
+/// is only a relative of the chip.
+fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<&'static Sibling>> {
+    let found = match recognise(answers) {
+        Recognised::Chip(found) if ptr::eq(found, chip) => return Ok(None),
+        // The answers fit several chips, and the user has named this one.
+        Recognised::Ambiguous(found) if found.iter().any(|&found| ptr::eq(found, chip)) => return Ok(None),
+        Recognised::Sibling(sibling) if sibling.like.is_some_and(|like| ptr::eq(like, chip)) => {
+            return Ok(Some(sibling));
+        }
+        Recognised::Chip(found) => format!("this is a {}", found.model),
+        Recognised::Sibling(sibling) => format!("this is a {}", sibling.name),
+        Recognised::Ambiguous(found) => {
+            let models: Vec<_> = found.iter().map(|found| found.model).collect();
+            format!("this is a {}", models.join(" or a "))
+        }
+        Recognised::Unknown => "unknown part".to_string(),
+    };
+    let Answers { device_type, firmware_version, hardware_version, .. } = answers;
+    let why = format!(
+        "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
+         0x{hardware_version:04x}: {found}; refusing to mount it as a {}",
+        chip.model
+    );
+    Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Startup;
+    use super::super::rig::Rig;
+    use super::*;
+
+    /// What a part with these answers is taken for when it is to be mounted as that chip.
+    fn identified(chip: &str, device_type: u16, firmware_version: u16, hardware_version: u16) -> String {
+        let chip = Chip::by_name(chip).expect("it has a table");
+        let answers = Answers { device_type, firmware_version, hardware_version, ..Answers::default() };
+        match check_identity(chip, &answers) {
+            Ok(None) => "itself".to_string(),
+            Ok(Some(sibling)) => format!("its relative {}", sibling.name),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn the_chip_and_its_relatives_can_be_mounted() {
+        assert_eq!(identified("bq34z100-g1", 0x0100, 0x0016, 0x0008), "itself");
+        assert_eq!(identified("bq34z100-g1", 0x0100, 0x0202, 0x0008), "its relative bq34z100-R2");
+        // Without DM_CODE these two cannot be told apart.
+        assert_eq!(identified("bq27441-g1", 0x0421, 0x0109, 0), "itself");
+        assert_eq!(identified("bq27421-g1", 0x0421, 0x0109, 0), "itself");
+    }
+
+    #[test]
+    fn another_part_is_refused_by_name() {
+        let refused = |device_type, firmware, hardware, what: &str| {
+            let found = identified("bq34z100-g1", device_type, firmware, hardware);
+            let says = format!(
+                "bq34z100-G1: identify: device type 0x{device_type:04x}, firmware 0x{firmware:04x}, hardware \
+                 0x{hardware:04x}: {what}; refusing to mount it as a bq34z100-G1"
+            );
+            assert_eq!(found, says);
+        };
+        refused(0x0520, 0x0324, 0, "this is a bq27520-G3");
+        refused(0x0520, 0x0329, 0, "this is a bq27520-G4");
+        refused(0x0421, 0x0109, 0, "this is a bq27441-G1 or a bq27421-G1");
+        refused(0x0100, 0x0017, 8, "unknown part");
+    }
+
+    #[test]
+    fn a_gauge_that_is_missing_at_first_is_opened_by_a_later_poll() {
+        let missing = Some(Error::new("/dev/i2c-9", Cause::Gone("no such bus".into())));
+        let mut rig = Rig::new(Startup { missing, unverified: true, ..Startup::default() });
+        let (sender, opened) = std::sync::mpsc::channel();
+        rig.owner.begin(&sender);
+        let error = opened.try_recv().expect("an outcome").expect_err("it is missing");
+        assert_eq!(*rig.handle.published().last_error, *error.to_string());
+        assert_eq!(rig.transfers(), 0);
+        assert!(rig.handle.published().snapshot.is_none());
+
+        rig.owner.poll_on_time();
+        let published = rig.handle.published();
+        assert!(published.snapshot.is_some() && published.answers.device_type == 0x0100);
+    }
+}

@@ -1,0 +1,355 @@
+//! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::time::Duration;
+
+use super::{Request, Settings};
+use crate::authentication::{Message, Order};
+use crate::chip::{Chip, Register, Sibling, Subclass};
+use crate::clock::Clock;
+use crate::error::Error;
+use crate::gauge::{Answers, Gauge, Seal, Statistics};
+use crate::registers::Registers;
+
+/// All registers of one poll.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// The clock when the poll's first transfer began.
+    pub taken: Duration,
+    /// Rises with every poll; two snapshots of one number are the same snapshot.
+    pub number: u64,
+    pub(super) registers: Registers,
+    /// CONTROL_STATUS when it was last read, by a slow poll or after a request.
+    pub control_status: u16,
+}
+
+impl Snapshot {
+    /// The register's value, sign applied; `None` if it has not been read.
+    pub fn value(&self, register: &Register) -> Option<i64> {
+        self.registers.value(register)
+    }
+}
+
+/// What is known of a gauge at one moment; replaced as a whole.
+#[derive(Clone, Debug)]
+pub struct Published {
+    /// The last poll; `None` while the gauge is gone.
+    pub snapshot: Option<Arc<Snapshot>>,
+    /// What the gauge answered when it was identified.
+    pub answers: Answers,
+    /// Set if the part is not the table's but a relative of it: its standard commands mean the same, and
+    /// nothing else is sent to it.
+    pub sibling: Option<&'static Sibling>,
+    /// Its seal state when it was last read.
+    pub seal: Seal,
+    /// The answer to the last challenge; `None` while there is none.
+    pub digest: Option<Message>,
+    /// Time between polls.
+    pub interval: Duration,
+    /// The last failure, one line; empty for none.
+    pub last_error: Arc<str>,
+}
+
+/// What the owner shares with its handles.
+pub(super) struct Shared {
+    pub(super) chip: &'static Chip,
+    pub(super) allow_unproven: bool,
+    pub(super) auth_order: Order,
+    pub(super) clock: Arc<dyn Clock>,
+    pub(super) statistics: Arc<Statistics>,
+    published: Mutex<Arc<Published>>,
+    /// Subclasses that have been read, by their index in the table.
+    kept: Mutex<Vec<Option<Kept>>>,
+    signal: Arc<Signal>,
+    /// Something has been published since the FUSE side last asked.
+    changed: AtomicBool,
+    /// What the lines of the log begin with: empty if there is only one gauge.
+    pub(super) prefix: String,
+}
+
+/// A subclass as it was read.
+struct Kept {
+    bytes: Arc<[u8]>,
+    /// The last poll before it was read. Learned values are valid until the next one.
+    poll: u64,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().expect("no thread panics while it holds the lock")
+}
+
+impl Shared {
+    pub(super) fn new(gauge: &Gauge, settings: &Settings, name: String, signal: Arc<Signal>) -> Self {
+        let published = Published {
+            snapshot: None,
+            answers: Answers::default(),
+            sibling: None,
+            seal: Seal::Sealed,
+            digest: None,
+            interval: settings.interval,
+            last_error: "".into(),
+        };
+        Self {
+            chip: gauge.chip,
+            allow_unproven: settings.allow_unproven,
+            auth_order: settings.auth_order,
+            clock: gauge.clock.clone(),
+            statistics: gauge.statistics.clone(),
+            published: Mutex::new(Arc::new(published)),
+            kept: Mutex::new(gauge.chip.subclasses.iter().map(|_| None).collect()),
+            signal,
+            changed: AtomicBool::new(true),
+            prefix: if name.is_empty() { name } else { name + ": " },
+        }
+    }
+
+    pub(super) fn published(&self) -> Arc<Published> {
+        lock(&self.published).clone()
+    }
+
+    /// Replaces what is published by a copy with some of it changed.
+    pub(super) fn publish(&self, change: impl FnOnce(&mut Published)) {
+        {
+            let mut published = lock(&self.published);
+            let mut next = Published::clone(&published);
+            change(&mut next);
+            *published = Arc::new(next);
+        }
+        self.raise();
+    }
+
+    fn raise(&self) {
+        self.changed.store(true, Ordering::SeqCst);
+        self.signal.raise();
+    }
+
+    /// Puts a failure into the log and into `gauge/last_error`.
+    pub(super) fn report(&self, error: &Error) {
+        log::warn!("{}{error}", self.prefix);
+        self.record(error);
+    }
+
+    /// Puts a failure into `gauge/last_error` only.
+    pub(super) fn record(&self, error: &Error) {
+        let line = error.to_string();
+        self.publish(|published| published.last_error = line.into());
+    }
+
+    /// The gauge's name in messages: the chip's if there is only one gauge.
+    pub(super) fn name(&self) -> &str {
+        self.prefix.strip_suffix(": ").unwrap_or(self.chip.name)
+    }
+
+    /// The bytes of a subclass, if they are kept and still valid.
+    pub(super) fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
+        let poll = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
+        let kept = lock(&self.kept);
+        let kept = kept.get(subclass)?.as_ref()?;
+        let learned = self.chip.subclasses[subclass].parameters.iter().any(|parameter| parameter.learned);
+        let valid = !learned || poll == Some(kept.poll);
+        valid.then(|| kept.bytes.clone())
+    }
+
+    /// Keeps the bytes of a subclass, read after that poll.
+    pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
+        lock(&self.kept)[subclass] = Some(Kept { bytes, poll });
+    }
+
+    /// Forgets the bytes of some subclasses.
+    pub(super) fn forget(&self, changed: impl Fn(&Subclass) -> bool) {
+        for (subclass, kept) in self.chip.subclasses.iter().zip(lock(&self.kept).iter_mut()) {
+            if changed(subclass) {
+                *kept = None;
+            }
+        }
+    }
+
+    /// Forgets the bytes of all subclasses.
+    pub(super) fn forget_all(&self) {
+        self.forget(|_| true);
+    }
+}
+
+/// A gauge, as everything but its owner sees it. Cheap to clone; nothing here blocks or touches the bus.
+/// When the last clone is dropped, the owner finishes what it is doing and ends.
+#[derive(Clone)]
+pub struct Handle {
+    shared: Arc<Shared>,
+    /// Requests, each with the time at which it was submitted.
+    queue: Sender<(Duration, Request)>,
+}
+
+impl Handle {
+    pub(super) fn new(shared: Arc<Shared>, queue: Sender<(Duration, Request)>) -> Self {
+        Self { shared, queue }
+    }
+
+    /// The gauge's table.
+    pub fn chip(&self) -> &'static Chip {
+        self.shared.chip
+    }
+
+    /// Whether parameters may be written whose address or range is not certain.
+    pub fn allows_unproven(&self) -> bool {
+        self.shared.allow_unproven
+    }
+
+    /// The byte order in which challenges are sent.
+    pub fn auth_order(&self) -> Order {
+        self.shared.auth_order
+    }
+
+    /// What is known now.
+    pub fn published(&self) -> Arc<Published> {
+        self.shared.published()
+    }
+
+    /// The bytes of a subclass (by its index in the table), if they are kept and still valid.
+    pub fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
+        self.shared.kept(subclass)
+    }
+
+    /// Age of the published snapshot; `None` while the gauge is gone.
+    pub fn age(&self) -> Option<Duration> {
+        let taken = self.published().snapshot.as_ref()?.taken;
+        Some(self.shared.clock.now().saturating_sub(taken))
+    }
+
+    /// The owner's clock.
+    pub fn now(&self) -> Duration {
+        self.shared.clock.now()
+    }
+
+    /// Wakes the FUSE side as if something had been published.
+    pub fn raise(&self) {
+        self.shared.raise();
+    }
+
+    /// Whether something has changed since this was last asked.
+    pub fn take_changed(&self) -> bool {
+        self.shared.changed.swap(false, Ordering::SeqCst)
+    }
+
+    /// Name and value of each file of `gauge/statistics`.
+    pub fn statistics(&self) -> Vec<(&'static str, u64)> {
+        self.shared.statistics.list()
+    }
+
+    /// How many blocks the current write has programmed, and how many it has to; `None` while there is none.
+    pub fn progress(&self) -> Option<(u32, u32)> {
+        self.shared.statistics.progress.get()
+    }
+
+    /// Puts a failure into the log and into `gauge/last_error`: a request that was refused before it was
+    /// submitted.
+    pub fn report(&self, error: &Error) {
+        self.shared.report(error);
+    }
+
+    /// Queues a request. Its `Done` is called with the outcome, of a write within 30 s; if the owner has
+    /// ended, the request is dropped, and its `Done` with it.
+    pub fn submit(&self, request: Request) {
+        // The dropped `Done` is how the caller learns that the owner has ended.
+        let _ = self.queue.send((self.shared.clock.now(), request));
+    }
+}
+
+/// Raised by owners whenever something published has changed; the FUSE side waits for it.
+#[derive(Debug, Default)]
+pub struct Signal {
+    count: Mutex<u64>,
+    raised: Condvar,
+}
+
+impl Signal {
+    /// Something has changed.
+    pub fn raise(&self) {
+        *lock(&self.count) += 1;
+        self.raised.notify_all();
+    }
+
+    /// Waits until the count differs from `seen` or the limit has passed, and returns the count.
+    pub fn wait(&self, seen: u64, limit: Option<Duration>) -> u64 {
+        let count = lock(&self.count);
+        let unchanged = |count: &mut u64| *count == seen;
+        match limit {
+            None => *self.raised.wait_while(count, unchanged).expect("as in lock"),
+            Some(limit) => *self.raised.wait_timeout_while(count, limit, unchanged).expect("as in lock").0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Request;
+    use super::super::rig::{INTERVAL, Rig};
+    use super::*;
+    use crate::chip::Role;
+    use crate::error::Cause;
+
+    #[test]
+    fn a_published_snapshot_is_replaced_as_a_whole() {
+        let mut rig = Rig::open();
+        let register = rig.handle.chip().register(Role::VoltageNow).expect("it has one");
+        let voltage = |published: &Published| {
+            let snapshot = published.snapshot.as_ref().expect("it was polled");
+            (snapshot.number, snapshot.taken, snapshot.value(register))
+        };
+        rig.sim.set("voltage_mv", "12000").expect("a knob");
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        let (before, old) = (rig.handle.published(), voltage(&rig.handle.published()));
+
+        rig.sim.set("voltage_mv", "11000").expect("a knob");
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        let (after, new) = (rig.handle.published(), voltage(&rig.handle.published()));
+        assert!(new.0 > old.0 && new.1 > old.1 && new.2 < old.2, "{old:?}, then {new:?}");
+        assert_eq!(voltage(&before), old, "whoever holds the old one sees the old poll");
+        assert!(!Arc::ptr_eq(&before, &after));
+        // Most of it has not changed, and yet all of it is new.
+        rig.owner.shared.publish(|published| published.interval *= 2);
+        assert_eq!(after.interval, INTERVAL);
+        assert_eq!(rig.handle.published().interval, INTERVAL * 2);
+    }
+
+    #[test]
+    fn a_request_changes_the_status_in_a_new_snapshot() {
+        let mut rig = Rig::open();
+        let before = rig.handle.published();
+        rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
+        let after = rig.handle.published();
+        assert_eq!((before.seal, after.seal), (Seal::Sealed, Seal::Unsealed));
+        let status = |published: &Published| published.snapshot.as_ref().expect("a poll").control_status;
+        assert_ne!(status(&before), status(&after));
+        assert_eq!(status(&after), rig.owner.control_status);
+    }
+
+    #[test]
+    fn learned_values_are_kept_until_the_next_poll() {
+        let mut rig = Rig::open();
+        // Data holds learned values, Discharge does not.
+        let (learned, configured) = (rig.index(82), rig.index(80));
+        rig.ask(|done| Request::Read(vec![learned, configured], done)).expect("the default key");
+        assert!(rig.handle.kept(learned).is_some() && rig.handle.kept(configured).is_some());
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        assert!(rig.handle.kept(learned).is_none() && rig.handle.kept(configured).is_some());
+        rig.ask(Request::Refresh).expect("it answers");
+        assert!(rig.handle.kept(configured).is_none());
+    }
+
+    #[test]
+    fn a_report_is_the_last_error_and_raises_the_signal() {
+        let rig = Rig::open();
+        let seen = rig.owner.shared.signal.wait(u64::MAX, Some(Duration::ZERO));
+        rig.handle.take_changed();
+        assert!(!rig.handle.take_changed());
+        rig.handle.report(&Error::new("control", Cause::Invalid("no such subcommand".into())));
+        assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
+        assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);
+        assert!(rig.handle.take_changed());
+    }
+}

@@ -1,0 +1,272 @@
+//! Reading the registers that are due, and when.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::{Answers, Owner, Snapshot};
+use crate::chip::Tier;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::Statistics;
+
+/// The slow tier is read with every tenth poll, first with the second one, which follows soon after the
+/// first: a mount waits only for what its attributes need.
+const SLOW_EVERY: u64 = 10;
+/// Consecutive failed polls after which a gauge counts as gone.
+const FAILURES: u32 = 3;
+/// Delay before the first failed poll is repeated; further failures wait for the interval.
+const RETRY: Duration = Duration::from_secs(1);
+/// Least time between polls. The watchdog of a gauge that is sent standard commands more often than twice a
+/// second may reset it.
+const SHORTEST: Duration = Duration::from_millis(500);
+
+/// When the gauge is polled, and which polls read the slow tier.
+#[derive(Debug)]
+pub(super) struct Schedule {
+    /// Successful polls. Skips numbers to move the next poll of the slow tier.
+    number: u64,
+    /// Consecutive polls that failed.
+    failures: u32,
+    /// When the last poll began, or failed.
+    last: Duration,
+    /// The next poll comes soon: it is the second one, or what the registers hold has changed.
+    soon: bool,
+    /// See [`super::Startup::phase`]; zero once it has been used.
+    phase: Duration,
+}
+
+impl Schedule {
+    pub(super) fn new(phase: Duration) -> Self {
+        Self { number: 0, failures: 0, last: Duration::ZERO, soon: false, phase }
+    }
+
+    /// When the next poll is due.
+    pub(super) fn due(&self, interval: Duration) -> Duration {
+        self.last + self.pause(interval)
+    }
+
+    /// Time from the last poll to the next one.
+    fn pause(&self, interval: Duration) -> Duration {
+        match self.failures {
+            0 if self.soon => SHORTEST,
+            0 => interval.saturating_sub(self.phase).max(SHORTEST.min(interval)),
+            1 => interval.min(RETRY),
+            _ => interval,
+        }
+    }
+
+    /// How long to wait before a poll that somebody asks for.
+    pub(super) fn wait(&self, now: Duration) -> Duration {
+        (self.last + SHORTEST).saturating_sub(now)
+    }
+
+    /// Whether the last poll succeeded, and began after that moment.
+    pub(super) fn is_newer_than(&self, moment: Duration) -> bool {
+        self.failures == 0 && moment < self.last
+    }
+
+    /// The number of the last poll.
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether the last poll failed.
+    pub(super) fn has_failed(&self) -> bool {
+        self.failures > 0
+    }
+
+    /// Whether the gauge is gone.
+    pub(super) fn is_gone(&self) -> bool {
+        self.failures >= FAILURES
+    }
+
+    /// Marks the gauge as gone: it did not answer when it was opened.
+    pub(super) fn set_gone(&mut self, now: Duration) {
+        (self.failures, self.last) = (FAILURES, now);
+    }
+
+    /// Polls again soon: what the registers hold has changed.
+    pub(super) fn hurry(&mut self) {
+        self.soon = true;
+    }
+
+    /// The next poll is the first of a gauge; the one after it reads the slow tier.
+    pub(super) fn begin_anew(&mut self) {
+        self.number = self.number.next_multiple_of(SLOW_EVERY);
+    }
+
+    /// The next poll reads the slow tier.
+    pub(super) fn read_slow_tier(&mut self) {
+        self.number = self.number.next_multiple_of(SLOW_EVERY) + 1;
+    }
+
+    fn reads_slow_tier(&self) -> bool {
+        self.number % SLOW_EVERY == 1
+    }
+
+    /// A poll that began then has succeeded. Returns its number.
+    fn succeeded(&mut self, begun: Duration) -> u64 {
+        self.number += 1;
+        (self.failures, self.last) = (0, begun);
+        if !self.soon && self.number > 1 {
+            self.phase = Duration::ZERO;
+        }
+        self.soon = false;
+        self.number
+    }
+
+    /// A poll has failed.
+    fn failed(&mut self, now: Duration) {
+        self.failures = self.failures.saturating_add(1);
+        self.last = now;
+    }
+}
+
+impl Owner {
+    /// The poll that is due by the schedule.
+    pub(super) fn poll_on_time(&mut self) {
+        let was_gone = self.schedule.is_gone();
+        let is_new = self.shared.published().answers == Answers::default();
+        match self.update() {
+            Ok(()) if is_new => {
+                log::info!("{}: the gauge answers", self.shared.name());
+                self.after_first_poll();
+            }
+            Ok(()) => {
+                if was_gone {
+                    log::info!("{}: the gauge is back", self.shared.name());
+                }
+                self.restore_after_power_loss();
+            }
+            Err(error) => self.poll_failed(&error),
+        }
+    }
+
+    /// Polls, after identifying the gauge anew if another one may be in its place.
+    pub(super) fn update(&mut self) -> Result<()> {
+        if self.schedule.is_gone() || self.dataflash.doubts() {
+            self.arrive()?;
+        }
+        self.poll()
+    }
+
+    /// Counts and reports a failed poll. After the third in a row the gauge is gone.
+    pub(super) fn poll_failed(&mut self, error: &Error) {
+        Statistics::count(&self.shared.statistics.failed_polls);
+        // Polls of a gauge that is gone are expected to fail: they are not logged.
+        let was_gone = self.schedule.is_gone();
+        self.schedule.failed(self.gauge.clock.now());
+        if was_gone {
+            return;
+        }
+        self.shared.report(error);
+        if self.schedule.is_gone() {
+            log::warn!("{}: gone after {FAILURES} failed polls", self.shared.name());
+            self.shared.publish(|published| published.snapshot = None);
+        }
+    }
+
+    /// Reads what is due and publishes it as a new Snapshot.
+    pub(super) fn poll(&mut self) -> Result<()> {
+        let taken = self.gauge.clock.now();
+        let (slow, statics) = (self.schedule.reads_slow_tier(), !self.statics_are_current);
+        if slow || statics {
+            // Both tiers in one pass: a burst may hold registers of each.
+            self.rare.read(&mut self.gauge, |tier| match tier {
+                Tier::Slow => slow,
+                Tier::Static => statics,
+                Tier::Poll | Tier::Window => false,
+            })?;
+            self.statics_are_current = true;
+            let (seal, status) = self.gauge.control_status()?;
+            self.control_status = status;
+            self.shared.publish(|published| published.seal = seal);
+        }
+        let mut registers = self.rare.clone();
+        registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
+        let chip = self.gauge.chip;
+        if registers.hold_only(0xff) {
+            let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
+            return Err(Error::new(chip.name, Cause::Protocol(why.into())).at(Step::Read));
+        }
+        let number = self.schedule.succeeded(taken);
+        Statistics::count(&self.shared.statistics.polls);
+        let word = |code| {
+            let register = chip.registers.iter().find(|register| register.code == code)?;
+            registers.value(register).map(|value| value as u16)
+        };
+        if self.dataflash.polled(chip, word) {
+            log::warn!("{}: another pack answers; its data flash is read anew", self.shared.name());
+            self.forget_dataflash();
+            self.schedule.hurry();
+        }
+        let snapshot = Snapshot { taken, number, registers, control_status: self.control_status };
+        self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Startup;
+    use super::super::rig::{INTERVAL, Rig};
+    use super::*;
+    use crate::clock::Clock;
+
+    #[test]
+    fn polls_of_many_gauges_are_spread_over_the_interval() {
+        for at in 0..4 {
+            let phase = INTERVAL * at / 4;
+            let mut owner = Rig::new(Startup { phase, ..Startup::default() }).owner;
+            owner.open().expect("it answers");
+            // The second poll comes soon, as with a single gauge; the third one comes early by the phase.
+            let pauses = [(); 4].map(|()| {
+                let pause = owner.schedule.pause(INTERVAL);
+                owner.poll_on_time();
+                pause
+            });
+            assert_eq!(pauses, [SHORTEST, INTERVAL - phase, INTERVAL, INTERVAL]);
+        }
+    }
+
+    #[test]
+    fn a_failed_poll_is_repeated_soon_and_the_third_makes_the_gauge_gone() {
+        let mut rig = Rig::open();
+        let good = rig.sim.get("power").expect("a knob");
+        rig.sim.set("power", "off").expect("a knob");
+        let mut fail = || {
+            rig.owner.poll_on_time();
+            (rig.owner.schedule.pause(INTERVAL), rig.handle.published().snapshot.is_some())
+        };
+        assert_eq!([fail(), fail(), fail()], [(RETRY, true), (INTERVAL, true), (INTERVAL, false)]);
+        assert!(rig.handle.published().last_error.contains("not acknowledged"));
+
+        rig.sim.set("power", &good).expect("a knob");
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        assert!(rig.handle.published().snapshot.is_some(), "the gauge is back");
+    }
+
+    #[test]
+    fn the_slow_tier_is_read_with_the_second_poll_and_every_tenth_after_it() {
+        let mut schedule = Schedule::new(Duration::ZERO);
+        let mut polls = |count| -> Vec<usize> {
+            let slow = (1..=count).filter(|_| {
+                let slow = schedule.reads_slow_tier();
+                schedule.succeeded(Duration::ZERO);
+                slow
+            });
+            slow.collect()
+        };
+        assert_eq!(polls(25), [2, 12, 22]);
+    }
+
+    #[test]
+    fn a_gauge_that_comes_back_is_polled_as_at_first() {
+        let mut schedule = Schedule::new(Duration::ZERO);
+        let last = (0..5).map(|_| schedule.succeeded(Duration::ZERO)).last();
+        schedule.begin_anew();
+        assert!(!schedule.reads_slow_tier());
+        assert!(Some(schedule.succeeded(Duration::ZERO)) > last, "numbers are not used twice");
+        assert!(schedule.reads_slow_tier());
+    }
+}

@@ -1,0 +1,330 @@
+//! What the owner can be asked to do, and how it does it.
+
+use std::ptr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::{Owner, Seal};
+use crate::authentication::{self, Message};
+use crate::chip::Subclass;
+use crate::dataflash::{Change, Outcome};
+use crate::error::{Cause, Error, Result};
+use crate::keys;
+
+/// Requests queued longer than this are refused, so that write(2) returns within 30 s.
+const QUEUE_LIMIT: Duration = Duration::from_secs(12);
+
+/// Called from the owner's thread with the outcome of a request; must not block.
+pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
+
+/// What the file system may ask of a gauge's owner.
+pub enum Request {
+    /// Read subclasses, by their indices in the table. Those that are kept and still valid cost nothing.
+    Read(Vec<usize>, Done<Vec<Arc<[u8]>>>),
+    /// Write parameters, all or none. Their ranges have been checked.
+    WriteAll(Vec<Change>, Done<()>),
+    /// Go to a seal state.
+    Seal(Seal, Done<()>),
+    /// Send a subcommand that the table marks safe.
+    Control(u16, Done<()>),
+    /// Change one of the gauge's keys.
+    ChangeKey(keys::Change, Done<()>),
+    /// Publish the gauge's answer to a challenge.
+    Authenticate(Message, Done<()>),
+    /// Poll now, and forget what was read of data flash.
+    Refresh(Done<()>),
+    /// Change the time between polls.
+    Interval(Duration, Done<()>),
+    /// The adapter's device node has come or gone: release it, or see whether the gauge is back.
+    Look,
+}
+
+impl Request {
+    /// Whether it sends anything but what a poll reads. Such a request needs the gauge's table, a device that
+    /// is known to be a gauge, and an answer in time.
+    fn goes_beyond_polling(&self) -> bool {
+        match self {
+            Request::Read(..)
+            | Request::WriteAll(..)
+            | Request::Seal(..)
+            | Request::Control(..)
+            | Request::ChangeKey(..)
+            | Request::Authenticate(..) => true,
+            Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+        }
+    }
+
+    /// Answers with an error instead of carrying it out.
+    fn refuse(self, error: Error) {
+        match self {
+            Request::Read(_, done) => done(Err(error)),
+            Request::WriteAll(_, done)
+            | Request::Seal(_, done)
+            | Request::Control(_, done)
+            | Request::ChangeKey(_, done)
+            | Request::Authenticate(_, done)
+            | Request::Refresh(done)
+            | Request::Interval(_, done) => done(Err(error)),
+            Request::Look => {}
+        }
+    }
+}
+
+impl Owner {
+    /// Why a request is refused before anything is sent, if it is.
+    fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
+        if !request.goes_beyond_polling() {
+            return None;
+        }
+        if self.unverified {
+            let why =
+                "it has not answered yet, so nothing is sent to its address; check that it is connected";
+            return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
+        }
+        if let Some(sibling) = self.shared.published().sibling {
+            let why = "no table describes its data flash and subcommands; only standard commands are read";
+            return Some(Error::new(sibling.name, Cause::NotPermitted(why.into())));
+        }
+        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
+        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
+        (waited > QUEUE_LIMIT).then(late)
+    }
+
+    /// Carries out a request that was submitted at that time.
+    pub(super) fn serve(&mut self, submitted: Duration, request: Request) {
+        let waited = self.gauge.clock.now().saturating_sub(submitted);
+        if let Some(error) = self.refusal(&request, waited) {
+            return request.refuse(error);
+        }
+        match request {
+            Request::Read(wanted, done) => done(self.read(&wanted, waited)),
+            Request::WriteAll(changes, done) => {
+                let outcome = self.write(&changes, waited).map_err(|error| match changes.len() {
+                    1 => error,
+                    _ => error.within("df/transaction"),
+                });
+                done(self.logged(outcome));
+            }
+            Request::Seal(goal, done) => {
+                let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
+                self.publish_seal();
+                done(self.logged(outcome));
+            }
+            Request::Control(code, done) => {
+                let outcome = self.gauge.ask(code);
+                self.publish_seal();
+                let answer = self.logged(outcome);
+                let prefix = &self.shared.prefix;
+                done(
+                    answer.map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
+                );
+            }
+            Request::ChangeKey(change, done) => {
+                let order = self.shared.auth_order;
+                let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, waited);
+                self.publish_seal();
+                let (prefix, name) = (&self.shared.prefix, change.name.as_str());
+                done(self.logged(outcome).map(|()| log::info!("{prefix}{name} key: changed and tried")));
+            }
+            Request::Authenticate(challenge, done) => {
+                // The last digest is no answer to this challenge, even if this one fails.
+                self.shared.publish(|published| published.digest = None);
+                let order = self.shared.auth_order;
+                let digest = authentication::ask(&mut self.gauge, &challenge, order, waited);
+                done(self.logged(digest).map(|digest| {
+                    self.shared.publish(|published| published.digest = Some(digest));
+                }));
+            }
+            Request::Refresh(done) => done(self.refresh(submitted)),
+            Request::Interval(interval, done) => {
+                self.shared.publish(|published| published.interval = interval);
+                done(Ok(()));
+            }
+            Request::Look => {
+                self.gauge.release_if_gone();
+                if self.schedule.has_failed() {
+                    self.poll_on_time();
+                }
+            }
+        }
+    }
+
+    /// Returns the bytes of subclasses. Those that are not kept are read together, while the gauge is
+    /// unsealed once.
+    pub(super) fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
+        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
+        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
+        let mut read = self.read_anew(&unread, waited)?.into_iter();
+        Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
+    }
+
+    fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        let Some(first) = rows.first() else { return Ok(Vec::new()) };
+        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        let read = self.logged(read.map_err(|error| error.within(&format!("df of {}", first.name))))?;
+        let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        for (&index, bytes) in wanted.iter().zip(&read) {
+            self.shared.keep(index, bytes.clone(), self.schedule.number());
+        }
+        self.report_quirks();
+        Ok(read)
+    }
+
+    fn write(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+        if changes.is_empty() {
+            return Ok(());
+        }
+        let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
+        match &outcome {
+            Ok(Outcome::Unchanged) => {}
+            Ok(Outcome::Written { reset: false }) => {
+                let touched = |row: &Subclass, change: &Change| match change.row {
+                    Some((subclass, _)) => ptr::eq(subclass, row),
+                    None => change.place.subclass == row.id,
+                };
+                self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
+            }
+            // After a reset, or a failure, nothing that was read before can be relied on.
+            Ok(Outcome::Written { reset: true }) | Err(_) => {
+                self.forget_dataflash();
+                self.schedule.hurry();
+            }
+        }
+        let done = match outcome? {
+            Outcome::Unchanged => "unchanged, nothing written",
+            Outcome::Written { .. } => "written and verified",
+        };
+        for change in changes {
+            log::info!("{}{}: {done}", self.shared.prefix, change.name());
+        }
+        Ok(())
+    }
+
+    /// Polls now, and forgets what was read of data flash.
+    fn refresh(&mut self, submitted: Duration) -> Result<()> {
+        self.forget_dataflash();
+        self.dataflash.forget();
+        // A poll since then is as new as was asked for.
+        if self.schedule.is_newer_than(submitted) {
+            return Ok(());
+        }
+        self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
+        self.schedule.read_slow_tier();
+        self.update().inspect_err(|error| self.poll_failed(error))
+    }
+
+    /// Reads the seal state and CONTROL_STATUS, which a request may have changed. If that fails, so does the
+    /// next poll, which reports it.
+    pub(super) fn publish_seal(&mut self) {
+        if let Ok((seal, status)) = self.gauge.control_status() {
+            self.control_status = status;
+            self.shared.publish(|published| {
+                published.seal = seal;
+                if let Some(snapshot) = &mut published.snapshot {
+                    Arc::make_mut(snapshot).control_status = status;
+                }
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Startup;
+    use super::super::rig::Rig;
+    use super::*;
+    use crate::chip::SIBLINGS;
+    use crate::dataflash::Change;
+    use crate::value::Value;
+
+    /// One of each request that sends more than a poll reads.
+    fn requests(rig: &Rig) -> Vec<Box<dyn FnOnce(Done<()>) -> Request>> {
+        let discharge = rig.index(80);
+        let change = change(rig, "3100");
+        let key = || keys::Change::parse(b"unseal 0414 3672 1234 5678").expect("two keys");
+        let read = move |done: Done<()>| {
+            Request::Read(vec![discharge], Box::new(move |read| done(read.map(|_| ()))))
+        };
+        vec![
+            Box::new(read),
+            Box::new(|done| Request::WriteAll(vec![change], done)),
+            Box::new(|done| Request::Seal(Seal::Unsealed, done)),
+            Box::new(|done| Request::Control(0x0002, done)),
+            Box::new(move |done| Request::ChangeKey(key(), done)),
+            Box::new(|done| Request::Authenticate([0; 20], done)),
+        ]
+    }
+
+    /// Another value for Cell Terminate Voltage.
+    fn change(rig: &Rig, text: &str) -> Change {
+        let subclass = &rig.handle.chip().subclasses[rig.index(80)];
+        let parameter = subclass.parameter(53).expect("a parameter of the table");
+        let value = Value::Int(text.parse().expect("a number"));
+        Change::of_value((subclass, parameter), &value).expect("it fits")
+    }
+
+    /// Nothing is sent for a request that is refused.
+    fn refused(rig: &mut Rig, delay: Duration, is_right: impl Fn(&Error) -> bool) {
+        let (flash, transfers) = (rig.sim.flash(), rig.transfers());
+        for request in requests(rig) {
+            let error = rig.ask_late(delay, request).expect_err("it is refused");
+            assert!(is_right(&error), "{error}");
+        }
+        assert_eq!(rig.transfers(), transfers, "nothing was sent");
+        assert!(rig.sim.flash() == flash);
+    }
+
+    #[test]
+    fn a_late_request_is_refused_and_not_begun() {
+        let mut rig = Rig::open();
+        let late = QUEUE_LIMIT + Duration::from_millis(1);
+        refused(&mut rig, late, |error| matches!(error.cause(), Cause::NotNow(_)));
+        // These are as good late as at once.
+        rig.ask_late(late, Request::Refresh).expect("it is polled");
+        rig.ask_late(late, |done| Request::Interval(late, done)).expect("it is set");
+    }
+
+    #[test]
+    fn requests_are_carried_out_up_to_the_limit() {
+        let mut rig = Rig::open();
+        rig.ask_late(QUEUE_LIMIT, |done| Request::Control(0x0002, done)).expect("it answers");
+        let change = change(&rig, "3100");
+        rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+        let index = rig.index(80);
+        let read = rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        assert_eq!(read[0][53..55], 3100_u16.to_be_bytes());
+        assert!(rig.ask(|done| Request::Read(vec![], done)).expect("nothing to read").is_empty());
+    }
+
+    #[test]
+    fn a_request_to_a_relative_without_a_table_is_refused() {
+        let mut rig = Rig::open();
+        rig.owner.shared.publish(|published| published.sibling = Some(&SIBLINGS[0]));
+        refused(&mut rig, Duration::ZERO, |error| {
+            matches!(error.cause(), Cause::NotPermitted(_)) && error.to_string().starts_with(SIBLINGS[0].name)
+        });
+        rig.owner.poll().expect("its standard commands are read");
+    }
+
+    #[test]
+    fn nothing_is_sent_to_an_address_without_a_known_gauge() {
+        let mut rig = Rig::new(Startup { unverified: true, ..Startup::default() });
+        refused(&mut rig, Duration::ZERO, |error| matches!(error.cause(), Cause::Gone(_)));
+        rig.owner.open().expect("it reads like a gauge");
+        rig.ask(|done| Request::Control(0x0002, done)).expect("it is one");
+    }
+
+    #[test]
+    fn a_failed_write_of_one_parameter_is_named_after_it() {
+        let mut rig = Rig::open();
+        rig.sim.set("voltage_mv", "2700").expect("a knob");
+        let (one, two) = (change(&rig, "3100"), [change(&rig, "3100"), change(&rig, "3200")]);
+        let error = rig.ask(|done| Request::WriteAll(vec![one], done)).expect_err("the voltage is too low");
+        assert!(error.to_string().starts_with("Cell Terminate Voltage (80/53): "), "{error}");
+        assert_eq!(*rig.handle.published().last_error, *error.to_string());
+        let error = rig.ask(|done| Request::WriteAll(two.into(), done)).expect_err("the voltage is too low");
+        assert!(error.to_string().starts_with("df/transaction: "), "{error}");
+    }
+}

@@ -1,0 +1,72 @@
+//! For tests: the owner of a simulated bq34z100-G1 on a simulated clock, driven by the test's own thread.
+
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
+
+use super::{Done, Handle, Owner, Request, Settings, Startup};
+use crate::chip::{Chip, Subclass};
+use crate::clock::{Clock, SimClock};
+use crate::error::Result;
+use crate::sim::{Options, Sim};
+
+pub(super) const INTERVAL: Duration = Duration::from_secs(8);
+
+pub(super) struct Rig {
+    pub(super) clock: Arc<SimClock>,
+    pub(super) sim: Sim,
+    pub(super) owner: Owner,
+    pub(super) handle: Handle,
+    requests: Receiver<(Duration, Request)>,
+}
+
+impl Rig {
+    /// The gauge answers, and nothing has been sent to it yet.
+    pub(super) fn new(startup: Startup) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        let settings = Settings { interval: INTERVAL, ..Settings::default() };
+        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        let bus = Box::new(sim.bus());
+        let (owner, shared) = Owner::new(chip, bus, clock.clone(), settings, startup, Arc::default());
+        let (queue, requests) = mpsc::channel();
+        Self { clock, sim, owner, handle: Handle::new(shared, queue), requests }
+    }
+
+    /// The gauge has been identified and polled.
+    pub(super) fn open() -> Self {
+        let mut rig = Self::new(Startup::default());
+        rig.owner.open().expect("it answers");
+        rig
+    }
+
+    /// Submits a request, which the owner serves after that delay.
+    pub(super) fn ask_late<T: Send + 'static>(
+        &mut self,
+        delay: Duration,
+        request: impl FnOnce(Done<T>) -> Request,
+    ) -> Result<T> {
+        let (done, outcome) = mpsc::channel();
+        let answer = move |answer| done.send(answer).expect("the test waits");
+        self.handle.submit(request(Box::new(answer)));
+        self.clock.sleep(delay);
+        let (submitted, request) = self.requests.try_recv().expect("a request");
+        self.owner.serve(submitted, request);
+        outcome.try_recv().expect("an answer")
+    }
+
+    pub(super) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
+        self.ask_late(Duration::ZERO, request)
+    }
+
+    /// The index in the table of the subclass of that id.
+    pub(super) fn index(&self, id: u8) -> usize {
+        let is_it = |subclass: &Subclass| subclass.id == id;
+        self.handle.chip().subclasses.iter().position(is_it).expect("a subclass of the table")
+    }
+
+    pub(super) fn transfers(&self) -> u64 {
+        self.handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("it is counted").1
+    }
+}
