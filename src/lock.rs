@@ -1,9 +1,9 @@
-//! One gauge, one owner: a lock that a second gaugefs runs into, with the name of the first.
+//! A lock for each gauge, so that a second gaugefs is refused, with the process of the first.
 //!
-//! The lock is a file of `/run/gaugefs`, or of the user's own runtime folder, called after the
-//! adapter's number and the address, so that two names of one adapter are the same gauge. The kernel
-//! lets go of it when its holder ends, however that happens; the file stays and means nothing then.
-//! That users of different accounts meet is up to the lock on the bus itself, in `bus::linux`.
+//! The lock is a file in `/run/gaugefs`, or in the user's own runtime folder. It is named after the
+//! adapter's number and the address, so that two paths of one adapter are the same gauge. The kernel
+//! releases the lock when its holder ends, for whatever reason; the file remains without meaning.
+//! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File};
@@ -22,29 +22,29 @@ use crate::bus::linux::Adapter;
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result};
 
-/// Where root's daemons keep their locks.
+/// Folder for the locks of root's daemons.
 const SHARED: &str = "/run/gaugefs";
-/// How long to wait for a holder that is about to end.
+/// How long a holder that is about to end is waited for, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
 const STEP: Duration = Duration::from_millis(50);
 
-/// Held as long as the gauge is in use.
+/// Held while the gauge is in use.
 #[derive(Debug)]
-pub struct Lock(#[expect(dead_code, reason = "the lock goes with it")] Flock<File>);
+pub struct Lock(#[expect(dead_code, reason = "the lock is released when it is dropped")] Flock<File>);
 
-/// Who has a gauge.
+/// The holder of a gauge's lock.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Holder {
     /// Its process.
     pub pid: i32,
-    /// Where it has mounted the gauge, or is about to.
+    /// Where it has mounted the gauge, or is going to.
     pub mountpoint: PathBuf,
 }
 
 impl Lock {
-    /// Takes the gauge at an address of an adapter, to be mounted at `mountpoint`.
+    /// Locks the gauge at an address of an adapter, to be mounted at `mountpoint`.
     ///
-    /// Where somebody else has it, `ending` tells whether that somebody is about to let go.
+    /// If the lock is held, `ending` decides whether its holder is about to end and is waited for.
     pub fn gauge(
         adapter: &Adapter,
         address: u8,
@@ -61,7 +61,7 @@ impl Lock {
         )
     }
 
-    /// Takes the state file of a simulated gauge.
+    /// Locks the state file of a simulated gauge, given by its absolute path.
     pub fn state(
         state: &Path,
         mountpoint: &Path,
@@ -88,10 +88,10 @@ impl Lock {
             if !wait || clock.now().saturating_sub(start) > PATIENCE {
                 let why = match holder {
                     Some(Holder { pid, mountpoint }) => format!(
-                        "another gaugefs has it, process {pid}, for {0}; end it with: gaugefs umount {0}",
+                        "in use by another gaugefs, process {pid}, for {0}; end it with: gaugefs umount {0}",
                         mountpoint.display()
                     ),
-                    None => "another gaugefs has it".into(),
+                    None => "in use by another gaugefs".into(),
                 };
                 return Err(Error::new(subject, Cause::Busy(why)));
             }
@@ -99,12 +99,12 @@ impl Lock {
         }
     }
 
-    /// The lock, or else who has it, where that is known.
+    /// The lock, or else its holder if that is known.
     fn attempt(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
         let name = format!("{key}.lock");
         let folder = folder()?;
         if folder != Path::new(SHARED) {
-            // Root's daemons have locks of their own; they are only looked at.
+            // The locks of root's daemons are only checked.
             if let Ok(file) = File::open(Path::new(SHARED).join(&name))
                 && let Err((mut file, Errno::EWOULDBLOCK)) = Flock::lock(file, FlockArg::LockSharedNonblock)
             {
@@ -136,27 +136,27 @@ impl Lock {
     }
 }
 
-/// A name for the gauge at an address of an adapter that no other one has at the same time.
+/// A name for the gauge at an address of an adapter, unique at any one time.
 pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
     format!("i2c-{}-{address:02x}", adapter.number())
 }
 
-/// The same where the adapter is not there, as long as its node tells its number.
+/// The same for an adapter that is missing, if the name of its node has its number.
 pub fn key_of_place(node: &Path, address: u8) -> Option<String> {
     let number: u64 = node.file_name()?.to_str()?.strip_prefix("i2c-")?.parse().ok()?;
     Some(format!("i2c-{number}-{address:02x}"))
 }
 
-/// The same for the simulated gauge that keeps its flash in that file, given by its absolute path.
+/// The same for the simulated gauge that keeps its flash in a file, given by its absolute path.
 pub fn key_of_state(state: &Path) -> String {
-    // A file name cannot hold a slash, nor be as long as a path.
+    // A file name cannot contain a slash or be as long as a path.
     let hash = state.as_os_str().as_bytes().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
     format!("sim-{hash:016x}")
 }
 
-/// Who wrote the lock's file last: its holder, where it is held.
+/// The process that wrote the lock's file last, which is the holder of a lock that is held.
 pub fn holder(file: &mut File) -> Option<Holder> {
     let mut line = Vec::new();
     file.rewind().ok()?;
@@ -166,7 +166,7 @@ pub fn holder(file: &mut File) -> Option<Holder> {
     Some(Holder { pid, mountpoint: PathBuf::from(OsStr::from_bytes(&line[space + 1..])) })
 }
 
-/// The folder for locks: nobody else can put anything into it.
+/// The folder for locks, to which no other user can write.
 fn folder() -> Result<PathBuf> {
     let me = geteuid();
     let (folder, mode) = match std::env::var_os("XDG_RUNTIME_DIR") {
@@ -174,11 +174,12 @@ fn folder() -> Result<PathBuf> {
         Some(runtime) if Path::new(&runtime).is_absolute() => (Path::new(&runtime).join("gaugefs"), 0o700),
         _ => (PathBuf::from(format!("/tmp/gaugefs-{me}")), 0o700),
     };
-    let failed = |error| Error::io(folder.display().to_string(), "cannot make the folder for locks", &error);
+    let failed =
+        |error| Error::io(folder.display().to_string(), "cannot create the folder for locks", &error);
     DirBuilder::new().recursive(true).mode(mode).create(&folder).map_err(failed)?;
     let status = fs::symlink_metadata(&folder).map_err(failed)?;
     if !status.is_dir() || status.uid() != me.as_raw() || status.mode() & 0o022 != 0 {
-        let why = "somebody else could write there; remove it".into();
+        let why = "other users could write to it; remove it".into();
         return Err(Error::new(folder.display().to_string(), Cause::NotPermitted(why)));
     }
     Ok(folder)
@@ -190,20 +191,20 @@ mod tests {
     use crate::clock::SimClock;
 
     #[test]
-    fn the_second_is_told_who_the_first_is() {
+    fn a_second_lock_is_refused_with_the_holder_of_the_first() {
         let state = std::env::temp_dir().join(format!("gaugefs-lock-{}", std::process::id()));
         let clock = SimClock::new();
         let lock = |ending: bool| Lock::state(&state, Path::new("/mnt/with space"), &clock, |_| ending);
-        let first = lock(false).expect("nobody else has it");
-        let refused = lock(false).expect_err("the first has it");
+        let first = lock(false).expect("not held");
+        let refused = lock(false).expect_err("held by the first");
         assert_eq!(refused.errno(), Errno::EBUSY);
         let pid = std::process::id();
         let text = refused.to_string();
         assert!(text.contains(&format!("process {pid}, for /mnt/with space;")), "{text}");
         assert_eq!(clock.now(), Duration::ZERO);
-        lock(true).expect_err("one that says it ends and does not");
+        lock(true).expect_err("held by one that does not end");
         assert!(clock.now() > PATIENCE);
         drop(first);
-        lock(false).expect("free again");
+        lock(false).expect("released");
     }
 }

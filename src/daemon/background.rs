@@ -1,8 +1,9 @@
-//! Into the background, and the word back that all is well.
+//! Going to the background.
 //!
-//! The parent starts gaugefs once more, as a process that has no threads to lose yet, and waits until it
-//! says that the gauge is mounted. Until then the child reports errors where the user sees them and can
-//! be interrupted with its parent; after that it has no terminal, no folder and no open ends.
+//! The parent starts gaugefs again as a child, instead of forking, because a fork keeps only one thread. It
+//! waits until the child reports that the gauge is mounted. Until then the child prints errors to the user's
+//! terminal and can be interrupted together with its parent; after that it has neither the terminal nor the
+//! folder nor the descriptors of its parent.
 
 use std::env;
 use std::fs::{self, File};
@@ -17,19 +18,19 @@ use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, setsid};
 
 use crate::error::{Error, Result};
 
-/// Set in the environment of the process that is to stay.
+/// Environment variable of the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
 const READY: &[u8] = b"ready\n";
 
-/// Whether this is the process that the parent started and waits for.
+/// Whether this process is the child.
 pub fn is_child() -> bool {
     env::var_os(CHILD).is_some()
 }
 
-/// In the parent: starts the same command line once more and waits for its word.
+/// In the parent: starts the same command line again and waits until it is ready.
 pub fn start() -> Result<ExitCode> {
     let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
-    // The path keeps the process's name; where the program has been replaced, the kernel's link is left.
+    // Started by its path, the process keeps its name. If the file was replaced, the kernel's link remains.
     let program = env::current_exe().ok().filter(|path| path.exists());
     let program = program.unwrap_or_else(|| "/proc/self/exe".into());
     let mut arguments = env::args_os();
@@ -39,11 +40,11 @@ pub fn start() -> Result<ExitCode> {
     }
     command.args(arguments).env(CHILD, "1").stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().map_err(failed)?;
-    let mut word = Vec::new();
+    let mut answer = Vec::new();
     if let Some(out) = &mut child.stdout {
-        out.take(READY.len() as u64).read_to_end(&mut word).map_err(failed)?;
+        out.take(READY.len() as u64).read_to_end(&mut answer).map_err(failed)?;
     }
-    if word == READY {
+    if answer == READY {
         return Ok(ExitCode::SUCCESS);
     }
     let status = child.wait().map_err(failed)?;
@@ -51,22 +52,22 @@ pub fn start() -> Result<ExitCode> {
         let why = format!("it was killed by signal {signal} before the gauge was mounted");
         return Err(Error::host("gaugefs", nix::errno::Errno::EINTR, why));
     }
-    // The child has said on standard error what is wrong.
+    // The child has printed its error.
     Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
 }
 
-/// What this process was handed besides the three standard ones: somebody's pipes that must not be kept
-/// open. To be called before anything is opened.
+/// The descriptors that this process inherited besides the three standard ones. They may be pipes whose
+/// readers wait for their end. To be called before anything is opened.
 pub fn inherited() -> Vec<RawFd> {
     let open = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
     let numbers = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    // Listing them took one, which is closed again by now.
+    // Listing them needed a descriptor, which is closed again by now.
     let mut numbers: Vec<RawFd> = numbers.filter(|&number| number > 2).collect();
     numbers.retain(|number| fs::symlink_metadata(format!("/proc/self/fd/{number}")).is_ok());
     numbers
 }
 
-/// In the child: lets go of the terminal and of what was inherited, and lets the parent go.
+/// In the child: closes the terminal and the inherited descriptors, and lets the parent end.
 pub fn ready(inherited: &[RawFd]) -> Result<()> {
     let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
     let to = |errno: nix::errno::Errno| failed(errno.into());
@@ -74,22 +75,22 @@ pub fn ready(inherited: &[RawFd]) -> Result<()> {
     chdir(Path::new("/")).map_err(to)?;
     let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
     dup2_stdin(&nowhere).map_err(to)?;
-    // A parent that is gone already was interrupted: then nobody wants the mount.
+    // A parent that is gone was interrupted: then the mount is not wanted any more.
     let mut out = std::io::stdout();
     out.write_all(READY).and_then(|()| out.flush()).map_err(failed)?;
     dup2_stdout(&nowhere).map_err(to)?;
     dup2_stderr(&nowhere).map_err(to)?;
     for &number in inherited {
-        // Nobody in this process knows of it.
+        // Nothing in this process uses it.
         let _ = close(number);
     }
     Ok(())
 }
 
-/// Tells systemd, where it started this process, that the gauge is mounted.
+/// Reports to systemd, where it started this process, that the gauge is mounted.
 pub fn notify() {
     let Some(socket) = env::var_os("NOTIFY_SOCKET") else { return };
-    let told = UnixDatagram::unbound().and_then(|sender| {
+    let sent = UnixDatagram::unbound().and_then(|sender| {
         use std::os::linux::net::SocketAddrExt;
         use std::os::unix::ffi::OsStrExt;
         use std::os::unix::net::SocketAddr;
@@ -99,7 +100,7 @@ pub fn notify() {
         };
         sender.send_to_addr(b"READY=1", &address)
     });
-    if let Err(error) = told {
-        log::warn!("cannot tell systemd that the gauge is mounted: {error}");
+    if let Err(error) = sent {
+        log::warn!("cannot report to systemd that the gauge is mounted: {error}");
     }
 }

@@ -1,4 +1,4 @@
-//! Opening the gauges of a mount: one that has to be there, or many at once, of which some may not be.
+//! Opening the gauges of a mount: one that has to answer, or many at the same time, of which some may not.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use crate::keys::Keys;
 use crate::lock::Lock;
 use crate::owner::{self, Settings, Signal, Startup};
 
-/// So long a mount of many waits for those that do not answer.
+/// How long a mount of many gauges waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What all gauges of a mount have in common while they are opened.
@@ -32,13 +32,13 @@ pub(super) struct Opening {
     pub(super) mountpoint: PathBuf,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) signal: Arc<Signal>,
-    /// Nothing is written, so no journal is kept.
+    /// Nothing is written, so there is no journal.
     pub(super) read_only: bool,
-    /// Folder for journals.
+    /// Folder for journals, if one was given.
     pub(super) state_dir: Option<PathBuf>,
 }
 
-/// A gauge that has its owner.
+/// A gauge whose owner is running.
 pub(super) struct Ready {
     pub(super) entry: MountedGauge,
     /// What to call it in messages.
@@ -48,11 +48,11 @@ pub(super) struct Ready {
     pub(super) node: Option<PathBuf>,
 }
 
-/// What comes of its first poll.
+/// The result of a gauge's first poll.
 type Begun = Receiver<Result<()>>;
 
 impl Opening {
-    /// The one gauge of a mount.
+    /// Opens the only gauge of a mount.
     pub(super) fn one(&self, name: String, gauge: GaugeOptions) -> Result<Ready> {
         let keys = keys(&gauge, &name)?;
         let subject = Source::of(&gauge).to_string();
@@ -62,28 +62,28 @@ impl Opening {
         Ok(ready)
     }
 
-    /// Many gauges, all at the same time. Those that do not answer are waited for later where it is known
-    /// what they are, and else left out; `aloud` has that said on standard error too.
+    /// Opens many gauges at the same time. Those that do not answer are waited for in the background if their
+    /// chip is known, and left out otherwise. Both are logged, and with `aloud` also printed.
     pub(super) fn many(&self, gauges: Vec<(String, GaugeOptions)>, aloud: bool) -> Result<Vec<Ready>> {
-        // What the configuration names and cannot be used is not the gauge's fault.
+        // A key file that cannot be used is an error of the configuration, so the mount fails.
         let keys = gauges.iter().map(|(name, gauge)| keys(gauge, name)).collect::<Result<Vec<_>>>()?;
         let names: Vec<String> = gauges.iter().map(|(name, _)| name.clone()).collect();
         let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| Source::of(gauge).chip().is_some()).collect();
-        let (tell, opened) = mpsc::channel();
+        let (sender, opened) = mpsc::channel();
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
             let phase = gauge.interval() * at / all;
             let startup = Startup { name: name.clone(), phase, ..Startup::default() };
-            let (tell, opening) = (tell.clone(), self.clone());
+            let (sender, opening) = (sender.clone(), self.clone());
             let open = move || {
                 let waits = Source::of(&gauge).chip().is_some();
-                // Where the mount has not waited so long, the gauge is let go of.
-                let _ = tell.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
+                // If the mount no longer waits, this drops the gauge.
+                let _ = sender.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
             };
             let thread = std::thread::Builder::new().name("open".into()).stack_size(256 * 1024);
             thread.spawn(open).map_err(|error| Error::io("gauges", "cannot start a thread", &error))?;
         }
-        drop(tell);
+        drop(sender);
 
         let end = Instant::now() + PATIENCE;
         let mut outcomes: Vec<Option<Result<(Ready, Begun)>>> = names.iter().map(|_| None).collect();
@@ -98,7 +98,7 @@ impl Opening {
             {
                 Ok((one, None)) => ready.push(one),
                 Ok((mut one, Some(error))) => {
-                    lines.push(format!("{name}: not there yet, waited for: {error}"));
+                    lines.push(format!("{name}: not there yet, waiting for it: {error}"));
                     one.what += ", not there yet,";
                     ready.push(one);
                 }
@@ -121,7 +121,7 @@ impl Opening {
         Ok(ready)
     }
 
-    /// Reaches a gauge and gives it its owner, who polls it.
+    /// Opens a gauge and starts its owner, which polls it.
     fn begin(
         &self,
         name: String,
@@ -164,7 +164,7 @@ impl Opening {
     }
 }
 
-/// Waits for a gauge's first poll, and says why it is not there where it `waits`.
+/// Waits for a gauge's first poll. A failure is an error, or with `waits` the reason why it is not there yet.
 fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready, Option<Error>)> {
     let error = match begun.recv_timeout(end.saturating_duration_since(Instant::now())) {
         Ok(Ok(())) => return Ok((ready, None)),
@@ -176,7 +176,7 @@ fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready
 }
 
 fn slow() -> Error {
-    Error::new("", Cause::TimedOut(format!("it has not answered within {} s", PATIENCE.as_secs())))
+    Error::new("", Cause::TimedOut(format!("no answer within {} s", PATIENCE.as_secs())))
 }
 
 fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
@@ -184,12 +184,12 @@ fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
     Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
 }
 
-/// Whether the part takes only one byte a write at that clock.
+/// Whether the chip takes only one byte per write at that clock.
 fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
     chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
 }
 
-/// The gauge's keys: of its key file, else of systemd's credential where there is one.
+/// The gauge's keys, from its key file or else from systemd's credential.
 fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
     let mut keys = match &gauge.key_file {
         Some(path) => key_file::from_file(path, name)?,

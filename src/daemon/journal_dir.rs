@@ -1,4 +1,4 @@
-//! Where journals are kept.
+//! The folder of the journals.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -9,8 +9,8 @@ use nix::unistd::{User, geteuid};
 use crate::error::{Error, Result};
 use crate::journal::Journal;
 
-/// Where it is put down what a write is about to do, so that a power cut of the host leaves nothing half
-/// done. What ends with this process has nothing to come back to, and a journal only on demand.
+/// The journal of the gauge of that name. A gauge that ends with this process has no name, since there is
+/// nothing to settle later; it has a journal only if a folder was given.
 pub(super) fn journal(folder: Option<&Path>, key: Option<String>, subject: &str) -> Result<Option<Journal>> {
     let key = match (key, folder) {
         (Some(key), _) => key,
@@ -24,7 +24,7 @@ pub(super) fn journal(folder: Option<&Path>, key: Option<String>, subject: &str)
     Ok(Some(Journal::new(folder, key, subject.into())))
 }
 
-/// The system's folder for state, or the user's own. It is made when something is written to it.
+/// The system's folder for state, or the user's own. It is created when a journal is written to it.
 fn state_dir() -> Result<PathBuf> {
     if geteuid().is_root() {
         return Ok(PathBuf::from("/var/lib/gaugefs"));
@@ -35,7 +35,7 @@ fn state_dir() -> Result<PathBuf> {
     match named("XDG_STATE_HOME").or_else(home) {
         Some(state) => Ok(state.join("gaugefs")),
         None => {
-            let why = "this account has no folder for journals; name one";
+            let why = "this account has no home for journals; name a folder";
             Err(Error::host("--state-dir", Errno::ENOENT, why))
         }
     }

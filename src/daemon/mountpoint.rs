@@ -1,8 +1,8 @@
-//! Mount points: what is mounted where, making one, what lies under it, and taking a mount away, a dead one
-//! too.
+//! Mount points: what is mounted where, preparing one, what it covers, and unmounting, also after a daemon
+//! has died.
 //!
-//! Nothing here asks a mounted gaugefs for anything but its state, and that only after mountinfo has
-//! said that it is one: a look at somebody else's dead network mount could hang.
+//! Only statvfs is called on a mounted file system, and only if mountinfo lists it as a gaugefs: a call to
+//! another one, such as a network mount without its server, could hang.
 
 use std::ffi::OsString;
 use std::fs;
@@ -25,7 +25,7 @@ use crate::fs::Covered;
 /// The source of every mount of gaugefs, as mountinfo shows it.
 pub const SOURCE: &str = "gaugefs";
 
-/// How long an unmount waits for those who use the mount, and how often it looks.
+/// How long an unmount waits for users of the mount, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_millis(500);
 const STEP: Duration = Duration::from_millis(20);
 
@@ -47,7 +47,7 @@ pub fn is_ours(path: &Path) -> bool {
     matches!(topmost(&table, path), Some((kind, source)) if ours(&kind, &source))
 }
 
-/// Makes sure that something can be mounted there, and returns its full path. A dead gaugefs there is
+/// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
 /// detached first.
 pub fn prepare(path: &Path) -> Result<PathBuf> {
     let (path, mounted) = clear(path)?;
@@ -64,20 +64,22 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
         Mounted::Nothing | Mounted::Dead => {}
     }
     match fs::metadata(&path) {
-        Ok(status) if !status.is_dir() => {
-            Err(Error::host(subject, Errno::ENOTDIR, "not a folder; name one, or a new name"))
-        }
+        Ok(status) if !status.is_dir() => Err(Error::host(
+            subject,
+            Errno::ENOTDIR,
+            "not a folder; choose a folder, or a path that does not exist",
+        )),
         Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(Error::io(subject, "cannot look at it", &error))
+            Err(Error::io(subject, "cannot be examined", &error))
         }
         _ => Ok(path),
     }
 }
 
-/// Detaches what daemons that are gone have left there. Returns the full path, and what is mounted there now.
+/// Detaches mounts whose daemon is gone. Returns the full path, and what is mounted there now.
 pub(super) fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
     let path = resolve(path)?;
-    // Several dead ones may lie on top of each other.
+    // Several of them may be on top of each other.
     loop {
         let mounted = mounted(&path)?;
         if mounted != Mounted::Dead {
@@ -88,39 +90,39 @@ pub(super) fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
     }
 }
 
-/// Makes the folder where it is missing.
+/// Creates the folder if it is missing.
 pub fn make(path: &Path) -> Result<()> {
     fs::create_dir_all(path)
-        .map_err(|error| Error::io(path.display().to_string(), "cannot make the folder", &error))
+        .map_err(|error| Error::io(path.display().to_string(), "cannot create the folder", &error))
 }
 
-/// The kernel's own supplies, where a mount at that path would hide them.
+/// The kernel's power supplies, if a mount at that path would hide them.
 pub fn covered(path: &Path) -> Result<Option<Covered>> {
     let is_theirs = path.ends_with("class/power_supply")
         && statfs(path).is_ok_and(|status| status.filesystem_type() == SYSFS_MAGIC);
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// Takes a gaugefs away.
+/// Unmounts a gaugefs.
 pub fn unmount(path: &Path) -> Result<()> {
     let path = resolve(path)?;
     let subject = path.display().to_string();
     match mounted(&path)? {
-        Mounted::Alive => patiently(|| detach(&path, false)).map_err(|error| {
+        Mounted::Alive => retry_busy(|| detach(&path, false)).map_err(|error| {
             if error.errno() != Errno::EBUSY {
                 return error;
             }
             let users = users(&path);
             let who = if users.is_empty() { String::new() } else { format!(" by {}", users.join(", ")) };
             let why =
-                format!("in use{who}; try again when it is not, or detach it with: umount -l {subject}");
+                format!("in use{who}; try again when it is free, or detach it with: umount -l {subject}");
             Error::new(&subject, Cause::Busy(why))
         }),
         Mounted::Dead => detach(&path, true),
         Mounted::Nothing => {
             let there: Vec<_> = list().iter().map(|path| path.display().to_string()).collect();
             let why = match there.len() {
-                0 => "no gaugefs is mounted there, nor anywhere else".to_string(),
+                0 => "no gaugefs is mounted there, or anywhere else".to_string(),
                 _ => format!("no gaugefs is mounted there; there is one at {}", there.join(", ")),
             };
             Err(Error::host(subject, Errno::EINVAL, why))
@@ -131,8 +133,8 @@ pub fn unmount(path: &Path) -> Result<()> {
     }
 }
 
-/// Tries for a moment: a monitor has its files open only while it reads them.
-fn patiently(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
+/// Repeats an attempt for a moment: monitors open files only while they read them.
+fn retry_busy(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
     let clock = RealClock::new();
     loop {
         match attempt() {
@@ -142,7 +144,7 @@ fn patiently(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
     }
 }
 
-/// Removes the topmost mount, in use or not where `lazily`.
+/// Removes the topmost mount; with `lazily`, even if it is in use.
 pub fn detach(path: &Path, lazily: bool) -> Result<()> {
     let subject = path.display().to_string();
     let failed = |errno: Errno| Error::io(&subject, "cannot unmount it", &errno.into());
@@ -163,20 +165,20 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
     if said.to_lowercase().contains("busy") {
         return Err(failed(Errno::EBUSY));
     }
-    let why = format!("only root and who mounted it may unmount it ({said})");
+    let why = format!("only root and the user who mounted it may unmount it ({said})");
     Err(Error::new(subject, Cause::NotPermitted(why)))
 }
 
-/// The full path, without asking what is mounted at its end, which may be dead.
+/// The full path, found without access to what is mounted there, which may be dead.
 fn resolve(path: &Path) -> Result<PathBuf> {
-    let failed = |error| Error::io(path.display().to_string(), "cannot look at it", &error);
+    let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
     let absolute = std::path::absolute(path).map_err(failed)?;
     let plain = absolute.components().collect::<PathBuf>();
     let (Some(parent), Some(name)) = (plain.parent(), plain.file_name()) else {
         // The root folder, or a path that ends in `..`.
         return fs::canonicalize(&plain).map_err(failed);
     };
-    // Where the parent is missing too, it will be made.
+    // A missing parent is created later.
     let parent = fs::canonicalize(parent).unwrap_or_else(|_| parent.to_path_buf());
     let path = parent.join(name);
     match fs::read_link(&path) {
@@ -196,9 +198,9 @@ fn mounted(path: &Path) -> Result<Mounted> {
     })
 }
 
-/// Whether the daemon of a gaugefs that is mounted there is gone.
+/// Whether the daemon of the gaugefs that is mounted there is gone.
 pub fn is_dead(path: &Path) -> bool {
-    // STATFS alone is never answered from the kernel's cache.
+    // Only STATFS is never answered from the kernel's cache.
     matches!(statvfs(path), Err(Errno::ENOTCONN | Errno::ECONNABORTED))
 }
 
@@ -214,7 +216,7 @@ pub fn list() -> Vec<PathBuf> {
     ours.map(|(path, ..)| path).collect()
 }
 
-/// File system and source of what was mounted last at a path.
+/// Type and source of the file system that was mounted last at a path.
 fn topmost(table: &[u8], path: &Path) -> Option<(String, String)> {
     let (_, kind, source) = entries(table).filter(|(at, ..)| at == path).last()?;
     Some((kind, source))
@@ -231,7 +233,7 @@ pub fn entries(table: &[u8]) -> impl Iterator<Item = (PathBuf, String, String)> 
     })
 }
 
-/// Space, tab, newline and backslash stand as three octal digits there.
+/// In mountinfo space, tab, newline and backslash are written as three octal digits.
 fn unescape(field: &[u8]) -> OsString {
     let mut bytes = Vec::with_capacity(field.len());
     let mut rest = field;
@@ -251,7 +253,7 @@ fn unescape(field: &[u8]) -> OsString {
     OsString::from_vec(bytes)
 }
 
-/// The processes that have something open there, as far as this user may know.
+/// The processes that have something open there, as far as this user may see them.
 fn users(path: &Path) -> Vec<String> {
     let inside = |link: PathBuf| fs::read_link(link).is_ok_and(|target| target.starts_with(path));
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -280,7 +282,7 @@ mod tests {
 43 22 0:39 / /mnt/y rw - fuse.sshfs host:/ rw\n";
 
     #[test]
-    fn mountinfo_tells_what_lies_on_top() {
+    fn the_topmost_mount_of_mountinfo_counts() {
         let at = |path: &str| topmost(TABLE, Path::new(path)).map(|(kind, source)| ours(&kind, &source));
         assert_eq!(at("/mnt/a b"), Some(true));
         assert_eq!(at("/mnt/x"), Some(true));

@@ -1,4 +1,4 @@
-//! A gauge that the device tree has: where it is, and what, as its device in sysfs tells.
+//! A gauge of the device tree: its bus, address and chip, from its device in sysfs.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,19 +7,19 @@ use crate::bus::GAUGE_ADDRESS;
 use crate::chip::{CHIPS, Chip};
 use crate::error::{Cause, Error, Result};
 
-/// What `/sys/bus/i2c/devices/1-0055` stands for.
+/// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
 #[derive(Debug)]
 pub struct Node {
     /// The adapter's node.
     pub bus: PathBuf,
     /// Its 7-bit address.
     pub address: u8,
-    /// What it is, where the tree has a name for it that is known.
+    /// Its chip, if the name in the tree is known.
     pub chip: Option<&'static Chip>,
 }
 
 impl Node {
-    /// The device of that folder; `None` where it is no folder.
+    /// The device of that folder; `None` if it is not a folder.
     pub fn find(path: &Path) -> Result<Option<Self>> {
         if !path.is_dir() {
             return Ok(None);
@@ -29,7 +29,7 @@ impl Node {
         let name = |path: Option<&Path>| Some(path?.file_name()?.to_str()?.to_string());
         let adapter = name(device.parent()).filter(|name| name.starts_with("i2c-"));
         let (Some(adapter), Some(name)) = (adapter, name(Some(&device))) else {
-            let why = "no I2C device; name a bus, or one such as /sys/bus/i2c/devices/1-0055";
+            let why = "not an I2C device; give a bus, or a device such as /sys/bus/i2c/devices/1-0055";
             return Err(Error::new(subject, Cause::Invalid(why.into())));
         };
         let modalias = fs::read_to_string(device.join("modalias")).unwrap_or_default();
@@ -41,19 +41,19 @@ impl Node {
     }
 }
 
-/// The address stands in the name, but where the name is ACPI's: there it is where TI puts it.
+/// The address is part of the name, except in names from ACPI; there TI's default is assumed.
 fn address(name: &str) -> u8 {
     let digits = name.split_once('-').map(|(_, digits)| digits).filter(|digits| digits.len() == 4);
     digits.and_then(|digits| u8::from_str_radix(digits, 16).ok()).unwrap_or(GAUGE_ADDRESS)
 }
 
-/// `of:NgaugeT(null)Cti,bq27520g3`: what it is compatible with, the best first.
+/// The first known chip that the device is compatible with, from `of:NgaugeT(null)Cti,bq27520g3`.
 fn chip(modalias: &str) -> Option<&'static Chip> {
     let words = modalias.trim().strip_prefix("of:")?.split('C').filter_map(|word| word.strip_prefix("ti,"));
     words.filter_map(|word| CHIPS.iter().copied().find(|chip| compatible(chip).contains(&word.into()))).next()
 }
 
-/// The kernel's names have no dash, and most have no word for the first generation.
+/// The kernel's names have no dash, and most have no suffix for the first generation.
 fn compatible(chip: &Chip) -> Vec<String> {
     let name = chip.name.replace('-', "");
     let short = name.strip_suffix("g1").map(str::to_string);
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_node_tells_bus_address_and_chip() {
+    fn a_device_gives_bus_address_and_chip() {
         let top = std::env::temp_dir().join(format!("gaugefs-node-{}", std::process::id()));
         let device = top.join("i2c-7/7-0045");
         fs::create_dir_all(&device).expect("a folder");
@@ -75,20 +75,20 @@ mod tests {
         let node = Node::find(&link).expect("a device").expect("a folder");
         assert_eq!(node.bus, Path::new("/dev/i2c-7"));
         assert_eq!(node.address, 0x45);
-        assert_eq!(node.chip.expect("it is known").name, "bq27520-g3");
+        assert_eq!(node.chip.expect("a known chip").name, "bq27520-g3");
         Node::find(&top).expect_err("no device");
         assert!(Node::find(Path::new("/dev/null")).expect("it may be a bus").is_none());
         fs::remove_dir_all(&top).expect("it was made here");
     }
 
     #[test]
-    fn acpi_has_names_without_an_address() {
+    fn names_from_acpi_have_no_address() {
         assert_eq!(address("i2c-PRP0001:00"), 0x55);
         assert_eq!(address("10-000b"), 0x0b);
     }
 
     #[test]
-    fn every_gauge_has_a_name_that_the_rule_knows() {
+    fn the_udev_rule_knows_every_chip() {
         let rules = include_str!("../../udev/60-gaugefs.rules");
         for gauge in CHIPS {
             let known = compatible(gauge)

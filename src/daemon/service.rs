@@ -1,13 +1,13 @@
-//! A service that may not mount, and the two steps that systemd's units do for it as root.
+//! A systemd service without the privilege to mount, and the two steps that its unit runs as root.
 //!
-//! The daemon of a unit has an account of its own, no capability, and a view of the file system of its own,
-//! in which nobody else would see a mount. So it opens `/dev/fuse` and mounts nothing. When its gauges have
-//! been read it says that it is ready; `gaugefs attach` takes the descriptor out of it and mounts that for
-//! everybody. When it has ended, however that happened, `gaugefs detach` clears the mount away.
+//! The daemon of a unit has its own account, no capability and its own mount namespace, in which nobody else
+//! would see a mount. So it opens `/dev/fuse` and mounts nothing. When it has read its gauges it reports that
+//! it is ready; `gaugefs attach` copies the descriptor from it and mounts it for everybody. When the daemon
+//! has ended, for whatever reason, `gaugefs detach` removes the mount.
 //!
-//! systemd gives these steps a view of their own as well, so the units have `nsenter` take them to that of
-//! process 1. `attach` is told what the daemon is told, by the unit. It asks the daemon for nothing but the
-//! descriptor, and the kernel makes sure that it is one of FUSE.
+//! systemd runs these steps in the namespace of the service too, so the units use `nsenter` to enter that of
+//! process 1. The unit gives `attach` the same options as the daemon. `attach` takes nothing but the
+//! descriptor from the daemon, and the kernel verifies that it is one of FUSE.
 
 use std::fs::{self, File};
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
@@ -26,21 +26,21 @@ use crate::config::Setup;
 use crate::error::{Error, Result};
 
 const DEVICE: &str = "/dev/fuse";
-/// Its numbers, which are the same everywhere.
+/// Device numbers of `/dev/fuse`, which are the same on every machine.
 const MAJOR: u64 = 10;
 const MINOR: u64 = 229;
 
-/// How long the daemon waits for its mount, and how often it looks.
+/// How long the daemon waits for its mount, and the time between two checks.
 const PATIENCE: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(5);
 
-/// The daemon's end of a mount that is still to come.
+/// The daemon's end of a future mount.
 pub(super) fn device() -> Result<OwnedFd> {
     let device = File::options().read(true).write(true).open(DEVICE);
     device.map(OwnedFd::from).map_err(|error| Error::io(DEVICE, "cannot open it", &error))
 }
 
-/// Waits until it is mounted: then the kernel's first request is there.
+/// Waits until the device is mounted, which is when the kernel sends its first request.
 pub(super) fn wait(device: &OwnedFd, clock: &dyn Clock) -> Result<()> {
     let start = clock.now();
     loop {
@@ -51,21 +51,23 @@ pub(super) fn wait(device: &OwnedFd, clock: &dyn Clock) -> Result<()> {
             return Ok(());
         }
         if clock.now().saturating_sub(start) > PATIENCE {
-            let why = "nobody has mounted it; --service is for units that run `gaugefs attach`";
+            let limit = PATIENCE.as_secs();
+            let why =
+                format!("not mounted within {limit} s; --service is for units that run `gaugefs attach`");
             return Err(Error::host(DEVICE, Errno::ETIMEDOUT, why));
         }
         clock.sleep(STEP);
     }
 }
 
-/// Mounts what the daemon of that process serves. For root.
+/// Mounts what the daemon in process `pid` serves. For root.
 pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     let device = device_of(pid)?;
-    // The folders that are made are for everybody, whatever the unit says of files.
+    // Everybody may enter the folders that are created, whatever umask the unit sets.
     umask(Mode::S_IWGRP | Mode::S_IWOTH);
     let mountpoint = mountpoint::prepare(setup.mountpoint())?;
     mountpoint::make(&mountpoint)?;
-    // As fuser mounts it for a daemon of root's. The mount is root's, whoever serves it.
+    // The options that fuser uses for a daemon of root. The mount belongs to root, whoever serves it.
     let others = if setup.mount.private { "" } else { ",allow_other" };
     let data =
         format!("fd={},rootmode=40000,user_id=0,group_id=0,default_permissions{others}", device.as_raw_fd());
@@ -75,12 +77,12 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     mounted.map_err(|errno| Error::io(mountpoint.display().to_string(), "cannot mount it", &errno.into()))
 }
 
-/// Clears away what daemons that have ended have left, wherever they were mounted. For root.
+/// Removes all mounts whose daemon has ended. For root.
 pub fn detach() -> Result<()> {
     mountpoint::list().iter().try_for_each(|path| mountpoint::clear(path).map(drop))
 }
 
-/// A copy of the descriptor that a process has of `/dev/fuse`.
+/// A copy of a process's descriptor of `/dev/fuse`.
 fn device_of(pid: i32) -> Result<OwnedFd> {
     let process = format!("process {pid}");
     let refuse = |error: std::io::Error| Error::io(&process, "cannot take its /dev/fuse", &error);
@@ -92,7 +94,7 @@ fn device_of(pid: i32) -> Result<OwnedFd> {
         let Some(descriptor) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else {
             continue;
         };
-        // The name may mean nothing here: the process has a view of its own.
+        // Not by the name of the link, which is one of the process's own namespace.
         if fs::metadata(entry.path()).is_ok_and(|status| fuse(&status)) {
             let taken = pidfd_getfd(&holder, descriptor, PidfdGetfdFlags::empty());
             return taken.map_err(|errno| refuse(errno.into()));

@@ -1,4 +1,4 @@
-//! How a mount ends from outside: by SIGTERM or SIGINT, which do what is right at that point of its life.
+//! Ending a mount by SIGTERM or SIGINT, according to how far it has come.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -25,12 +25,12 @@ pub(super) enum Phase {
     Ending,
 }
 
-/// The thread that takes signals, as the rest of the daemon sees it.
+/// The phase of the mount, shared with the thread that handles signals.
 pub(super) struct Shutdown(Arc<Mutex<Phase>>);
 
 impl Shutdown {
-    /// Waits for signals on a thread of its own. To be called before any other thread is started: all of
-    /// them inherit that the signals are blocked, and so leave them to this one.
+    /// Starts the thread that handles signals. To be called before any other thread is started: the others
+    /// inherit the blocked signals, so that only this one receives them.
     pub(super) fn watch() -> Result<Self> {
         let signals = [Signal::SIGTERM, Signal::SIGINT].into_iter().collect::<SigSet>();
         signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
@@ -46,7 +46,7 @@ impl Shutdown {
         Ok(Self(phase))
     }
 
-    /// From now on a signal finds the mount in this phase.
+    /// Sets the phase that the next signal finds.
     pub(super) fn reach(&self, phase: Phase) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = phase;
     }

@@ -21,13 +21,13 @@ use crate::lock::{self, Holder, Lock};
 use crate::probe;
 use crate::sim::{self, Sim, SimBus};
 
-/// How long a simulated gauge may take from power-up to its first answer.
+/// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
 
 /// Where a gauge is.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Source<'a> {
-    /// In this process.
+    /// Simulated in this process.
     Sim {
         chip: &'static Chip,
         /// File that keeps its flash.
@@ -226,13 +226,14 @@ impl Opened {
     }
 }
 
-/// The gauge of a recording, which has to hold all that a mount reads by itself.
+/// The gauge of a recording, which has to contain all registers that a mount polls.
 fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let name = path.display().to_string();
     let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
     let recording = Recording::open(path)?;
-    let chip = Chip::by_name(&recording.chip)
-        .ok_or_else(|| refuse(format!("`{}` is no gauge that gaugefs knows", recording.chip)))?;
+    let chip = Chip::by_name(&recording.chip).ok_or_else(|| {
+        refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))
+    })?;
     let status = match chip.security.status {
         SealStatus::Field { register, .. } => register,
         SealStatus::Bits { .. } => None,
@@ -241,7 +242,7 @@ fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
         let mut read = bursts(chip.registers, |found| found == tier).into_iter();
         if !read.all(|(register, length)| replay.covers(register, length)) {
-            let why = "it ends before every register was read; a few seconds of a mount have them all";
+            let why = "recording too short: record a few seconds of a mount";
             return Err(refuse(why.into()));
         }
     }

@@ -709,7 +709,7 @@ fn one_state_file_has_one_daemon_and_outlives_it() {
     fs::write(Path::new(&at).join("BAT0/df/48/11"), "3400\n").expect("a write");
     let who = format!("process {}", daemon.0.id());
     gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).failed(&[
-        "another gaugefs has it",
+        "in use by another gaugefs",
         &who,
         &at,
     ]);
@@ -898,9 +898,9 @@ fn what_is_no_recording_is_not_mounted() {
     fs::write(&file, "W: AA 00 01 00\n").expect("a file");
     replay().failed(&["line 1", "only a file that --trace wrote"]);
     fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
-    replay().failed(&["`bq99` is no gauge"]);
+    replay().failed(&["unknown chip `bq99`"]);
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");
-    replay().failed(&["ends before every register was read"]);
+    replay().failed(&["recording too short"]);
     assert!(!Path::new(&at).exists());
 }
 

@@ -1,4 +1,4 @@
-//! Many gauges in one mount: what a configuration may say, and that no gauge stands in another's way.
+//! Many gauges in one mount: what a configuration may contain, and that no gauge blocks another.
 
 use std::fs::{self, OpenOptions, Permissions};
 use std::io::Write;
@@ -41,7 +41,7 @@ fn the_example_is_accepted() {
     );
 }
 
-/// But for its buses, which a machine may have, and for the folder.
+/// With other buses, in case the machine has these, and in another folder.
 #[test]
 fn the_example_mounts_as_it_is_shipped() {
     if !can_mount() {
@@ -68,7 +68,7 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
     let sim = "[[gauge]]\nsim = 'bq34z100-g1'\n";
     let all = &format!("{mount}{sim}");
     let cases: &[(&str, &[&str])] = &[
-        // Keys that are not known, or not there.
+        // Unknown keys, and text that is not TOML.
         ("[defaults]\npoll = \n", &["line 2: not TOML:"]),
         ("[defaults]\npoll = 3\npoll = 4\n", &["line 3: not TOML: duplicate key"]),
         ("[mount]\n[mount]\n", &["line 2: not TOML: duplicate key"]),
@@ -149,7 +149,7 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
 }
 
 #[test]
-fn defaults_names_and_the_command_line_come_together() {
+fn defaults_names_and_the_command_line_are_combined() {
     let folder = Folder::new();
     let path = folder.config(
         "[mount]\nmountpoint = 'm'\n\
@@ -166,7 +166,7 @@ fn defaults_names_and_the_command_line_come_together() {
             folder.file("").trim_end_matches('/')
         )
     };
-    // Columns are as wide as their widest cell.
+    // Columns are as wide as their widest cell, which differs.
     let squeeze = |text: String| {
         let lines = text.lines().map(|line| {
             let cells = line.split("  ").filter(|cell| !cell.is_empty()).map(str::trim);
@@ -228,7 +228,7 @@ fn many_gauges_are_mounted_together() {
     assert!(!Path::new(&at).join("PACK/energy_now").exists());
     assert_eq!(read(&at, "PACK/model_name"), "bq27441-G1");
 
-    // One that is not there shows that, and nothing that it would have to be asked for.
+    // A gauge that is not there is shown as such, without anything that only the gauge knows.
     assert_eq!(
         read(&at, "BAT1/uevent"),
         "POWER_SUPPLY_NAME=BAT1\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_PRESENT=0"
@@ -242,7 +242,7 @@ fn many_gauges_are_mounted_together() {
     assert_eq!(fs::read(path("BAT1/df/80/53")).map_err(errno), Err(Errno::ENODEV));
     assert_eq!(fs::write(path("BAT1/df/80/53"), "3100").map_err(errno), Err(Errno::ENODEV));
 
-    // What the mains do follows from all gauges.
+    // The state of the mains follows from all gauges.
     assert_eq!(read(&at, "AC/online"), "1");
     fs::write(path("BAT0/sim/load_ma"), "500").expect("a knob");
     within(LONG, "on battery", || read(&at, "AC/online") == "0");
@@ -273,7 +273,7 @@ fn without_any_gauge_the_mount_fails_with_all_reasons() {
         "BAT0: /dev/i2c-998: no such bus",
         "BAT1: /dev/null: not an I2C bus",
     ]);
-    // What a file names and cannot be used is not left out.
+    // A gauge whose key file cannot be used is not left out.
     let path = folder.config(&format!(
         "[mount]\nmountpoint = 'm'\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nsim = '{CHIP}'\nkey-file = 'none'\n"
     ));
@@ -281,7 +281,7 @@ fn without_any_gauge_the_mount_fails_with_all_reasons() {
     assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
 }
 
-/// A bus that is held until it is let go of.
+/// A bus on which transfers can be held up.
 struct Gate {
     bus: SimBus,
     shut: Arc<(Mutex<bool>, Condvar)>,
@@ -309,8 +309,8 @@ fn entry(name: &str, handle: &Handle) -> MountedGauge {
     MountedGauge { name: name.into(), handle: handle.clone(), scales: Scales::default(), knobs: None }
 }
 
-/// A tree of some gauges, taken away at the end.
-struct Tree(PathBuf, #[expect(dead_code, reason = "it ends with it")] fuse::Mounted);
+/// A mount of some gauges, unmounted at the end.
+struct Tree(PathBuf, #[expect(dead_code, reason = "it is unmounted when it is dropped")] fuse::Mounted);
 
 impl Tree {
     fn new(name: &str, entries: Vec<MountedGauge>, signal: Arc<Signal>) -> Self {
@@ -335,7 +335,7 @@ impl Drop for Tree {
 }
 
 #[test]
-fn a_gauge_that_is_stuck_keeps_no_other_waiting() {
+fn a_stuck_gauge_blocks_no_other() {
     if !can_mount() {
         return;
     }
@@ -352,8 +352,8 @@ fn a_gauge_that_is_stuck_keeps_no_other_waiting() {
     let path = |name: &str| tree.0.join(name);
     let cat = |name: &str| fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
 
-    // A transaction in two writes: the second one is under way while what the first one changed is
-    // announced.
+    // A transaction in two writes. The second one is in progress while the changes of the first one are
+    // announced to the kernel.
     let transaction = OpenOptions::new().write(true).open(path("A/df/transaction")).expect("it opens");
     transaction.write_at(b"begin\n80/53 3100\n", 0).expect("staged");
     let held = fs::File::open(path("B/df/80/53")).expect("it opens");
@@ -373,12 +373,12 @@ fn a_gauge_that_is_stuck_keeps_no_other_waiting() {
     for value in 3100..3108 {
         fs::write(path("B/df/80/53"), value.to_string()).expect("written");
         assert_eq!(cat("B/df/80/53"), format!("{value}\n"));
-        // What is known of the one that is stuck is shown as well.
+        // The last known values of the stuck gauge are shown too.
         assert_eq!(cat("A/present"), "1\n");
     }
     fs::write(path("B/gauge/refresh"), "1").expect("polled");
     assert_eq!(cat("B/df/index").lines().count(), cat("B/df/index").lines().count());
-    // Whoever holds a file open sees the change.
+    // The change shows in a file that is held open.
     within(LONG, "the file held open follows", || {
         let mut shown = [0; 16];
         let count = held.read_at(&mut shown, 0).expect("it reads");
@@ -420,7 +420,7 @@ impl Bus for Socket {
 }
 
 #[test]
-fn a_gauge_that_comes_later_is_looked_at_first() {
+fn a_gauge_that_comes_later_is_verified_first() {
     if !can_mount() {
         return;
     }
@@ -441,7 +441,7 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
     assert_eq!(cat("present"), "0\n");
     assert!(!path("gauge/device_type").exists());
 
-    // A memory at the same address is not written to, whatever is asked.
+    // A memory at the same address is never written to, whatever is requested.
     holds.store(EEPROM, Ordering::SeqCst);
     let failed =
         || handle.statistics().iter().find(|(name, _)| *name == "failed_polls").map(|(_, count)| *count);
@@ -460,14 +460,14 @@ fn a_gauge_that_comes_later_is_looked_at_first() {
 
     holds.store(GAUGE, Ordering::SeqCst);
     within(LONG, "the gauge is there", || cat("present") == "1\n");
-    within(LONG, "who it is", || path("gauge/device_type").exists());
+    within(LONG, "it is identified", || path("gauge/device_type").exists());
     assert_eq!(cat("gauge/device_type"), "0x0100\n");
     assert_eq!(cat("df/80/53"), "3000\n");
 }
 
-/// The daemon goes to `/` when it goes to the background. Its paths still begin where it was started.
+/// The daemon in the background changes its folder to `/`, and still finds the files that it was given.
 #[test]
-fn relative_paths_begin_where_gaugefs_was_started() {
+fn relative_paths_are_those_of_the_callers_folder() {
     if !can_mount() {
         return;
     }
@@ -476,8 +476,8 @@ fn relative_paths_begin_where_gaugefs_was_started() {
     let run = |arguments: &str| {
         let output = command(&arguments.split(' ').collect::<Vec<_>>()).current_dir(&folder.0).output();
         let output = output.expect("gaugefs runs");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && said.is_empty(), "gaugefs {arguments}: {said}");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && errors.is_empty(), "gaugefs {arguments}: {errors}");
     };
     let mount = format!(
         "mount --sim {CHIP} --sim-state state --key-file keys --trace trace --log log --state-dir journal m"
@@ -493,14 +493,14 @@ fn relative_paths_begin_where_gaugefs_was_started() {
     run("umount m");
 
     run("mount --sim bq27441-g1 m");
-    fs::copy(folder.file("m/BAT0/df/index"), folder.file("index")).expect("a copy of df/index");
+    run("export m/BAT0 -o image");
     run("umount m");
-    run("mount --sim bq27441-g1 --restore index m");
+    run("mount --sim bq27441-g1 --restore image m");
 }
 
-/// Those of a configuration begin at the folder of its file.
+/// Those of a configuration are relative to the folder of its file.
 #[test]
-fn relative_paths_of_a_configuration_begin_at_its_folder() {
+fn relative_paths_of_a_configuration_are_those_of_its_folder() {
     if !can_mount() {
         return;
     }
@@ -521,7 +521,7 @@ fn write_keys(path: &str) {
     fs::set_permissions(path, Permissions::from_mode(0o600)).expect("its mode");
 }
 
-/// Mounts twice: a parameter that was written the first time is kept, and every other file is in the folder.
+/// Mounts twice. A parameter that is written the first time is kept, and all other files are in the folder.
 fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
     let at = folder.file("m");
     mount();

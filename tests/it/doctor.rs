@@ -253,7 +253,7 @@ fn what_the_administrator_wrote_is_parsed() {
     let text = "# a pack\n[defaults]\nkey-file = \"pack.keys\"\n[[gauge]]\nname = \"PACK\"\n";
     system.write("etc/gaugefs/i2c-1.toml", text);
     system.says("ok", "/etc/gaugefs/i2c-1.toml", &["one gauge"]);
-    system.says("problem", "/etc/gaugefs/pack.keys", &["not there"]);
+    system.says("problem", "/etc/gaugefs/pack.keys", &["does not exist"]);
     system.mode("etc/gaugefs/pack.keys", 0o640);
     system.says("problem", "/etc/gaugefs/pack.keys", &["mode 640", "chmod 600"]);
     system.mode("etc/gaugefs/pack.keys", 0o600);

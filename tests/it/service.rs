@@ -1,5 +1,5 @@
-//! A daemon that mounts nothing, and `gaugefs attach`, which mounts for it: the steps of systemd's units.
-//! `gaugefs detach` is left to tests/boot: it clears away every dead mount there is, those of other tests too.
+//! The steps of systemd's units: a daemon that mounts nothing, and `gaugefs attach`, which mounts for it.
+//! `gaugefs detach` is tested in tests/boot, because it removes every dead mount, also those of other tests.
 
 use std::fs;
 use std::io::Read;
@@ -17,7 +17,7 @@ use super::cli::{CHIP, command, gaugefs};
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A daemon as systemd starts it, which has said that it is ready.
+/// A daemon as systemd starts it, which has reported that it is ready.
 struct Service {
     folder: PathBuf,
     daemon: Child,
@@ -40,7 +40,7 @@ impl Service {
         daemon.env("NOTIFY_SOCKET", folder.join("notify")).stderr(Stdio::piped());
         let daemon = daemon.spawn().expect("gaugefs runs");
         let mut word = [0; 16];
-        let length = systemd.recv(&mut word).expect("it gets ready");
+        let length = systemd.recv(&mut word).expect("it reports that it is ready");
         assert_eq!(&word[..length], b"READY=1");
         Some(Self { folder, daemon })
     }
@@ -55,15 +55,15 @@ impl Service {
     }
 
     fn signal(&self, signal: Signal) {
-        kill(Pid::from_raw(self.daemon.id() as i32), signal).expect("it is there");
+        kill(Pid::from_raw(self.daemon.id() as i32), signal).expect("it runs");
     }
 
-    /// Its exit code, and what it has said.
+    /// Its exit code and its messages.
     fn ended(&mut self) -> (Option<i32>, String) {
         let code = self.daemon.wait().expect("it ends").code();
-        let mut said = String::new();
-        self.daemon.stderr.take().expect("a pipe").read_to_string(&mut said).expect("text");
-        (code, said)
+        let mut messages = String::new();
+        self.daemon.stderr.take().expect("a pipe").read_to_string(&mut messages).expect("text");
+        (code, messages)
     }
 }
 
@@ -81,17 +81,17 @@ fn path(path: &Path) -> &str {
 }
 
 #[test]
-fn a_service_is_mounted_by_somebody_else() {
+fn a_service_is_mounted_by_attach() {
     let Some(mut service) = Service::start("mounted") else { return };
-    assert!(!service.place().exists(), "it makes nothing itself");
+    assert!(!service.place().exists(), "the daemon created the folder");
     service.attach();
     let gauge = service.place().join("BAT0");
     let voltage = gauge.join("voltage_now");
-    assert_ne!(fs::read_to_string(&voltage).expect("it has been read before"), "");
+    assert_ne!(fs::read_to_string(&voltage).expect("a voltage"), "");
     let status = fs::metadata(&voltage).expect("a file");
     assert_eq!((status.uid(), status.gid()), (0, 0));
     let table = fs::read_to_string("/proc/self/mountinfo").expect("mounts");
-    let line = table.lines().find(|line| line.contains(path(&service.place()))).expect("it is there");
+    let line = table.lines().find(|line| line.contains(path(&service.place()))).expect("a mount");
     for word in [
         "nosuid,nodev,noexec",
         "fuse.gaugefs gaugefs",
@@ -99,34 +99,34 @@ fn a_service_is_mounted_by_somebody_else() {
     ] {
         assert!(line.contains(word), "`{word}` is not in: {line}");
     }
-    // Unmounted from outside it ends as any daemon does.
+    // Unmounted from outside, it ends as any daemon does.
     gaugefs(&["umount", path(&service.place())]).done();
     assert_eq!(service.ended().0, Some(0));
 }
 
 #[test]
-fn a_service_that_is_told_to_end_finishes_a_write_and_begins_no_other() {
+fn a_service_that_is_stopped_finishes_a_write_and_begins_no_other() {
     let Some(mut service) = Service::start("ends") else { return };
     service.attach();
     let gauge = service.place().join("BAT0");
-    // Flash takes its time, so that the end comes in between.
+    // Slow flash, so that the signal arrives during the write.
     fs::write(gauge.join("sim/word_ms"), "50").expect("a knob");
     let parameter = gauge.join("df/80/53");
     let first = parameter.clone();
     let writer = thread::spawn(move || fs::write(first, "3100\n"));
     let start = Instant::now();
     while fs::read_to_string(gauge.join("sim/seal")).is_ok_and(|seal| seal == "sealed\n") {
-        assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write is not under way");
+        assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write has not begun");
     }
     service.signal(Signal::SIGTERM);
-    // It waits behind the first; the daemon has gone before its turn comes.
+    // It waits behind the first, and the daemon ends before its turn.
     let second = thread::spawn(move || fs::write(parameter, "3200\n"));
-    writer.join().expect("no panic").expect("it was finished");
-    second.join().expect("no panic").expect_err("nobody was there to begin it");
-    let (code, said) = service.ended();
-    assert_eq!(code, Some(0), "{said}");
-    assert_eq!(said.matches("written and verified").count(), 1, "{said}");
-    assert!(said.contains("SIGTERM: ending"), "{said}");
+    writer.join().expect("no panic").expect("written");
+    second.join().expect("no panic").expect_err("the daemon has ended");
+    let (code, messages) = service.ended();
+    assert_eq!(code, Some(0), "{messages}");
+    assert_eq!(messages.matches("written and verified").count(), 1, "{messages}");
+    assert!(messages.contains("SIGTERM: ending"), "{messages}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `/etc/gaugefs`: whether what the administrator wrote there can be used.
+//! `/etc/gaugefs`: whether the configurations and key files in it can be used.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -9,10 +9,10 @@ use super::{Finding, ok, problem, warning};
 use crate::config::{MountOptions, Setup};
 
 const FOLDER: &str = "/etc/gaugefs";
-/// The one of gaugefs.service, which names its mount point itself.
+/// The name of gaugefs.service's configuration, which has to set its mount point.
 const MANY: &str = "gaugefs";
 
-/// The buses that the udev rule starts a service for: `i2c-1` of `i2c-1.toml`.
+/// The buses that the udev rule starts a service for: `i2c-1` for `i2c-1.toml`.
 pub(super) fn buses(host: &Host) -> Vec<String> {
     let names = host.names(FOLDER).into_iter();
     let stems = names.filter_map(|name| Some(name.strip_suffix(".toml")?.to_string()));
@@ -39,10 +39,10 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// What a service is told, read as the service reads it.
+/// A configuration, read as its service reads it.
 fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBuf>) -> Finding {
     let device = is_bus(name).then(|| format!("/dev/{name}"));
-    // Any other is for `gaugefs mount --config`, or a rule of the administrator's.
+    // Any other is for `gaugefs mount --config`, or for a udev rule of the administrator.
     let place = (name != MANY).then(|| format!("/run/gaugefs/{name}").into());
     let mount = MountOptions { mountpoint: place, ..MountOptions::default() };
     let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));
@@ -71,7 +71,7 @@ fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBu
 fn keys(host: &Host, path: &Path) -> Finding {
     let what = path.display().to_string();
     let Ok(status) = fs::metadata(host.at(&what)) else {
-        return problem(what, "a key file that is not there", "Write it, or take key-file away.");
+        return problem(what, "this key file does not exist", "Create it, or remove key-file.");
     };
     let mode = status.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
