@@ -5,8 +5,6 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-#[cfg(feature = "screen")]
-use std::time::Duration;
 
 use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -26,20 +24,8 @@ use crate::probe::{self, ROM_ADDRESS, Reading};
 mod auth;
 mod doctor;
 mod keys;
-#[cfg(feature = "screen")]
-mod log;
 mod manual;
-#[cfg(feature = "screen")]
-mod plot;
 mod progress;
-#[cfg(feature = "screen")]
-mod sample;
-#[cfg(feature = "screen")]
-mod thin;
-#[cfg(feature = "screen")]
-mod top;
-#[cfg(feature = "screen")]
-mod watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -132,8 +118,9 @@ enum Command {
     Lint(Lint),
     Auth(auth::Auth),
     Keys(keys::Command),
+    #[cfg(feature = "screen")]
     #[command(flatten)]
-    Screen(Watch),
+    Screen(crate::screen::Command),
     Doctor(doctor::Doctor),
     Completions(Completions),
     /// Print the manual page gaugefs(1)
@@ -144,21 +131,6 @@ enum Command {
     #[command(hide = true)]
     Detach,
 }
-
-/// What looks at mounted gauges and shows them.
-#[derive(Debug, Subcommand)]
-enum Watch {
-    #[cfg(feature = "screen")]
-    Top(top::Top),
-    #[cfg(feature = "screen")]
-    Log(log::Log),
-    #[cfg(feature = "screen")]
-    Plot(plot::Plot),
-}
-
-/// A command of `gaugefs-screen`.
-#[derive(Debug)]
-pub struct Screen(Watch);
 
 /// Mount gauges; returns once they are mounted and have been read
 #[derive(Args, Debug)]
@@ -320,40 +292,9 @@ struct Completions {
     shell: Shell,
 }
 
-impl Screen {
-    /// Shows what it was told to.
-    pub fn run(self) -> Result<ExitCode> {
-        match self.0 {
-            #[cfg(feature = "screen")]
-            Watch::Top(top) => top.run(),
-            #[cfg(feature = "screen")]
-            Watch::Log(log) => log.run(),
-            #[cfg(feature = "screen")]
-            Watch::Plot(plot) => plot.run(),
-        }
-    }
-}
-
-/// Becomes `gaugefs-screen` with the same arguments. It is looked for beside this program, and where a
-/// package puts what nobody starts by hand.
-pub fn hand_over(arguments: Vec<OsString>) -> Result<ExitCode> {
-    use std::os::unix::process::CommandExt;
-    const NAME: &str = "gaugefs-screen";
-    let own = std::env::current_exe().map_err(|error| Error::io(NAME, "cannot be looked for", &error))?;
-    let beside = own.with_file_name(NAME);
-    let packaged = own.with_file_name("../libexec/gaugefs").join(NAME);
-    let program = if packaged.exists() { packaged } else { beside };
-    let error = std::process::Command::new(&program).args(&arguments[1..]).exec();
-    Err(Error::io(program.display().to_string(), "cannot be started; install gaugefs as a whole", &error))
-}
-
-/// Does what the arguments say; the exit code is 0 for done, 1 for failed, 2 for misuse. What a screen is
-/// for is left to `screen`, with all arguments.
-pub fn run(
-    arguments: Vec<OsString>,
-    screen: impl FnOnce(Screen, Vec<OsString>) -> Result<ExitCode>,
-) -> ExitCode {
-    let cli = match Cli::try_parse_from(&arguments) {
+/// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             let text = error.to_string();
@@ -388,7 +329,8 @@ pub fn run(
             print(&told);
             ExitCode::SUCCESS
         }),
-        Command::Screen(watch) => screen(Screen(watch), arguments),
+        #[cfg(feature = "screen")]
+        Command::Screen(command) => command.run(),
         Command::Keys(keys) => keys.run().map(|told| {
             print(&told);
             ExitCode::SUCCESS
@@ -827,15 +769,6 @@ fn align<const N: usize>(rows: &[[String; N]]) -> String {
         let _ = writeln!(table, "{}", line.trim_end());
     }
     table
-}
-
-/// Time between two looks at files, which may be as rare as one likes.
-#[cfg(feature = "screen")]
-fn seconds(text: &str) -> Result<Duration, String> {
-    match text.parse() {
-        Ok(seconds @ 0.1..=86400.0) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("expected 0.1 to 86400 seconds".into()),
-    }
 }
 
 #[cfg(test)]

@@ -21,6 +21,8 @@ pub mod lock;
 pub mod poll;
 pub mod probe;
 pub mod saved;
+#[cfg(feature = "screen")]
+mod screen;
 pub mod sim;
 pub mod text;
 pub mod value;

@@ -38,7 +38,7 @@ Examples:
 /// Show all mounted gauges and their history
 #[derive(Args, Debug)]
 #[command(after_help = TOP)]
-pub(super) struct Top {
+pub(crate) struct Top {
     /// A mount point, or a mounted gauge's folder [default: all that gaugefs has mounted]
     gauge: Option<PathBuf>,
     /// Print JSON instead, an object a line for each gauge and look

@@ -25,7 +25,7 @@ Examples:
 /// Draw a history that `gaugefs log` has written
 #[derive(Args, Debug)]
 #[command(after_help = PLOT)]
-pub(super) struct Plot {
+pub(crate) struct Plot {
     /// The CSV file
     file: PathBuf,
     /// Picture to write, SVG or by its name PNG [default: SVG to standard output]
