@@ -5,9 +5,8 @@
 
 use clap::{Arg, ArgAction, Command};
 use clap_complete::Shell;
+use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
-
-use crate::daemon::log::utc;
 
 const PAGE: &str = include_str!("../../docs/gaugefs.1.in");
 
@@ -24,7 +23,8 @@ pub(super) fn page(mut gaugefs: Command) -> String {
         }
     }
     let epoch = std::env::var("SOURCE_DATE_EPOCH").ok().and_then(|seconds| seconds.parse().ok());
-    let date = epoch.map_or_else(String::new, |seconds| utc(seconds)[..10].to_string());
+    let date = epoch.and_then(|seconds| Timestamp::from_second(seconds).ok());
+    let date = date.map_or_else(String::new, |date| date.strftime("%F").to_string());
     PAGE.replace("@DATE@", &date)
         .replace("@VERSION@", env!("CARGO_PKG_VERSION"))
         .replace("@SYNOPSIS@\n", &synopsis.to_roff())

@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
+use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::{Gauge, Opened, SimKnobs, journal, log, saved, too_fast};
+use super::{Gauge, Opened, SimKnobs, journal, saved, too_fast};
 use crate::bus::trace::Trace;
 use crate::clock::Clock;
 use crate::error::{Cause, Error, Result};
@@ -106,7 +107,7 @@ impl Opening {
             return Err(Error::new("", Cause::Gone(why)));
         }
         for line in lines {
-            ::log::warn!("{line}");
+            log::warn!("{line}");
             if aloud {
                 eprintln!("gaugefs: warning: {line}");
             }
@@ -126,8 +127,7 @@ impl Opening {
         let opened = gauge.source.open(&self.mountpoint, &self.clock, waits)?;
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
-            let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-            let head = format!("{} on {subject}, {}", chip.name, log::utc(now));
+            let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
             bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head)?);
         }
         let settings = Settings {
