@@ -9,6 +9,8 @@ use std::process::ExitCode;
 
 use clap::Args;
 
+use super::print;
+use crate::error::Result;
 use crate::json;
 
 mod bus;
@@ -76,7 +78,7 @@ fn problem(what: impl Into<String>, says: impl Into<String>, remedy: impl Into<S
 }
 
 impl Doctor {
-    pub(super) fn run(self) -> (String, ExitCode) {
+    pub(super) fn run(self) -> Result<ExitCode> {
         let host = Host::new(self.root);
         let configured = config::buses(&host);
         let mut findings = fuse::look(&host);
@@ -85,8 +87,8 @@ impl Doctor {
         findings.extend(config::look(&host));
         findings.extend(service::look(&host, &configured));
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
-        let told = if self.json { as_json(&findings) } else { as_text(&findings) };
-        (told, if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+        print(&if self.json { as_json(&findings) } else { as_text(&findings) });
+        Ok(if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
     }
 }
 
