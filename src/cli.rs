@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use serde::Serialize;
 
 use crate::daemon::service;
 use crate::error::Result;
@@ -114,6 +115,12 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn print(text: &str) {
     use std::io::Write;
     let _ = std::io::stdout().write_all(text.as_bytes());
+}
+
+/// Prints a value as one line of JSON.
+fn print_json(value: &impl Serialize) {
+    let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
+    print(&(json + "\n"));
 }
 
 /// Columns as wide as their widest cell, two spaces between.

@@ -15,7 +15,6 @@ pub mod fuse;
 pub mod gauge;
 pub mod image;
 pub mod journal;
-pub mod json;
 pub mod keys;
 pub mod lock;
 pub mod poll;

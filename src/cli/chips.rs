@@ -1,13 +1,14 @@
 //! `gaugefs chips`.
 
+use std::iter;
 use std::process::ExitCode;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::{align, print};
+use super::{align, print, print_json};
 use crate::chip::{CHIPS, Chip, Evidence, Scheme};
 use crate::error::Result;
-use crate::json;
 
 /// List the supported gauges, and how far each has been proven
 #[derive(Args, Debug)]
@@ -17,40 +18,56 @@ pub(super) struct Chips {
     json: bool,
 }
 
-impl Chips {
-    pub(super) fn run(self) -> Result<ExitCode> {
-        print(&self.table());
-        Ok(ExitCode::SUCCESS)
+/// A row of the table.
+#[derive(Serialize)]
+struct Row {
+    name: &'static str,
+    model: &'static str,
+    data_flash: &'static str,
+    parameters: usize,
+    unproven: usize,
+    evidence: &'static str,
+    documents: &'static [&'static str],
+}
+
+impl Row {
+    fn new(chip: &'static Chip) -> Self {
+        Self {
+            name: chip.name,
+            model: chip.model,
+            data_flash: scheme(chip),
+            parameters: parameters(chip),
+            unproven: unproven(chip),
+            evidence: evidence(chip.evidence),
+            documents: chip.documents,
+        }
     }
 
-    fn table(&self) -> String {
+    fn cells(&self) -> [String; 6] {
+        let document = self.documents.first().copied().unwrap_or_default();
+        let (parameters, unproven) = (self.parameters.to_string(), self.unproven.to_string());
+        [
+            self.name.into(),
+            self.data_flash.into(),
+            parameters,
+            unproven,
+            self.evidence.into(),
+            document.into(),
+        ]
+    }
+}
+
+impl Chips {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let rows: Vec<_> = CHIPS.iter().map(|chip| Row::new(chip)).collect();
         if self.json {
-            let chips = CHIPS.iter().map(|chip| {
-                json::object(&[
-                    ("name", json::text(chip.name)),
-                    ("model", json::text(chip.model)),
-                    ("data_flash", json::text(scheme(chip))),
-                    ("parameters", parameters(chip).to_string()),
-                    ("unproven", unproven(chip).to_string()),
-                    ("evidence", json::text(evidence(chip.evidence))),
-                    ("documents", json::array(chip.documents.iter().map(|document| json::text(document)))),
-                ])
-            });
-            return json::array(chips) + "\n";
+            print_json(&rows);
+        } else {
+            let header = ["CHIP", "DATA", "PARAMETERS", "UNPROVEN", "EVIDENCE", "DOCUMENT"].map(String::from);
+            let cells = rows.iter().map(Row::cells);
+            print(&align(&iter::once(header).chain(cells).collect::<Vec<_>>()));
         }
-        let mut rows =
-            vec![["CHIP", "DATA", "PARAMETERS", "UNPROVEN", "EVIDENCE", "DOCUMENT"].map(String::from)];
-        rows.extend(CHIPS.iter().map(|chip| {
-            [
-                chip.name.to_string(),
-                scheme(chip).to_string(),
-                parameters(chip).to_string(),
-                unproven(chip).to_string(),
-                evidence(chip.evidence).to_string(),
-                chip.documents.first().copied().unwrap_or_default().to_string(),
-            ]
-        }));
-        align(&rows)
+        Ok(ExitCode::SUCCESS)
     }
 }
 

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::{counted, print};
+use super::{counted, print, print_json};
 use crate::chip::Chip;
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::image::Image;
-use crate::json;
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, told apart by what is in them. A file need not hold
@@ -37,6 +37,15 @@ pub(super) struct Diff {
     json: bool,
 }
 
+/// A difference, for --json.
+#[derive(Serialize)]
+struct Row<'a> {
+    name: &'a str,
+    a: String,
+    b: String,
+    unit: &'static str,
+}
+
 impl Diff {
     /// As diff(1): whoever asks for a difference has to tell "none" from "cannot say".
     pub(super) fn run(self) -> Result<ExitCode> {
@@ -58,15 +67,13 @@ impl Diff {
         let comparison = a.compare(&b)?;
         let differences = &comparison.differences;
         if self.json {
-            let rows = differences.iter().map(|difference| {
-                json::object(&[
-                    ("name", json::text(&difference.name)),
-                    ("a", json::text(&difference.old.text())),
-                    ("b", json::text(&difference.new.text())),
-                    ("unit", json::text(difference.new.parameter.unit)),
-                ])
+            let rows = differences.iter().map(|difference| Row {
+                name: &difference.name,
+                a: difference.old.text(),
+                b: difference.new.text(),
+                unit: difference.new.parameter.unit,
             });
-            print(&(json::array(rows) + "\n"));
+            print_json(&rows.collect::<Vec<_>>());
         } else {
             print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>());
         }

@@ -8,10 +8,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::print;
+use super::{print, print_json};
 use crate::error::Result;
-use crate::json;
 
 mod bus;
 mod config;
@@ -40,7 +40,8 @@ pub(super) struct Doctor {
 }
 
 /// How bad it is.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 enum State {
     Ok,
     Warning,
@@ -57,7 +58,14 @@ impl State {
     }
 }
 
+/// All findings, for --json.
+#[derive(Serialize)]
+struct Report {
+    findings: Vec<Finding>,
+}
+
 /// What was looked at, how it is, and what to do.
+#[derive(Serialize)]
 struct Finding {
     state: State,
     what: String,
@@ -87,24 +95,16 @@ impl Doctor {
         findings.extend(config::look(&host));
         findings.extend(service::look(&host, &configured));
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
-        print(&if self.json { as_json(&findings) } else { as_text(&findings) });
+        if self.json {
+            print_json(&Report { findings });
+        } else {
+            print(&text(&findings));
+        }
         Ok(if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
     }
 }
 
-fn as_json(findings: &[Finding]) -> String {
-    let findings = findings.iter().map(|Finding { state, what, says, remedy }| {
-        json::object(&[
-            ("state", json::text(state.as_str())),
-            ("what", json::text(what)),
-            ("says", json::text(says)),
-            ("remedy", remedy.as_ref().map_or_else(|| "null".into(), |remedy| json::text(remedy))),
-        ])
-    });
-    json::object(&[("findings", json::array(findings))]) + "\n"
-}
-
-fn as_text(findings: &[Finding]) -> String {
+fn text(findings: &[Finding]) -> String {
     let mut text = String::new();
     for Finding { state, what, says, remedy } in findings {
         // Writing to a String does not fail.

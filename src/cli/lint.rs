@@ -4,13 +4,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::{align, counted, print};
+use super::{align, counted, print, print_json};
 use crate::chip::Chip;
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::image::Image;
-use crate::json;
 
 const LINT: &str = "\
 No gauge is needed. A FlashStream is read as a gauge would; what writes firmware or anything
@@ -37,48 +37,50 @@ pub(super) struct Lint {
     json: bool,
 }
 
+/// What a file would set, for --json.
+#[derive(Serialize)]
+struct Report<'a> {
+    chip: &'static str,
+    parameters: Vec<Row>,
+    raw: Vec<RawRow>,
+    notes: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Row {
+    name: String,
+    value: String,
+    unit: &'static str,
+    line: usize,
+}
+
+#[derive(Serialize)]
+struct RawRow {
+    name: String,
+    bytes: String,
+    line: usize,
+}
+
+impl<'a> Report<'a> {
+    fn new(image: &'a Image) -> Self {
+        let rows = image.entries.iter().map(|entry| Row {
+            name: image.name(entry),
+            value: entry.text(),
+            unit: entry.parameter.unit,
+            line: entry.line,
+        });
+        let raw = image.raw.iter().map(|raw| RawRow { name: raw.name(), bytes: raw.text(), line: raw.line });
+        Self { chip: image.chip.name, parameters: rows.collect(), raw: raw.collect(), notes: &image.notes }
+    }
+}
+
 impl Lint {
     pub(super) fn run(self) -> Result<ExitCode> {
         let image = Image::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
         if self.json {
-            let rows = image.entries.iter().map(|entry| {
-                json::object(&[
-                    ("name", json::text(&image.name(entry))),
-                    ("value", json::text(&entry.text())),
-                    ("unit", json::text(entry.parameter.unit)),
-                    ("line", entry.line.to_string()),
-                ])
-            });
-            let notes = image.notes.iter().map(|note| json::text(note));
-            let raw = image.raw.iter().map(|raw| {
-                json::object(&[
-                    ("name", json::text(&raw.name())),
-                    ("bytes", json::text(&raw.text())),
-                    ("line", raw.line.to_string()),
-                ])
-            });
-            let all = [
-                ("chip", json::text(image.chip.name)),
-                ("parameters", json::array(rows)),
-                ("raw", json::array(raw)),
-                ("notes", json::array(notes)),
-            ];
-            print(&(json::object(&all) + "\n"));
+            print_json(&Report::new(&image));
         } else {
-            print(&format!("{}: {}\n", image.chip.model, counted(image.entries.len())));
-            let rows = image.entries.iter().map(|entry| {
-                let unit = entry.parameter.unit;
-                let mark = if matches!(entry.is_imported(), Ok(false)) { "not imported" } else { "" };
-                let value = format!("{} {unit}", entry.text());
-                [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
-            });
-            let raw = image.raw.iter().filter(|_| self.raw);
-            let raw = raw.map(|raw| [raw.name(), raw.text(), format!("line {}", raw.line), String::new()]);
-            print(&align(&rows.chain(raw).collect::<Vec<_>>()));
-            print(&image.notes.iter().map(|note| format!("{note}\n")).collect::<String>());
-            if !self.raw {
-                print(&image.undocumented());
-            }
+            print(&self.text(&image));
         }
         let mut code = ExitCode::SUCCESS;
         let values = image.entries.iter().filter_map(|entry| entry.is_imported().err());
@@ -89,5 +91,23 @@ impl Lint {
             code = ExitCode::FAILURE;
         }
         Ok(code)
+    }
+
+    fn text(&self, image: &Image) -> String {
+        let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
+        let rows = image.entries.iter().map(|entry| {
+            let unit = entry.parameter.unit;
+            let mark = if matches!(entry.is_imported(), Ok(false)) { "not imported" } else { "" };
+            let value = format!("{} {unit}", entry.text());
+            [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
+        });
+        let raw = image.raw.iter().filter(|_| self.raw);
+        let raw = raw.map(|raw| [raw.name(), raw.text(), format!("line {}", raw.line), String::new()]);
+        text += &align(&rows.chain(raw).collect::<Vec<_>>());
+        text.extend(image.notes.iter().map(|note| format!("{note}\n")));
+        if !self.raw {
+            text += &image.undocumented();
+        }
+        text
     }
 }

@@ -6,15 +6,15 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Args;
+use serde::Serialize;
 
-use super::{align, print};
+use super::{align, print, print_json};
 use crate::bus::linux::{Adapter, LinuxBus};
 use crate::bus::{Bus, GAUGE_ADDRESS};
 use crate::chip::Role;
 use crate::clock::{Clock, RealClock};
 use crate::config::address;
 use crate::error::Result;
-use crate::json;
 use crate::probe::{self, ROM_ADDRESS, Reading};
 
 const PROBE: &str = "\
@@ -41,13 +41,41 @@ pub(super) struct Probe {
     json: bool,
 }
 
-/// One line of what `probe` found.
+/// What answers at one address.
+#[derive(Serialize)]
 struct Found {
     address: u8,
-    /// A word for programs: gauge, maybe, rom, driver, busy, other, nothing.
-    state: &'static str,
+    state: State,
     chips: Vec<&'static str>,
     details: String,
+}
+
+/// What kind of device answers at an address.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum State {
+    /// A gauge that has said which part it is, or may be one of a few parts.
+    Gauge,
+    /// It reads like a gauge and was not asked which.
+    Maybe,
+    /// It may be a gauge in ROM mode.
+    Rom,
+    /// A kernel driver is bound to the address.
+    Driver,
+    /// Another process of gaugefs uses the gauge.
+    Busy,
+    /// Not a gauge that gaugefs knows.
+    Other,
+    /// No answer.
+    Nothing,
+}
+
+/// What the whole command found, for --json.
+#[derive(Serialize)]
+struct Report {
+    bus: String,
+    adapter: String,
+    found: Vec<Found>,
 }
 
 impl Probe {
@@ -57,46 +85,32 @@ impl Probe {
             Some(address) => vec![look(&adapter, address, true)?],
             None => vec![look(&adapter, GAUGE_ADDRESS, false)?, look_for_rom(&adapter)?],
         };
-        let is_gauge = |found: &Found| matches!(found.state, "gauge" | "maybe" | "rom" | "driver" | "busy");
-        let any = found.iter().any(is_gauge);
-        print(&if self.json { Self::json(&adapter, &found) } else { self.table(&adapter, &found) });
+        let any = found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing));
+        if self.json {
+            let (bus, adapter) = (adapter.to_string(), adapter.name().unwrap_or_default());
+            print_json(&Report { bus, adapter, found });
+        } else {
+            print(&self.table(&adapter, &found));
+        }
         Ok(if any { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-    }
-
-    fn json(adapter: &Adapter, found: &[Found]) -> String {
-        let found = found.iter().map(|found| {
-            json::object(&[
-                ("address", found.address.to_string()),
-                ("state", json::text(found.state)),
-                ("chips", json::array(found.chips.iter().map(|chip| json::text(chip)))),
-                ("details", json::text(&found.details)),
-            ])
-        });
-        let name = adapter.name().unwrap_or_default();
-        let all = [
-            ("bus", json::text(&adapter.to_string())),
-            ("adapter", json::text(&name)),
-            ("found", json::array(found)),
-        ];
-        json::object(&all) + "\n"
     }
 
     fn table(&self, adapter: &Adapter, found: &[Found]) -> String {
         let mut rows = vec![["ADDRESS", "ANSWERS", "DETAILS"].map(String::from)];
         for found in found {
             let who = match found.state {
-                "nothing" => "no".to_string(),
-                "gauge" => found.chips.join(" or "),
-                "maybe" => format!("maybe {}", found.chips.join(" or ")),
-                "rom" => "a gauge in ROM mode?".to_string(),
-                "driver" => "the kernel's".to_string(),
-                "busy" => "in use".to_string(),
-                _ => "something else".to_string(),
+                State::Nothing => "no".to_string(),
+                State::Gauge => found.chips.join(" or "),
+                State::Maybe => format!("maybe {}", found.chips.join(" or ")),
+                State::Rom => "a gauge in ROM mode?".to_string(),
+                State::Driver => "the kernel's".to_string(),
+                State::Busy => "in use".to_string(),
+                State::Other => "something else".to_string(),
             };
             rows.push([format!("0x{:02x}", found.address), who, found.details.clone()]);
         }
         let mut table = align(&rows);
-        if self.address.is_none() && found.iter().any(|found| found.state == "maybe") {
+        if self.address.is_none() && found.iter().any(|found| found.state == State::Maybe) {
             // Writing to a String does not fail.
             let _ = writeln!(table, "To ask it who it is: gaugefs probe --bus {adapter} --address 0x55");
         }
@@ -109,7 +123,7 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
     if let Some(driver) = adapter.driver(address) {
         let details = format!("driver {} ({}) has it; not touched", driver.name, driver.device);
-        return found("driver", Vec::new(), details);
+        return found(State::Driver, Vec::new(), details);
     }
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
     let open = || {
@@ -119,18 +133,24 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     let plausible = match probe::candidates(&open, &clock) {
         Ok(plausible) => plausible,
         Err(error) => match error.errno() {
-            nix::errno::Errno::ENXIO => return found("nothing", Vec::new(), String::new()),
-            nix::errno::Errno::EBUSY => return found("busy", Vec::new(), "another gaugefs has it".into()),
+            nix::errno::Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
+            nix::errno::Errno::EBUSY => {
+                return found(State::Busy, Vec::new(), "another gaugefs has it".into());
+            }
             _ => return Err(error),
         },
     };
     let Some(first) = plausible.first() else {
-        return found("other", Vec::new(), "does not read like a gauge; nothing was written to it".into());
+        return found(
+            State::Other,
+            Vec::new(),
+            "does not read like a gauge; nothing was written to it".into(),
+        );
     };
     let reads = reads(first);
     if !named {
         let chips = plausible.iter().map(|reading| reading.chip.name).collect();
-        return found("maybe", chips, reads);
+        return found(State::Maybe, chips, reads);
     }
     let who = probe::identify(&plausible, &open, &clock)?;
     let answers = who.answers;
@@ -140,15 +160,15 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     );
     let chips = who.chips.iter().map(|chip| chip.name).collect::<Vec<_>>();
     match who.sibling {
-        _ if !chips.is_empty() => found("gauge", chips, format!("{told}; {reads}")),
+        _ if !chips.is_empty() => found(State::Gauge, chips, format!("{told}; {reads}")),
         Some(sibling) => {
             let what = match sibling.like {
                 Some(like) => format!("mounts as a {}, without data flash", like.name),
                 None => "not supported".to_string(),
             };
-            found("other", chips, format!("{told}: a {}; {what}", sibling.name))
+            found(State::Other, chips, format!("{told}: a {}; {what}", sibling.name))
         }
-        None => found("other", chips, format!("{told}: no part that gaugefs knows")),
+        None => found(State::Other, chips, format!("{told}: no part that gaugefs knows")),
     }
 }
 
@@ -158,14 +178,17 @@ fn look_for_rom(adapter: &Adapter) -> Result<Found> {
     let found =
         |state, details: &str| Ok(Found { address, state, chips: Vec::new(), details: details.into() });
     if let Some(driver) = adapter.driver(address) {
-        return found("driver", &format!("driver {} ({}) has it; not touched", driver.name, driver.device));
+        return found(
+            State::Driver,
+            &format!("driver {} ({}) has it; not touched", driver.name, driver.device),
+        );
     }
     let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
     match probe::answers_in_rom(&mut bus) {
         Ok(true) => {
-            found("rom", "a gauge whose flash was being programmed, unless another device lives there")
+            found(State::Rom, "a gauge whose flash was being programmed, unless another device lives there")
         }
-        Ok(false) => found("nothing", ""),
+        Ok(false) => found(State::Nothing, ""),
         Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}"))),
     }
 }
