@@ -13,9 +13,10 @@ mod errno;
 pub mod error;
 pub mod fs;
 pub mod fuse;
-pub mod json;
 pub mod key_file;
 pub mod lock;
 mod mounted;
 pub mod owner;
+#[cfg(feature = "screen")]
+mod screen;
 pub mod sim;

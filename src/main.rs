@@ -1,8 +1,7 @@
-//! The `gaugefs` command. What draws is in a program of its own, `gaugefs-screen`: the daemon stays in
-//! memory, and has none of it there.
+//! The `gaugefs` command.
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    gaugefs::cli::run(std::env::args_os().collect(), |_, arguments| gaugefs::cli::hand_over(arguments))
+    gaugefs::cli::run(std::env::args_os())
 }

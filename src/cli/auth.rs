@@ -2,15 +2,15 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use clap::Args;
 use nix::errno::Errno;
 
+use super::{folder_name, print};
 use crate::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
-
-use super::keys::folder_name;
 
 const AUTH: &str = "\
 The key is the line `authentication = 32 hexadecimal digits` of the key file. It stays in this
@@ -35,8 +35,13 @@ pub(super) struct Auth {
 }
 
 impl Auth {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        print(&self.ask()?);
+        Ok(ExitCode::SUCCESS)
+    }
+
     /// What to print about a genuine pack; an error for any other.
-    pub(super) fn run(&self) -> Result<String> {
+    fn ask(&self) -> Result<String> {
         let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let Some(key) = &keys.authentication else {
             let why = "has no line `authentication = 32 hexadecimal digits`";

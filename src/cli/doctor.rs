@@ -8,8 +8,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use serde::Serialize;
 
-use crate::json;
+use super::{print, print_json};
+use crate::error::Result;
 
 mod bus;
 mod config;
@@ -38,7 +40,8 @@ pub(super) struct Doctor {
 }
 
 /// How bad it is.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 enum State {
     Ok,
     Warning,
@@ -55,7 +58,14 @@ impl State {
     }
 }
 
+/// All findings, for --json.
+#[derive(Serialize)]
+struct Report {
+    findings: Vec<Finding>,
+}
+
 /// What was looked at, how it is, and what to do.
+#[derive(Serialize)]
 struct Finding {
     state: State,
     what: String,
@@ -76,7 +86,7 @@ fn problem(what: impl Into<String>, says: impl Into<String>, remedy: impl Into<S
 }
 
 impl Doctor {
-    pub(super) fn run(self) -> (String, ExitCode) {
+    pub(super) fn run(self) -> Result<ExitCode> {
         let host = Host::new(self.root);
         let configured = config::buses(&host);
         let mut findings = fuse::look(&host);
@@ -85,24 +95,16 @@ impl Doctor {
         findings.extend(config::look(&host));
         findings.extend(service::look(&host, &configured));
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
-        let told = if self.json { as_json(&findings) } else { as_text(&findings) };
-        (told, if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+        if self.json {
+            print_json(&Report { findings });
+        } else {
+            print(&text(&findings));
+        }
+        Ok(if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
     }
 }
 
-fn as_json(findings: &[Finding]) -> String {
-    let findings = findings.iter().map(|Finding { state, what, says, remedy }| {
-        json::object(&[
-            ("state", json::text(state.as_str())),
-            ("what", json::text(what)),
-            ("says", json::text(says)),
-            ("remedy", remedy.as_ref().map_or_else(|| "null".into(), |remedy| json::text(remedy))),
-        ])
-    });
-    json::object(&[("findings", json::array(findings))]) + "\n"
-}
-
-fn as_text(findings: &[Finding]) -> String {
+fn text(findings: &[Finding]) -> String {
     let mut text = String::new();
     for Finding { state, what, says, remedy } in findings {
         // Writing to a String does not fail.

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
@@ -12,6 +13,7 @@ use nix::errno::Errno;
 use nix::sys::termios::{LocalFlags, SetArg, SpecialCharacterIndices, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
+use super::{folder_name, print};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
 use crate::keys::{Name, Secret};
@@ -63,14 +65,15 @@ struct Change {
 }
 
 impl Command {
-    /// What to print when it is done.
-    pub(super) fn run(&self) -> Result<String> {
-        let What::Change(change) = &self.command;
-        change.run()
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let What::Change(change) = self.command;
+        print(&change.run()?);
+        Ok(ExitCode::SUCCESS)
     }
 }
 
 impl Change {
+    /// What to print when it is done.
     fn run(&self) -> Result<String> {
         let name = Name::ALL.into_iter().find(|name| name.as_str() == self.key);
         let name = name.expect("clap took only names of keys");
@@ -109,9 +112,7 @@ impl Change {
             },
         }
     }
-}
 
-impl Change {
     /// The old key and the new one.
     fn keys(&self, name: Name, gauge: &str) -> Result<(Secret, Secret)> {
         // A file that is refused is refused before anybody types.
@@ -127,12 +128,6 @@ impl Change {
             }
         }
     }
-}
-
-/// The name of a gauge's folder, however it was reached.
-pub(super) fn folder_name(gauge: &Path) -> String {
-    let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
-    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn of_file(file: &Path, name: Name, gauge: &str) -> Result<Secret> {

@@ -1,21 +1,36 @@
-//! `gaugefs man` and `gaugefs completions`: what a package installs beside the program.
+//! `gaugefs man`: the manual page that a package installs.
 //!
 //! The page is written by hand in `docs/gaugefs.1.in`; its commands and options are put in from the
 //! definitions that parse them.
 
-use clap::{Arg, ArgAction, Command};
-use clap_complete::Shell;
+use std::process::ExitCode;
+
+use clap::{Arg, ArgAction, Args, Command, CommandFactory};
+use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
 
-use crate::daemon::log::utc;
+use super::{Cli, print};
+use crate::error::Result;
 
 const PAGE: &str = include_str!("../../docs/gaugefs.1.in");
 
-/// The manual page gaugefs(1).
+/// Print the manual page gaugefs(1)
+#[derive(Args, Debug)]
+#[command(hide = true)]
+pub(super) struct Man {}
+
+impl Man {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        print(&page(Cli::command()));
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The manual page.
 ///
 /// Its date is that of SOURCE_DATE_EPOCH, which whoever packages it sets, so that the page is the same
 /// each time.
-pub(super) fn page(mut gaugefs: Command) -> String {
+fn page(mut gaugefs: Command) -> String {
     gaugefs.build();
     let (mut synopsis, mut commands) = (Roff::new(), Roff::new());
     for command in gaugefs.get_subcommands_mut().filter(|command| !command.is_hide_set()) {
@@ -24,18 +39,12 @@ pub(super) fn page(mut gaugefs: Command) -> String {
         }
     }
     let epoch = std::env::var("SOURCE_DATE_EPOCH").ok().and_then(|seconds| seconds.parse().ok());
-    let date = epoch.map_or_else(String::new, |seconds| utc(seconds)[..10].to_string());
+    let date = epoch.and_then(|seconds| Timestamp::from_second(seconds).ok());
+    let date = date.map_or_else(String::new, |date| date.strftime("%F").to_string());
     PAGE.replace("@DATE@", &date)
         .replace("@VERSION@", env!("CARGO_PKG_VERSION"))
         .replace("@SYNOPSIS@\n", &synopsis.to_roff())
         .replace("@COMMANDS@\n", &commands.to_roff())
-}
-
-/// The completions of a shell.
-pub(super) fn completions(shell: Shell, mut gaugefs: Command) -> String {
-    let mut script = Vec::new();
-    clap_complete::generate(shell, &mut gaugefs, "gaugefs", &mut script);
-    String::from_utf8_lossy(&script).into_owned()
 }
 
 /// A command's line of the synopsis, and its section.

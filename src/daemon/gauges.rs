@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
+use jiff::Timestamp;
 use nix::errno::Errno;
 
 use super::journal_dir::journal;
-use super::log;
 use super::source::{Opened, SimKnobs, Source};
 use crate::bus::trace::Trace;
 use crate::chip::Chip;
@@ -113,7 +113,7 @@ impl Opening {
             return Err(Error::new("", Cause::Gone(why)));
         }
         for line in lines {
-            ::log::warn!("{line}");
+            log::warn!("{line}");
             if aloud {
                 eprintln!("gaugefs: warning: {line}");
             }
@@ -133,8 +133,7 @@ impl Opening {
         let opened = Source::of(&gauge).open(&self.mountpoint, &self.clock, waits)?;
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
-            let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-            let head = format!("{} on {subject}, {}", chip.name, log::utc(now));
+            let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
             bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head)?);
         }
         let settings = Settings {

@@ -8,9 +8,9 @@ use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use env_logger::{Builder, Env, Target};
+use jiff::Timestamp;
 use log::{Level, Record};
 
 use crate::error::{Error, Result};
@@ -43,8 +43,7 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             let file = File::options().append(true).create(true).mode(0o640).open(path).map_err(failed)?;
             builder.target(Target::Pipe(Box::new(file)));
             builder.format(|out, record| {
-                let at = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-                writeln!(out, "{} {}{}", utc(at), word(record), record.args())
+                writeln!(out, "{:.0} {}{}", Timestamp::now(), word(record), record.args())
             });
         }
         Destination::Syslog => {
@@ -95,34 +94,5 @@ impl Write for Syslog {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
-    }
-}
-
-/// A moment in UTC: `2026-11-21T05:04:51Z`, from the seconds since 1970.
-pub fn utc(seconds: u64) -> String {
-    let (days, time) = (seconds / 86400, seconds % 86400);
-    // Years are counted from March, so that a leap day is the last of its year.
-    let days = days + 719_468;
-    let (era, day) = (days / 146_097, days % 146_097);
-    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let day = day - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    let year = year + era * 400 + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", time / 3600, time / 60 % 60, time % 60)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::utc;
-
-    #[test]
-    fn moments_are_told_in_utc() {
-        assert_eq!(utc(0), "1970-01-01T00:00:00Z");
-        assert_eq!(utc(951_782_399), "2000-02-28T23:59:59Z");
-        assert_eq!(utc(951_782_400), "2000-02-29T00:00:00Z");
-        assert_eq!(utc(1_709_251_199), "2024-02-29T23:59:59Z");
-        assert_eq!(utc(4_107_542_400), "2100-03-01T00:00:00Z");
     }
 }

@@ -324,8 +324,8 @@ mod tests {
     fn blocks_end_where_the_area_ends() {
         let mut flash = Flash::new(IMAGE);
         assert_eq!(flash.block(48, 1), [7; 8]);
-        assert_eq!(flash.block(48, 2), []);
-        assert_eq!(flash.block(3, 0), []);
+        assert!(flash.block(48, 2).is_empty());
+        assert!(flash.block(3, 0).is_empty());
         flash.program(48, 1, &[9; 32]);
         assert_eq!(flash.block(48, 1), [9; 8]);
         assert_eq!(flash.block(48, 0), [7; 32]);

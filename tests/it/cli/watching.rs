@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use serde_json::{Value, json};
 
 use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, golden, read, within};
 
@@ -124,9 +125,9 @@ fn top_is_used_and_left() {
         return;
     }
     let folder = Folder::new();
-    let (at, picture) = (folder.file("m"), folder.file("top.svg"));
+    let at = folder.file("m");
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
-    let mut screen = Screen::new(&[&at, "--screenshot", &picture]);
+    let mut screen = Screen::new(&[&at]);
     screen.shows("bq34z100-G1");
     screen.shows("voltage in V, last 5 min");
     screen.press("i+");
@@ -146,8 +147,6 @@ fn top_is_used_and_left() {
     screen.shows("absent");
     screen.press("q");
     screen.ends();
-    let svg = fs::read_to_string(picture).expect("the picture");
-    assert!(svg.contains(">absent<"), "{svg}");
 
     // A signal, a stop and a continuation.
     let mut screen = Screen::new(&[&at]);
@@ -273,18 +272,20 @@ fn top_prints_json_until_its_reader_has_seen_enough() {
     within(LONG, "the second poll", || passed.exists());
     let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "2", &at]).done();
     for line in out.lines() {
-        assert!(line.starts_with("{\"time\": \"") && line.ends_with('}'), "{line}");
-        for text in [
-            "\"path\": \"",
-            "\"name\": \"BAT0\"",
-            "\"voltage_now\": 3855000",
-            "\"status\": \"Not charging\"",
-            "\"flags\": [\"CHG\", \"OCVTAKEN\"]",
-            "\"passed_charge\": 0",
-            "\"seal\": \"sealed\"",
+        let look: Value = serde_json::from_str(line).expect("JSON");
+        for (pointer, value) in [
+            ("/path", json!(format!("{at}/BAT0"))),
+            ("/name", json!("BAT0")),
+            ("/voltage_now", json!(3_855_000)),
+            ("/status", json!("Not charging")),
+            ("/bits/flags", json!(["CHG", "OCVTAKEN"])),
+            ("/registers/passed_charge", json!(0)),
+            ("/seal", json!("sealed")),
+            ("/last_error", json!("")),
         ] {
-            assert!(line.contains(text), "{text} is not in {line}");
+            assert_eq!(look.pointer(pointer), Some(&value), "{pointer} in {line}");
         }
+        assert!(look["time"].is_string() && look["age_ms"].is_u64(), "{line}");
     }
     // The reader takes one line and goes.
     let mut child = command(&["top", "--json", "--interval", "0.1", &at])
@@ -397,17 +398,10 @@ fn plot_draws_what_was_logged() {
             "plot tests/it/images/history.csv --columns charge --width 640 --height 300",
             "plot tests/it/images/history.csv --columns speed",
             "plot tests/it/images/history.csv --height 200",
+            "plot tests/it/images/history.csv -o history.png",
             "plot tests/it/images/history.csv -o history.gif",
             "plot tests/it/images/pack.gg.csv",
             "plot tests/it/images/none",
         ],
     );
-    let folder = Folder::new();
-    let png = folder.file("history.png");
-    gaugefs(&["plot", "tests/it/images/history.csv", "-o", &png, "--width", "800", "--height", "600"]).done();
-    let bytes = fs::read(Path::new(&png)).expect("the picture");
-    assert_eq!(bytes[..8], *b"\x89PNG\r\n\x1a\n");
-    assert_eq!((&bytes[16..20], &bytes[20..24]), (&800u32.to_be_bytes()[..], &600u32.to_be_bytes()[..]));
-    // White paper alone would be a few hundred bytes.
-    assert!(bytes.len() > 5000, "{}", bytes.len());
 }

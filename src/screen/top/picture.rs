@@ -1,4 +1,5 @@
-//! The screen as SVG, cell by cell as the terminal got it.
+//! The screen as SVG, cell by cell. A test draws docs/top.svg with it; `GAUGEFS_GOLDEN=write` makes the
+//! picture anew.
 
 use std::fmt::Write;
 

@@ -3,6 +3,7 @@
 //! Only files are read that cost no transfer. Data flash is read when a key asks for it, and while the
 //! gauge is found unsealed and what it has learned is on the screen, once a minute.
 
+use std::collections::BTreeMap;
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,15 +11,17 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use nix::errno::Errno;
+use serde::Serialize;
+use serde_json::Value;
 
 use super::sample::Sample;
 use super::watch::{Seen, Watch};
 use crate::error::{Error, Result};
-use crate::json;
 
 mod draw;
 mod history;
 mod model;
+#[cfg(test)]
 mod picture;
 mod terminal;
 #[cfg(test)]
@@ -38,7 +41,7 @@ Examples:
 /// Show all mounted gauges and their history
 #[derive(Args, Debug)]
 #[command(after_help = TOP)]
-pub(super) struct Top {
+pub(crate) struct Top {
     /// A mount point, or a mounted gauge's folder [default: all that gaugefs has mounted]
     gauge: Option<PathBuf>,
     /// Print JSON instead, an object a line for each gauge and look
@@ -50,9 +53,6 @@ pub(super) struct Top {
     /// End after so many objects of each gauge
     #[arg(long, value_name = "N", requires = "json", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    /// Write the screen to this file as SVG when it is left
-    #[arg(long, value_name = "FILE", hide = true, conflicts_with = "json")]
-    screenshot: Option<PathBuf>,
 }
 
 impl Top {
@@ -66,7 +66,7 @@ impl Top {
         if self.json {
             return self.stream(watch);
         }
-        terminal::run(watch, self.interval, self.screenshot.as_deref())?;
+        terminal::run(watch, self.interval)?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -85,15 +85,14 @@ impl Top {
             let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
             let path = report.gauge.display().to_string();
             let line = match &report.seen {
-                Seen::Sample(sample) => object(&report.gauge, sample),
+                Seen::Sample(sample) => serde_json::to_string(&Line::new(&path, sample)),
                 Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
                     return Err(Error::host(path, Errno::ENOENT, why));
                 }
-                Seen::Trouble(why) => {
-                    json::object(&[("path", json::text(&path)), ("error", json::text(why))])
-                }
+                Seen::Trouble(why) => serde_json::to_string(&Trouble { path: &path, error: why }),
                 Seen::Learned(_) | Seen::Refused(_) => continue,
             };
+            let line = line.expect("keys are strings, so it cannot fail");
             let at = known.unwrap_or_else(|| {
                 printed.push((report.gauge, 0));
                 printed.len() - 1
@@ -119,31 +118,46 @@ impl Top {
     }
 }
 
-/// One look at a gauge; attributes by the kernel's names and in its units.
-fn object(gauge: &std::path::Path, sample: &Sample) -> String {
-    let number = |value: &str| match value.parse::<i64>() {
-        Ok(number) => number.to_string(),
-        Err(_) => json::text(value),
-    };
-    let mut members = vec![
-        ("time", json::text(&format!("{:.3}", sample.time))),
-        ("path", json::text(&gauge.display().to_string())),
-    ];
-    members.extend(sample.age.map(|age| ("age_ms", age.as_millis().to_string())));
-    members.extend(sample.attributes.iter().map(|(name, value)| match name.as_str() {
-        "name" | "type" | "model_name" | "manufacturer" => (name.as_str(), json::text(value)),
-        _ => (name.as_str(), number(value)),
-    }));
-    let words: Vec<_> = sample
-        .words
-        .iter()
-        .map(|(name, bits)| (name.as_str(), json::array(bits.split_whitespace().map(json::text))))
-        .collect();
-    let registers: Vec<_> =
-        sample.registers.iter().map(|(name, value)| (name.as_str(), value.to_string())).collect();
-    members.push(("bits", json::object(&words)));
-    members.push(("registers", json::object(&registers)));
-    members.extend(sample.seal.as_ref().map(|seal| ("seal", json::text(seal))));
-    members.push(("last_error", json::text(&sample.last_error)));
-    json::object(&members)
+/// One sample of a gauge; attributes have the kernel's names and units.
+#[derive(Serialize)]
+struct Line<'a> {
+    time: String,
+    path: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    age_ms: Option<u64>,
+    #[serde(flatten)]
+    attributes: BTreeMap<&'a str, Value>,
+    bits: BTreeMap<&'a str, Vec<&'a str>>,
+    registers: BTreeMap<&'a str, i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seal: Option<&'a str>,
+    last_error: &'a str,
+}
+
+/// Why there is no sample.
+#[derive(Serialize)]
+struct Trouble<'a> {
+    path: &'a str,
+    error: &'a str,
+}
+
+impl<'a> Line<'a> {
+    fn new(path: &'a str, sample: &'a Sample) -> Self {
+        let attributes = sample.attributes.iter().map(|(name, value)| {
+            let is_text = ["name", "type", "model_name", "manufacturer"].contains(&name.as_str());
+            let number = value.parse::<i64>().ok().filter(|_| !is_text);
+            (name.as_str(), number.map_or_else(|| Value::from(value.as_str()), Value::from))
+        });
+        let bits = sample.words.iter().map(|(name, bits)| (name.as_str(), bits.split_whitespace().collect()));
+        Self {
+            time: format!("{:.3}", sample.time),
+            path,
+            age_ms: sample.age.map(|age| age.as_millis() as u64),
+            attributes: attributes.collect(),
+            bits: bits.collect(),
+            registers: sample.registers.iter().map(|(name, value)| (name.as_str(), *value)).collect(),
+            seal: sample.seal.as_deref(),
+            last_error: &sample.last_error,
+        }
+    }
 }

@@ -16,7 +16,7 @@ const TIMES: f64 = 44.0;
 const USUAL: f64 = 150.0;
 const LEAST: f64 = 40.0;
 
-pub(super) const INK: [u8; 3] = [0x24, 0x29, 0x2f];
+const INK: [u8; 3] = [0x24, 0x29, 0x2f];
 const FAINT: [u8; 3] = [0x6e, 0x77, 0x81];
 const GRID: [u8; 3] = [0xe4, 0xe7, 0xeb];
 /// Told apart by those too who see few colours (Okabe and Ito).

@@ -1,14 +1,13 @@
 //! `gaugefs plot`: draws what `gaugefs log` has written.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
 
 use crate::error::{Cause, Error, Result};
 
-mod png;
 mod scene;
 mod svg;
 mod table;
@@ -20,15 +19,16 @@ away the line has a gap.
 
 Examples:
   gaugefs plot history.csv -o history.svg
-  gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.png";
+  gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.svg
+  rsvg-convert history.svg -o history.png";
 
 /// Draw a history that `gaugefs log` has written
 #[derive(Args, Debug)]
 #[command(after_help = PLOT)]
-pub(super) struct Plot {
+pub(crate) struct Plot {
     /// The CSV file
     file: PathBuf,
-    /// Picture to write, SVG or by its name PNG [default: SVG to standard output]
+    /// SVG file to write [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// What to draw, by the names in the file's first line [default: voltage, current, capacity and
@@ -45,25 +45,33 @@ pub(super) struct Plot {
 
 impl Plot {
     pub(super) fn run(self) -> Result<ExitCode> {
+        self.output.as_deref().map_or(Ok(()), check_extension)?;
         let name = self.file.display().to_string();
         let text = std::fs::read(&self.file).map_err(|error| Error::io(&name, "cannot read it", &error))?;
         let panels = table::panels(&text, &self.columns).map_err(|error| error.within(&name))?;
         let scene = scene::lay_out(&panels, self.width, self.height).map_err(|error| error.within(&name))?;
-        let kind = self.output.as_ref().and_then(|path| path.extension()).unwrap_or_default();
-        let picture = match kind.to_string_lossy().to_lowercase().as_str() {
-            "png" => png::render(&scene)?,
-            "svg" | "" => svg::render(&scene).into_bytes(),
-            _ => {
-                let name = self.output.unwrap_or_default().display().to_string();
-                return Err(Error::new(name, Cause::Invalid("is neither .svg nor .png".into())));
-            }
-        };
+        let svg = svg::render(&scene);
         match self.output {
-            Some(file) => std::fs::write(&file, picture)
+            Some(file) => std::fs::write(&file, svg)
                 .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
             // A reader that has seen enough is no failure.
-            None => drop(std::io::stdout().write_all(&picture)),
+            None => drop(std::io::stdout().write_all(svg.as_bytes())),
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// Refuses a file name that promises another format than SVG.
+fn check_extension(file: &Path) -> Result<()> {
+    let extension = file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let why = match extension.as_str() {
+        "svg" | "" => return Ok(()),
+        "png" => {
+            let (svg, png) = (file.with_extension("svg"), file.display());
+            let svg = svg.display();
+            format!("plot writes SVG, not PNG; write {svg} and convert it: rsvg-convert {svg} -o {png}")
+        }
+        _ => "plot writes SVG; give a name that ends in .svg".into(),
+    };
+    Err(Error::new(file.display().to_string(), Cause::Invalid(why)))
 }

@@ -1,7 +1,6 @@
 //! The terminal: made ready, drawn to, and given back as it was, however `top` ends.
 
 use std::io;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -15,9 +14,9 @@ use ratatui::{DefaultTerminal, Terminal};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 
 use super::super::watch::Watch;
+use super::draw;
 use super::history::seconds;
 use super::model::{Model, Wish};
-use super::{draw, picture};
 use crate::error::{Error, Result};
 
 /// How soon a report or a signal is seen.
@@ -28,7 +27,7 @@ fn failed(error: &io::Error) -> Error {
 }
 
 /// Shows the screen until it is left. A panic restores the terminal too: ratatui sees to that.
-pub(super) fn run(watch: Watch, every: Duration, screenshot: Option<&Path>) -> Result<()> {
+pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
     let ends = Arc::new(AtomicBool::new(false));
     let stops = Arc::new(AtomicBool::new(false));
     for signal in [SIGTERM, SIGINT, SIGHUP] {
@@ -36,7 +35,7 @@ pub(super) fn run(watch: Watch, every: Duration, screenshot: Option<&Path>) -> R
     }
     signal_hook::flag::register(SIGTSTP, stops.clone()).map_err(|error| failed(&error))?;
     let mut terminal = ratatui::try_init().map_err(|error| failed(&error))?;
-    let outcome = show(&mut terminal, watch, every, screenshot, &ends, &stops);
+    let outcome = show(&mut terminal, watch, every, &ends, &stops);
     ratatui::try_restore().map_err(|error| failed(&error))?;
     outcome
 }
@@ -45,7 +44,6 @@ fn show(
     terminal: &mut DefaultTerminal,
     mut watch: Watch,
     every: Duration,
-    screenshot: Option<&Path>,
     ends: &AtomicBool,
     stops: &AtomicBool,
 ) -> Result<()> {
@@ -78,11 +76,7 @@ fn show(
             }
         }
         if wish == Wish::Quit || ends.load(Ordering::SeqCst) {
-            let Some(file) = screenshot else { return Ok(()) };
-            let frame = terminal.draw(|frame| draw::screen(frame, &model, now));
-            let svg = picture::svg(frame.map_err(|error| failed(&error))?.buffer);
-            let name = file.display().to_string();
-            return std::fs::write(file, svg).map_err(|error| Error::io(name, "cannot be written", &error));
+            return Ok(());
         }
         if wish == Wish::Suspend || stops.swap(false, Ordering::SeqCst) {
             terminal.show_cursor().and_then(|()| ratatui::try_restore()).map_err(|error| failed(&error))?;

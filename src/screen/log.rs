@@ -29,7 +29,7 @@ const EARLY: Duration = Duration::from_millis(250);
 /// Write a mounted gauge's history as CSV
 #[derive(Args, Debug)]
 #[command(after_help = LOG)]
-pub(super) struct Log {
+pub(crate) struct Log {
     /// A mount point, or a mounted gauge's folder, such as /run/gauges/BAT0
     gauge: PathBuf,
     /// Least time between two rows [default: every poll]

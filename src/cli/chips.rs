@@ -1,0 +1,97 @@
+//! `gaugefs chips`.
+
+use std::iter;
+use std::process::ExitCode;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{align, print, print_json};
+use crate::chip::{CHIPS, Chip, Evidence, Scheme};
+use crate::error::Result;
+
+/// List the supported gauges, and how far each has been proven
+#[derive(Args, Debug)]
+pub(super) struct Chips {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A row of the table.
+#[derive(Serialize)]
+struct Row {
+    name: &'static str,
+    model: &'static str,
+    data_flash: &'static str,
+    parameters: usize,
+    unproven: usize,
+    evidence: &'static str,
+    documents: &'static [&'static str],
+}
+
+impl Row {
+    fn new(chip: &'static Chip) -> Self {
+        Self {
+            name: chip.name,
+            model: chip.model,
+            data_flash: scheme(chip),
+            parameters: parameters(chip),
+            unproven: unproven(chip),
+            evidence: evidence(chip.evidence),
+            documents: chip.documents,
+        }
+    }
+
+    fn cells(&self) -> [String; 6] {
+        let document = self.documents.first().copied().unwrap_or_default();
+        let (parameters, unproven) = (self.parameters.to_string(), self.unproven.to_string());
+        [
+            self.name.into(),
+            self.data_flash.into(),
+            parameters,
+            unproven,
+            self.evidence.into(),
+            document.into(),
+        ]
+    }
+}
+
+impl Chips {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let rows: Vec<_> = CHIPS.iter().map(|chip| Row::new(chip)).collect();
+        if self.json {
+            print_json(&rows);
+        } else {
+            let header = ["CHIP", "DATA", "PARAMETERS", "UNPROVEN", "EVIDENCE", "DOCUMENT"].map(String::from);
+            let cells = rows.iter().map(Row::cells);
+            print(&align(&iter::once(header).chain(cells).collect::<Vec<_>>()));
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+fn parameters(chip: &Chip) -> usize {
+    chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum()
+}
+
+/// Parameters that are read-only because their address or range is not sure.
+fn unproven(chip: &Chip) -> usize {
+    let rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
+    rows.filter(|parameter| parameter.unproven).count()
+}
+
+fn scheme(chip: &Chip) -> &'static str {
+    match chip.access.scheme {
+        Scheme::Block | Scheme::Mac => "flash",
+        Scheme::CfgUpdate => "RAM",
+    }
+}
+
+fn evidence(evidence: Evidence) -> &'static str {
+    match evidence {
+        Evidence::Manual => "manual",
+        Evidence::Transcript => "manual, transcripts",
+        Evidence::Unproven => "relatives, drivers",
+    }
+}

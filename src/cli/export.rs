@@ -1,0 +1,65 @@
+//! `gaugefs export`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, ValueEnum};
+
+use super::print;
+use crate::error::{Error, Result};
+use crate::image::Format;
+use crate::mounted;
+
+const EXPORT: &str = "\
+Keys are in no file. toml is made for git; gg.csv is bqStudio's; flashstream is what TI's
+tools send to a gauge.
+
+Examples:
+  gaugefs export /run/gauges/BAT0 -o pack.toml
+  gaugefs export /run/gauges/BAT0 --format flashstream -o pack.gm.fs";
+
+/// Write a mounted gauge's configuration to a file
+#[derive(Args, Debug)]
+#[command(after_help = EXPORT)]
+pub(super) struct Export {
+    /// A mounted gauge's folder, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// Format of the file
+    #[arg(long, value_enum, default_value = "toml")]
+    format: FormatName,
+    /// File to write [default: standard output]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// The formats on the command line.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FormatName {
+    Toml,
+    #[value(name = "gg.csv")]
+    GgCsv,
+    Flashstream,
+}
+
+impl Export {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let image = mounted::of_mounted(&self.gauge)?;
+        let text = image.write(self.format.into(), |id| mounted::raw_of(&self.gauge, id))?;
+        match self.output {
+            None => print(&text),
+            Some(file) => std::fs::write(&file, text)
+                .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl From<FormatName> for Format {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::Toml => Format::Toml,
+            FormatName::GgCsv => Format::GgCsv,
+            FormatName::Flashstream => Format::FlashStream,
+        }
+    }
+}

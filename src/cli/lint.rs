@@ -1,0 +1,114 @@
+//! `gaugefs lint`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{align, counted, print, print_json};
+use crate::chip::Chip;
+use crate::config::chip_names;
+use crate::error::Result;
+use crate::image::Image;
+use crate::mounted;
+
+const LINT: &str = "\
+No gauge is needed. A FlashStream is read as a gauge would; what writes firmware or anything
+else that is no documented parameter is refused with its line.
+
+Examples:
+  gaugefs lint golden.gm.fs
+  gaugefs lint --chip bq27441-g1 golden.gm.fs";
+
+/// Show what a configuration file would set, and what is wrong with it
+#[derive(Args, Debug)]
+#[command(after_help = LINT)]
+pub(super) struct Lint {
+    /// A file of any format
+    file: PathBuf,
+    /// What it is for, where it does not tell
+    #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
+    chip: Option<String>,
+    /// Take bytes too that no manual documents
+    #[arg(long)]
+    raw: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What a file would set, for --json.
+#[derive(Serialize)]
+struct Report<'a> {
+    chip: &'static str,
+    parameters: Vec<Row>,
+    raw: Vec<RawRow>,
+    notes: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Row {
+    name: String,
+    value: String,
+    unit: &'static str,
+    line: usize,
+}
+
+#[derive(Serialize)]
+struct RawRow {
+    name: String,
+    bytes: String,
+    line: usize,
+}
+
+impl<'a> Report<'a> {
+    fn new(image: &'a Image) -> Self {
+        let rows = image.entries.iter().map(|entry| Row {
+            name: image.name(entry),
+            value: entry.text(),
+            unit: entry.parameter.unit,
+            line: entry.line,
+        });
+        let raw = image.raw.iter().map(|raw| RawRow { name: raw.name(), bytes: raw.text(), line: raw.line });
+        Self { chip: image.chip.name, parameters: rows.collect(), raw: raw.collect(), notes: &image.notes }
+    }
+}
+
+impl Lint {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
+        if self.json {
+            print_json(&Report::new(&image));
+        } else {
+            print(&self.text(&image));
+        }
+        let mut code = ExitCode::SUCCESS;
+        let values = image.entries.iter().filter_map(|entry| entry.is_imported().err());
+        let raw = image.raw.chunk_by(|one, other| one.line == other.line);
+        let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
+        for error in values.chain(raw) {
+            eprintln!("gaugefs: {}", error.within(&self.file.display().to_string()));
+            code = ExitCode::FAILURE;
+        }
+        Ok(code)
+    }
+
+    fn text(&self, image: &Image) -> String {
+        let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
+        let rows = image.entries.iter().map(|entry| {
+            let unit = entry.parameter.unit;
+            let mark = if matches!(entry.is_imported(), Ok(false)) { "not imported" } else { "" };
+            let value = format!("{} {unit}", entry.text());
+            [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
+        });
+        let raw = image.raw.iter().filter(|_| self.raw);
+        let raw = raw.map(|raw| [raw.name(), raw.text(), format!("line {}", raw.line), String::new()]);
+        text += &align(&rows.chain(raw).collect::<Vec<_>>());
+        text.extend(image.notes.iter().map(|note| format!("{note}\n")));
+        if !self.raw {
+            text += &image.undocumented();
+        }
+        text
+    }
+}

@@ -1,0 +1,99 @@
+//! `gaugefs mount`, and `gaugefs attach`, which systemd's units run beside it.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{ArgGroup, Args};
+
+use super::{align, print};
+use crate::config::{GaugeOptions, MountOptions, Setup};
+use crate::daemon::{self, Mode, Source, background, mountpoint, service};
+use crate::error::Result;
+use crate::fs::Covered;
+
+const MOUNT: &str = "\
+Examples:
+  gaugefs mount --sim bq34z100-g1 /tmp/gauges
+  gaugefs mount --bus /dev/i2c-1 /run/gauges
+  gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys /run/gauges
+  gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     beside the kernel's own supplies
+  gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
+
+A gauge appears in MOUNTPOINT as the kernel shows a power supply: BAT0/voltage_now,
+BAT0/capacity and so on; its data flash in BAT0/df, all else in BAT0/gauge.";
+
+/// Mount gauges; returns once they are mounted and have been read
+#[derive(Args, Debug)]
+#[command(after_help = MOUNT, group = ArgGroup::new("gauges").required(true).multiple(true).args(["sim", "bus", "replay", "config"]))]
+pub(super) struct Mount {
+    /// Any number of gauges, as this file in TOML names them; with --bus, where those are that name none
+    #[arg(long, value_name = "FILE", help_heading = "Gauge")]
+    config: Option<PathBuf>,
+    /// Only read the configuration and say what it would mount
+    #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
+    check: bool,
+    #[command(flatten)]
+    gauge: GaugeOptions,
+    #[command(flatten)]
+    mount: MountOptions,
+    /// Stay in the foreground and log to standard error
+    #[arg(short, long, help_heading = "Running")]
+    foreground: bool,
+    /// Leave the mounting to `gaugefs attach`, which systemd's unit runs as root
+    #[arg(long, hide = true, requires = "foreground")]
+    service: bool,
+}
+
+/// Mount what a service serves; a step of systemd's units, with what the service is told
+#[derive(Args, Debug)]
+#[command(hide = true)]
+pub(super) struct Attach {
+    /// The service's process
+    #[arg(long)]
+    pid: i32,
+    #[command(flatten)]
+    mount: Mount,
+}
+
+impl Mount {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        if self.check {
+            print(&plan(&self.setup()?)?);
+            return Ok(ExitCode::SUCCESS);
+        }
+        let mode = match (self.foreground, self.service) {
+            (_, true) => Mode::Service,
+            (true, false) => Mode::Foreground,
+            (false, false) if background::is_child() => Mode::Background,
+            (false, false) => return background::start(),
+        };
+        daemon::run(self.setup()?, mode).map(|()| ExitCode::SUCCESS)
+    }
+
+    fn setup(self) -> Result<Setup> {
+        match self.config {
+            Some(file) => Setup::read(&file, self.mount, self.gauge.bus.as_deref()),
+            None => Setup::one(self.mount, self.gauge),
+        }
+    }
+}
+
+impl Attach {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        service::attach(self.pid, &self.mount.setup()?)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The gauges that a configuration would mount.
+fn plan(setup: &Setup) -> Result<String> {
+    let covered = mountpoint::covered(setup.mountpoint())?;
+    let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
+    let rows = daemon::names(&setup.gauges, &taken).into_iter().zip(&setup.gauges).map(|(name, gauge)| {
+        let source = Source::of(gauge);
+        let chip = source.chip().map_or("asked", |chip| chip.name);
+        let place = setup.mountpoint().join(name).display().to_string();
+        [place, source.to_string(), chip.to_string()]
+    });
+    Ok(align(&rows.collect::<Vec<_>>()))
+}

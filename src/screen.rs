@@ -1,0 +1,42 @@
+//! The commands that show mounted gauges: `top`, `log` and `plot`. The cargo feature `screen` guards this
+//! module and nothing else.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Subcommand;
+
+use crate::error::Result;
+
+mod log;
+mod plot;
+mod sample;
+mod thin;
+mod top;
+mod watch;
+
+/// The commands of this module.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Top(top::Top),
+    Log(log::Log),
+    Plot(plot::Plot),
+}
+
+impl Command {
+    pub(crate) fn run(self) -> Result<ExitCode> {
+        match self {
+            Self::Top(top) => top.run(),
+            Self::Log(log) => log.run(),
+            Self::Plot(plot) => plot.run(),
+        }
+    }
+}
+
+/// The value of `--interval`.
+fn seconds(text: &str) -> Result<Duration, String> {
+    match text.parse() {
+        Ok(seconds @ 0.1..=86400.0) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("expected 0.1 to 86400 seconds".into()),
+    }
+}
