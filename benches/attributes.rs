@@ -14,12 +14,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::chip::Chip;
-use gaugefs::clock::RealClock;
+use gauge_bus::clock::RealClock;
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
 use gaugefs::owner::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
+use ti_gauge::chip::Chip;
 
 const ROUNDS: usize = 20;
 const A_ROUND: usize = 5_000;

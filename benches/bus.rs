@@ -8,15 +8,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::bus::{wire_bits, wire_bytes};
-use gaugefs::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
-use gaugefs::clock::{Clock, SimClock};
-use gaugefs::codec::{self, WINDOW};
-use gaugefs::dataflash::{Change, DataFlash, Outcome, Place};
-use gaugefs::gauge::{Gauge, Seal, bursts};
-use gaugefs::keys::Keys;
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{wire_bits, wire_bytes};
 use gaugefs::sim::{Options, Sim};
-use gaugefs::value::Value;
+use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
+use ti_gauge::codec::{self, WINDOW};
+use ti_gauge::dataflash::{Change, DataFlash, Outcome, Place};
+use ti_gauge::gauge::{Gauge, Seal, bursts};
+use ti_gauge::keys::Keys;
+use ti_gauge::value::Value;
 
 /// Transfers and bytes of the kernel's driver, where it has one for the part.
 const KERNEL: &[(&str, u64, u64)] =
@@ -135,7 +135,7 @@ fn image(chip: &'static Chip) -> Option<Whole> {
 fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64, bool)> {
     let (_, mut gauge, mut dataflash) = rig(chip, found)?;
     let rows = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
-    let plain = |one: &gaugefs::chip::Parameter| {
+    let plain = |one: &ti_gauge::chip::Parameter| {
         one.kind.size() == 2 && one.safe.is_none() && !one.unproven && !one.learned
     };
     let (subclass, parameter) = rows.into_iter().find(|(_, one)| plain(one))?;

@@ -7,13 +7,13 @@ use std::time::Duration;
 use clap::Args;
 use serde::Deserialize;
 
-use crate::authentication::Order;
-use crate::chip::Chip;
 use crate::daemon::Source;
 use crate::daemon::node::Node;
-use crate::dataflash::{Limits, WRITES_PER_HOUR};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
 mod file;
 mod from_toml;

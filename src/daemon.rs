@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
 
-use crate::clock::{Clock, RealClock};
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Covered, Fs, free_name};
 use crate::fuse;
 use crate::owner::{Handle, Signal};
+use gauge_bus::clock::{Clock, RealClock};
 
 mod adapters;
 pub mod background;

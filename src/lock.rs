@@ -18,9 +18,9 @@ use nix::fcntl::{Flock, FlockArg};
 use nix::libc;
 use nix::unistd::geteuid;
 
-use crate::bus::linux::Adapter;
-use crate::clock::Clock;
 use crate::error::{Cause, Error, Result};
+use gauge_bus::clock::Clock;
+use gauge_bus::linux::Adapter;
 
 /// Folder for the locks of root's daemons.
 const SHARED: &str = "/run/gaugefs";
@@ -188,7 +188,7 @@ fn folder() -> Result<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clock::SimClock;
+    use gauge_bus::clock::SimClock;
 
     #[test]
     fn a_second_lock_is_refused_with_the_holder_of_the_first() {

@@ -13,17 +13,17 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
-use crate::authentication::Order;
-use crate::bus::Bus;
-use crate::chip::Chip;
-use crate::clock::Clock;
-use crate::dataflash::{Change, DataFlash, Limits};
 use crate::error::{Error, Result};
-use crate::gauge::Gauge;
-pub use crate::gauge::{Answers, Seal};
-use crate::journal::Journal;
-use crate::keys::Keys;
-use crate::registers::Registers;
+use gauge_bus::Bus;
+use gauge_bus::clock::Clock;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::{Change, DataFlash, Limits};
+use ti_gauge::gauge::Gauge;
+pub use ti_gauge::gauge::{Answers, Seal};
+use ti_gauge::journal::Journal;
+use ti_gauge::keys::Keys;
+use ti_gauge::registers::Registers;
 
 mod arrival;
 mod handle;

@@ -7,8 +7,8 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::values::{self, Key};
-use crate::authentication::Order;
-use crate::chip::Chip;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::Chip;
 
 fn word<'de, D: Deserializer<'de>, T>(
     from: D,

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
-use crate::authentication::Order;
-use crate::chip::{CHIPS, Chip};
-use crate::keys;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::keys;
 
 /// Key words, which are not shown again.
 #[derive(Clone)]

@@ -10,18 +10,18 @@ use nix::errno::Errno;
 
 use super::journal_dir::journal;
 use super::source::{Opened, SimKnobs, Source};
-use crate::bus::trace::Trace;
-use crate::chip::Chip;
-use crate::clock::Clock;
 use crate::config::GaugeOptions;
-use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Knobs, MountedGauge};
-use crate::image::Image;
 use crate::key_file;
-use crate::keys::Keys;
 use crate::lock::Lock;
 use crate::owner::{self, Settings, Signal, Startup};
+use gauge_bus::clock::Clock;
+use gauge_bus::trace::Trace;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::Change;
+use ti_gauge::image::Image;
+use ti_gauge::keys::Keys;
 
 /// How long a mount of many gauges waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);

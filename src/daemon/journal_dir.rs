@@ -7,7 +7,7 @@ use nix::errno::Errno;
 use nix::unistd::{User, geteuid};
 
 use crate::error::{Error, Result};
-use crate::journal::Journal;
+use ti_gauge::journal::Journal;
 
 /// The journal of the gauge of that name. A gauge that ends with this process has no name, since there is
 /// nothing to settle later; it has a journal only if a folder was given.

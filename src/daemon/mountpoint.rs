@@ -18,9 +18,9 @@ use nix::sys::statfs::{SYSFS_MAGIC, statfs};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 
-use crate::clock::{Clock, RealClock};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
+use gauge_bus::clock::{Clock, RealClock};
 
 /// The source of every mount of gaugefs, as mountinfo shows it.
 pub const SOURCE: &str = "gaugefs";

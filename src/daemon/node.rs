@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::bus::GAUGE_ADDRESS;
-use crate::chip::{CHIPS, Chip};
 use crate::error::{Cause, Error, Result};
+use gauge_bus::GAUGE_ADDRESS;
+use ti_gauge::chip::{CHIPS, Chip};
 
 /// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
 #[derive(Debug)]

@@ -21,9 +21,9 @@ use nix::sys::stat::{Mode, makedev, umask};
 use rustix::process::{Pid, PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 
 use super::mountpoint;
-use crate::clock::Clock;
 use crate::config::Setup;
 use crate::error::{Error, Result};
+use gauge_bus::clock::Clock;
 
 const DEVICE: &str = "/dev/fuse";
 /// Device numbers of `/dev/fuse`, which are the same on every machine.

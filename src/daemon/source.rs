@@ -8,18 +8,18 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use nix::errno::Errno;
 
 use super::mountpoint;
-use crate::bus::linux::{Adapter, LinuxBus};
-use crate::bus::replay::{Recording, Replay, Seals};
-use crate::bus::{Bus, GAUGE_ADDRESS};
-use crate::chip::{Chip, SealStatus, Tier};
-use crate::clock::Clock;
 use crate::config::GaugeOptions;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Knobs;
-use crate::gauge::bursts;
 use crate::lock::{self, Holder, Lock};
-use crate::probe;
 use crate::sim::{self, Sim, SimBus};
+use gauge_bus::clock::Clock;
+use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::replay::{Recording, Replay, Seals};
+use gauge_bus::{Bus, GAUGE_ADDRESS};
+use ti_gauge::chip::{Chip, SealStatus, Tier};
+use ti_gauge::gauge::bursts;
+use ti_gauge::probe;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);

@@ -2,8 +2,8 @@
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
-use crate::chip::{Chip, Role};
 use crate::owner::Snapshot;
+use ti_gauge::chip::{Chip, Role};
 
 use super::Scales;
 

@@ -7,13 +7,13 @@ use nix::errno::Errno;
 
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, raw, transaction};
-use crate::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
-use crate::codec;
-use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Done, Request};
-use crate::text;
-use crate::value::Value;
+use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use ti_gauge::codec;
+use ti_gauge::dataflash::Change;
+use ti_gauge::text;
+use ti_gauge::value::Value;
 
 /// The size that a file shows before it has been read: as in sysfs.
 const UNREAD: u64 = 4096;

@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
-use crate::authentication;
-use crate::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use crate::error::{Cause, Error, Result};
-use crate::keys;
 use crate::owner::{Answers, Done, Request, Seal};
+use ti_gauge::authentication;
+use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
+use ti_gauge::keys;
 
 /// One file.
 struct File {
@@ -327,7 +327,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
-    use crate::chip::CHIPS;
+    use ti_gauge::chip::CHIPS;
 
     #[test]
     fn names_are_unique_on_every_chip() {

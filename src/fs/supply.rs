@@ -9,9 +9,9 @@ use super::{
     Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
     SimItem, find,
 };
-use crate::chip::Chip;
 use crate::error::{Error, Result};
 use crate::owner::{Done, Handle, Published, Request, Snapshot};
+use ti_gauge::chip::Chip;
 
 /// A mounted gauge, with what the tree keeps about it.
 pub(super) struct Supply {

@@ -9,10 +9,10 @@ use std::time::Duration;
 use nix::errno::Errno;
 
 use super::raw;
-use crate::chip::{Chip, Kind, Parameter, Subclass};
-use crate::dataflash::Change;
 use crate::error::{Cause, Error, Result};
-use crate::text;
+use ti_gauge::chip::{Chip, Kind, Parameter, Subclass};
+use ti_gauge::dataflash::Change;
+use ti_gauge::text;
 
 /// A transaction that is left open so long is dropped.
 const PATIENCE: Duration = Duration::from_secs(600);

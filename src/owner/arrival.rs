@@ -4,11 +4,11 @@ use std::ptr;
 use std::time::Duration;
 
 use super::{Answers, Owner, Seal};
-use crate::chip::{Chip, Recognised, Role, Sibling, recognise};
-use crate::dataflash::Outcome;
 use crate::error::{Cause, Error, Result, Step};
-use crate::probe;
-use crate::registers::Registers;
+use ti_gauge::chip::{Chip, Recognised, Role, Sibling, recognise};
+use ti_gauge::dataflash::Outcome;
+use ti_gauge::probe;
+use ti_gauge::registers::Registers;
 
 impl Owner {
     /// Identifies the gauge and polls it for the first time.

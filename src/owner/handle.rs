@@ -6,12 +6,12 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
 use super::{Request, Settings};
-use crate::authentication::{Message, Order};
-use crate::chip::{Chip, Register, Sibling, Subclass};
-use crate::clock::Clock;
 use crate::error::Error;
-use crate::gauge::{Answers, Gauge, Seal, Statistics};
-use crate::registers::Registers;
+use gauge_bus::clock::Clock;
+use ti_gauge::authentication::{Message, Order};
+use ti_gauge::chip::{Chip, Register, Sibling, Subclass};
+use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
+use ti_gauge::registers::Registers;
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -286,8 +286,8 @@ mod tests {
     use super::super::Request;
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
-    use crate::chip::Role;
     use crate::error::Cause;
+    use ti_gauge::chip::Role;
 
     #[test]
     fn a_published_snapshot_is_replaced_as_a_whole() {

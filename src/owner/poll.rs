@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Answers, Owner, Snapshot};
-use crate::chip::Tier;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::Statistics;
+use ti_gauge::chip::Tier;
+use ti_gauge::gauge::Statistics;
 
 /// The slow tier is read with every tenth poll, first with the second one, which follows soon after the
 /// first: a mount waits only for what its attributes need.
@@ -210,7 +210,7 @@ mod tests {
     use super::super::Startup;
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
-    use crate::clock::Clock;
+    use gauge_bus::clock::Clock;
 
     #[test]
     fn polls_of_many_gauges_are_spread_over_the_interval() {

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Owner, Seal};
-use crate::authentication::{self, Message};
-use crate::chip::Subclass;
-use crate::dataflash::{Change, Outcome};
 use crate::error::{Cause, Error, Result};
-use crate::keys;
+use ti_gauge::authentication::{self, Message};
+use ti_gauge::chip::Subclass;
+use ti_gauge::dataflash::{Change, Outcome};
+use ti_gauge::keys;
 
 /// Requests queued longer than this are refused, so that write(2) returns within 30 s.
 const QUEUE_LIMIT: Duration = Duration::from_secs(12);
@@ -235,9 +235,9 @@ mod tests {
     use super::super::Startup;
     use super::super::rig::Rig;
     use super::*;
-    use crate::chip::SIBLINGS;
-    use crate::dataflash::Change;
-    use crate::value::Value;
+    use ti_gauge::chip::SIBLINGS;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
 
     /// One of each request that sends more than a poll reads.
     fn requests(rig: &Rig) -> Vec<Box<dyn FnOnce(Done<()>) -> Request>> {

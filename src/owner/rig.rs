@@ -5,10 +5,10 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
 use super::{Done, Handle, Owner, Request, Settings, Startup};
-use crate::chip::{Chip, Subclass};
-use crate::clock::{Clock, SimClock};
 use crate::error::Result;
 use crate::sim::{Options, Sim};
+use gauge_bus::clock::{Clock, SimClock};
+use ti_gauge::chip::{Chip, Subclass};
 
 pub(super) const INTERVAL: Duration = Duration::from_secs(8);
 

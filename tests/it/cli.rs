@@ -11,9 +11,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
 #[cfg(feature = "screen")]
 mod watching;
@@ -238,7 +238,7 @@ fn an_export_shows_no_difference_to_its_gauge() {
     }
     let folder = Folder::new();
     let at = folder.file("m");
-    for chip in gaugefs::chip::CHIPS {
+    for chip in ti_gauge::chip::CHIPS {
         gaugefs(&["mount", "--sim", chip.name, &at]).done();
         let gauge = format!("{at}/BAT0");
         for format in ["toml", "gg.csv", "flashstream"] {

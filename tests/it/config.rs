@@ -8,14 +8,14 @@ use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::Chip;
-use gaugefs::clock::{Clock, RealClock};
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::{Bus, BusError};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
 use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
 use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
+use ti_gauge::chip::Chip;
 
 use super::cli::{CHIP, Folder, can_mount, command, gaugefs, read, within};
 

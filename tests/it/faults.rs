@@ -4,11 +4,11 @@
 
 use std::time::Duration;
 
-use gaugefs::chip::FLAT;
-use gaugefs::clock::Clock;
-use gaugefs::dataflash::{DataFlash, Limits, Outcome};
+use gauge_bus::clock::Clock;
 use gaugefs::error::Cause;
-use gaugefs::gauge::Seal;
+use ti_gauge::chip::FLAT;
+use ti_gauge::dataflash::{DataFlash, Limits, Outcome};
+use ti_gauge::gauge::Seal;
 
 use crate::journal::Folder;
 use crate::rig::{Rig, cause};
@@ -176,7 +176,7 @@ fn one_fault_at_every_transfer_never_lies() {
 /// A challenge is answered rightly or not at all, nothing is programmed, and the seal stays.
 #[test]
 fn one_fault_at_every_transfer_of_a_challenge_makes_no_false_answer() {
-    use gaugefs::authentication::{Order, answer, ask};
+    use ti_gauge::authentication::{Order, answer, ask};
 
     let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";
     let challenge = *b"a challenge of 20 by";

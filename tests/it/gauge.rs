@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::Chip;
-use gaugefs::clock::SimClock;
-use gaugefs::gauge::{Gauge, Seal};
-use gaugefs::keys::Keys;
+use gauge_bus::clock::SimClock;
+use gauge_bus::{Bus, BusError};
+use ti_gauge::chip::Chip;
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::Keys;
 
 /// UNSEALED, with CONTROL_STATUS 0x4080 and OperationStatus() 0x0004. After DEVICE_TYPE and FW_VERSION,
 /// Control() reads 0xFFA5 once, as the underwater vehicle's bq34110 driver tells.

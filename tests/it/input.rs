@@ -1,11 +1,11 @@
 //! Bad input, for every parameter of every chip as its table has it: the boundary values are taken, one
 //! beyond each is refused, and so is what is no value of the type.
 
-use gaugefs::chip::{CHIPS, Parameter, Range};
 use gaugefs::error::Error;
-use gaugefs::text;
-use gaugefs::value::{Type, Value};
 use nix::errno::Errno;
+use ti_gauge::chip::{CHIPS, Parameter, Range};
+use ti_gauge::text;
+use ti_gauge::value::{Type, Value};
 
 fn refused(parameter: &Parameter, text: &str) -> Option<Errno> {
     text::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())

@@ -9,15 +9,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::{Chip, FLAT};
-use gaugefs::clock::Clock;
-use gaugefs::dataflash::{Change, DataFlash, Limits};
-use gaugefs::gauge::{Gauge, Seal};
-use gaugefs::journal::Journal;
-use gaugefs::keys::Keys;
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
 use gaugefs::sim::Sim;
+use ti_gauge::chip::{Chip, FLAT};
+use ti_gauge::dataflash::{Change, DataFlash, Limits};
 use ti_gauge::error::Result;
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::journal::Journal;
+use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause};
 

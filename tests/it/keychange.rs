@@ -3,13 +3,13 @@
 
 use std::time::Duration;
 
-use gaugefs::authentication::{Order, answer, ask};
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::{CHIPS, KeyStorage, Kind};
-use gaugefs::clock::Clock;
-use gaugefs::gauge::{Gauge, Seal};
-use gaugefs::keys::{Change, Keys, Name};
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
+use ti_gauge::authentication::{Order, answer, ask};
+use ti_gauge::chip::{CHIPS, KeyStorage, Kind};
 use ti_gauge::error::{Cause, Error, Result};
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::{Change, Keys, Name};
 
 use crate::rig::{Rig, cause};
 
@@ -211,10 +211,10 @@ fn keys_that_stand_elsewhere_are_left_alone() {
 #[test]
 fn an_order_that_does_not_show_is_not_guessed() {
     let options = gaugefs::sim::Options { unseal_key: Some([0x1212, 0x1212]), ..Default::default() };
-    let clock = std::sync::Arc::new(gaugefs::clock::SimClock::new());
+    let clock = std::sync::Arc::new(gauge_bus::clock::SimClock::new());
     let sim = gaugefs::sim::Sim::new("bq34z100-g1", &options, clock.clone()).expect("a chip");
     let keys = Keys { unseal: Some([0x1212, 0x1212]), ..Keys::default() };
-    let table = gaugefs::chip::Chip::by_name("bq34z100-g1").expect("a chip");
+    let table = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("a chip");
     let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, false);
     clock.sleep(Duration::from_secs(1));
     let mut rig = Rig { clock, sim, gauge, dataflash: Default::default() };

@@ -8,18 +8,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::Chip;
-use gaugefs::clock::RealClock;
-use gaugefs::dataflash::Change;
+use gauge_bus::clock::RealClock;
+use gauge_bus::{Bus, BusError};
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::image::Image;
-use gaugefs::keys::Keys;
 use gaugefs::owner::{self, Handle, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::Change;
+use ti_gauge::image::Image;
+use ti_gauge::keys::Keys;
 
 struct SimKnobs(Sim);
 

@@ -10,12 +10,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use gaugefs::chip::Chip;
-use gaugefs::clock::RealClock;
+use gauge_bus::clock::RealClock;
 use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::owner::{self, Settings, Signal};
 use gaugefs::sim::{Options, Sim};
+use ti_gauge::chip::Chip;
 
 /// A folder as `/sys`, with supplies of which each is a folder below `devices` and a link to it.
 struct Tree(PathBuf);

@@ -5,16 +5,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::chip::{CHIPS, Chip, FLAT, Role, Word};
-use gaugefs::clock::{Clock, SimClock};
-use gaugefs::dataflash::{Change, DataFlash, Limits, Outcome};
-use gaugefs::gauge::{Gauge, Seal};
-use gaugefs::keys::Keys;
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
 use gaugefs::owner::{self, Request, Settings};
 use gaugefs::sim::{Options, Sim};
-use gaugefs::value::Value;
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Role, Word};
+use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::Keys;
+use ti_gauge::value::Value;
 
 use crate::rig::{Rig, cause};
 

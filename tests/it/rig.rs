@@ -3,14 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::chip::{Chip, Parameter, Subclass};
-use gaugefs::clock::{Clock, SimClock};
-use gaugefs::dataflash::{Change, DataFlash, Outcome};
-use gaugefs::gauge::{Gauge, Seal};
-use gaugefs::keys::Keys;
+use gauge_bus::clock::{Clock, SimClock};
 use gaugefs::sim::{Options, Sim};
-use gaugefs::text;
+use ti_gauge::chip::{Chip, Parameter, Subclass};
+use ti_gauge::dataflash::{Change, DataFlash, Outcome};
 use ti_gauge::error::{Cause, Error, Result};
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::Keys;
+use ti_gauge::text;
 
 pub(crate) struct Rig {
     pub(crate) clock: Arc<SimClock>,

@@ -8,8 +8,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use gaugefs::chip::{CHIPS, snake_case};
 use nix::errno::Errno;
+use ti_gauge::chip::{CHIPS, snake_case};
 
 use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::clock::{Clock, SimClock};
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
 use gaugefs::error::Cause;
 use gaugefs::sim::{Options, Sim};
 

@@ -4,8 +4,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::bus::{Bus, BusError};
-use gaugefs::clock::{Clock, SimClock};
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
 use gaugefs::sim::{Options, Sim};
 
 struct Bench {
@@ -575,9 +575,9 @@ mod bq27520 {
 /// every proven row. A difference is named here or it is a mistake of one of the two.
 #[test]
 fn a_new_gauge_holds_the_tables_defaults() {
-    use gaugefs::chip::{Kind, Range};
-    use gaugefs::codec;
-    use gaugefs::value::Value;
+    use ti_gauge::chip::{Kind, Range};
+    use ti_gauge::codec;
+    use ti_gauge::value::Value;
 
     let intended: &[(&str, u8, u16)] = &[
         // In lower case, as parts have it and SLUA790 needs it for its checksum.

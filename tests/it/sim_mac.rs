@@ -4,12 +4,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use gaugefs::bus::Bus;
-use gaugefs::chip::{CHIPS, Chip, Kind, Range};
-use gaugefs::clock::{Clock, SimClock};
-use gaugefs::codec;
+use gauge_bus::Bus;
+use gauge_bus::clock::{Clock, SimClock};
 use gaugefs::sim::{Options, Sim};
-use gaugefs::value::Value;
+use ti_gauge::chip::{CHIPS, Chip, Kind, Range};
+use ti_gauge::codec;
+use ti_gauge::value::Value;
 
 use crate::rig::Rig;
 use crate::sim::Bench;

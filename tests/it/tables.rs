@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, HashSet};
 use std::fmt::Debug;
 use std::hash::Hash;
 
-use gaugefs::bus::wire_bytes;
-use gaugefs::chip::{
+use gauge_bus::wire_bytes;
+use ti_gauge::chip::{
     Answers, Bit, CHIPS, Chip, Effect, FLAT, Identity, Kind, Parameter, Range, Recognised, Role, SIBLINGS,
     Safe, Scheme, SealStatus, Signature, Subclass, Tier, kebab_case, recognise, snake_case,
 };
-use gaugefs::codec::{self, WINDOW};
-use gaugefs::gauge::bursts;
-use gaugefs::value::{Type, Value};
+use ti_gauge::codec::{self, WINDOW};
+use ti_gauge::gauge::bursts;
+use ti_gauge::value::{Type, Value};
 
 /// Fails with the first item that is there twice.
 #[track_caller]

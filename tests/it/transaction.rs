@@ -3,13 +3,13 @@
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use gaugefs::chip::Chip;
-use gaugefs::clock::{Clock, SimClock};
+use gauge_bus::clock::{Clock, SimClock};
 use gaugefs::fs::{Access, Fs, MountedGauge, Node, Scales};
-use gaugefs::keys::Keys;
 use gaugefs::owner::{self, Handle, Settings};
 use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
+use ti_gauge::chip::Chip;
+use ti_gauge::keys::Keys;
 
 struct Tree {
     clock: Arc<SimClock>,

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use gaugefs::chip::{FLAT, Kind};
-use gaugefs::clock::Clock;
-use gaugefs::dataflash::{Change, Outcome, Place};
+use gauge_bus::clock::Clock;
 use gaugefs::error::Cause;
-use gaugefs::gauge::Seal;
-use gaugefs::keys::Keys;
+use ti_gauge::chip::{FLAT, Kind};
+use ti_gauge::dataflash::{Change, Outcome, Place};
+use ti_gauge::gauge::Seal;
+use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause};
 
@@ -32,7 +32,7 @@ fn a_value_is_stored_and_the_gauge_sealed_again() {
     // Power off and on: flash, not the window's buffer.
     rig.sim.set("power", "off").expect("a knob");
     rig.sim.set("power", "on").expect("a knob");
-    gaugefs::clock::Clock::sleep(&*rig.clock, Duration::from_secs(1));
+    gauge_bus::clock::Clock::sleep(&*rig.clock, Duration::from_secs(1));
     assert_eq!(rig.read(80, 53), Ok(vec![0x0c, 0x1c]));
 }
 
@@ -313,7 +313,7 @@ fn flat_parts_go_to_full_access_and_back() {
 /// write(2) must have one: with the waits of each part, on its own clock.
 #[test]
 fn a_whole_image_is_written_in_time() {
-    for chip in gaugefs::chip::CHIPS {
+    for chip in ti_gauge::chip::CHIPS {
         for reversed in [false, true] {
             let mut rig = Rig::new(chip.name);
             let mut changes = Vec::new();
