@@ -1,107 +1,261 @@
-//! What a gauge costs on the bus: one full poll of each chip beside the kernel's driver, and a write.
+//! What each gauge costs on the bus: one full poll compared with the kernel's driver, one changed parameter,
+//! and an image that changes every block.
 //!
 //!     cargo bench --bench bus
 //!
-//! Bytes include the address byte of each direction; a bit time is 10 µs at 100 kHz. The kernel's counts
-//! are those of `bq27xxx_battery` for one reading of all its properties, a transfer a register.
+//! Costs are transfers and bytes, the address byte of each direction included. A parameter's cost is that of the
+//! costliest parameter of the chip, all checks and the journal included: first the first write of a mount to a
+//! sealed gauge, then a later one to a gauge found unsealed. The budgets of the bq34z100-G1 are promises.
 
+use std::collections::HashMap;
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{wire_bits, wire_bytes};
+use gauge_bus::wire_bytes;
 use gaugefs::sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
-use ti_gauge::codec::{self, WINDOW};
-use ti_gauge::dataflash::{Change, DataFlash, Outcome, Place};
+use ti_gauge::codec::WINDOW;
+use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Place, Row};
+use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal, bursts};
+use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
-use ti_gauge::value::Value;
 
-/// Transfers and bytes of the kernel's driver, where it has one for the part.
-const KERNEL: &[(&str, u64, u64)] =
-    &[("bq34z100-g1", 16, 79), ("bq27520-g3", 16, 80), ("bq27441-g1", 11, 55)];
+mod report;
+use report::Report;
 
-fn main() {
-    println!("one full poll   transfers  bytes  bit times    kernel: transfers  bytes");
+/// What the kernel's `bq27xxx_battery` spends on one reading of all its properties, where it has a driver for the
+/// part: a transfer for each register that its source lists for the part.
+const KERNEL: &[(&str, Cost)] = &[
+    ("bq34z100-g1", Cost::of(16, 79)),
+    ("bq27520-g3", Cost::of(16, 80)),
+    ("bq27441-g1", Cost::of(11, 55)),
+    ("bq27421-g1", Cost::of(11, 55)),
+];
+
+/// The chip with budgets.
+const BUDGETED: &str = "bq34z100-g1";
+const POLL: Cost = Cost::of(3, 43);
+const FIRST: Cost = Cost::of(40, 300);
+const LATER: Cost = Cost::of(32, 260);
+
+/// Subcommand and parameter that put the pack of a bq34z100-G1 into service (SLUSBZ5D 7.3.1.2 and table 7-16).
+const IT_ENABLE: u16 = 0x0021;
+const UPDATE_STATUS: (u8, u16) = (82, 4);
+
+/// What something has cost on the bus.
+#[derive(Clone, Copy, Default)]
+struct Cost {
+    transfers: u64,
+    bytes: u64,
+}
+
+impl Cost {
+    const fn of(transfers: u64, bytes: u64) -> Self {
+        Self { transfers, bytes }
+    }
+
+    fn spent(gauge: &Gauge) -> Self {
+        Self::of(statistic(gauge, "transfers"), statistic(gauge, "bytes"))
+    }
+
+    fn since(self, before: Self) -> Self {
+        Self::of(self.transfers - before.transfers, self.bytes - before.bytes)
+    }
+
+    /// The larger of each.
+    fn max(self, other: Self) -> Self {
+        Self::of(self.transfers.max(other.transfers), self.bytes.max(other.bytes))
+    }
+}
+
+impl fmt::Display for Cost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&format!("{}/{}", self.transfers, self.bytes))
+    }
+}
+
+fn main() -> ExitCode {
+    let mut report = Report::default();
+    println!(
+        "transfers/bytes    poll  kernel  first parameter  later one  blocks      image  of needed   takes"
+    );
     for chip in CHIPS {
-        let polled = bursts(chip.registers, |tier| tier == Tier::Poll);
-        let bytes: u64 = polled.iter().map(|&(_, length)| wire_bytes(1, length.into())).sum();
-        let bits: u64 = polled.iter().map(|&(_, length)| wire_bits(1, length.into())).sum();
-        print!("{:14} {:10}  {bytes:5}  {bits:9}", chip.name, polled.len());
-        match KERNEL.iter().find(|(name, ..)| *name == chip.name) {
-            Some((_, transfers, bytes)) => println!("  {transfers:19}  {bytes:5}"),
-            None => println!("  {:>19}  {:>5}", "-", "-"),
+        if let Err(error) = measure(chip, &mut report) {
+            report.promise(false, || format!("{}: {error}", chip.name));
         }
     }
-    println!("\none parameter written, found     transfers  bytes");
-    for chip in CHIPS {
-        for found in [Seal::Sealed, Seal::Unsealed] {
-            if let Some((transfers, bytes, _)) = write(chip, found) {
-                println!("{:22} {:9} {transfers:9}  {bytes:5}", chip.name, found.as_str());
-            }
+    let _ = fs::remove_dir_all(journals());
+    report.finish()
+}
+
+fn measure(chip: &'static Chip, report: &mut Report) -> Result<()> {
+    let bursts = bursts(chip.registers, |tier| tier == Tier::Poll);
+    let bytes = bursts.iter().map(|&(_, length)| wire_bytes(1, length.into())).sum();
+    let poll = Cost::of(bursts.len() as u64, bytes);
+    let kernel = KERNEL.iter().find(|(name, _)| *name == chip.name).map(|(_, cost)| *cost);
+    let first = costliest(chip, Seal::Sealed, Engine::Fresh)?;
+    let later = costliest(chip, Seal::Unsealed, Engine::Used)?;
+    let Whole { blocks, cost: image, needed, time } = image(chip)?;
+    let ratio = image.transfers as f64 / needed as f64;
+    let seconds = time.as_secs_f64();
+    println!(
+        "{:15} {poll:>7} {:>7}  {first:>15}  {later:>9}  {blocks:6}  {image:>9}  {ratio:9.2}  {seconds:4.1} s",
+        chip.name,
+        kernel.map_or("-".to_string(), |kernel| kernel.to_string()),
+    );
+    let kernel = kernel.map_or(String::new(), |kernel| format!("a poll of the kernel's driver: {kernel}; "));
+    report.row(
+        &format!(
+            "{}, transfers/bytes: a poll; a parameter, found sealed; an image of {blocks} blocks",
+            chip.model
+        ),
+        &format!("{poll}; {first}; {image}"),
+        &format!("{kernel}the image needs {needed} transfers"),
+    );
+    if chip.name == BUDGETED {
+        for (what, cost, budget) in
+            [("poll", poll, POLL), ("first write", first, FIRST), ("later write", later, LATER)]
+        {
+            report.promise(cost.transfers <= budget.transfers && cost.bytes <= budget.bytes, || {
+                format!("{}: {what}: {cost} transfers/bytes, the budget is {budget}", chip.name)
+            });
         }
     }
-    println!("\na whole image, found sealed  blocks  transfers  bytes  a block  needed  ratio  takes");
-    for chip in CHIPS {
-        let (Some(whole), Some(one)) = (image(chip), write(chip, Seal::Sealed)) else { continue };
-        let Whole { blocks, transfers, bytes, reset, time } = whole;
-        let a_block = |reset| A_BLOCK + if reset { AFTER_A_RESET } else { 0 };
-        let again = if chip.access.scheme == Scheme::Mac { 0 } else { SELECTED_AGAIN };
-        // The visit costs what a write of one parameter does beside its block, which stays in the window.
-        let (needed, visit) = (a_block(reset) + again, one.0 - a_block(one.2));
-        println!(
-            "{:27} {blocks:7} {transfers:10} {bytes:6} {:8.2} {needed:7} {:6.2} {:4.1} s",
-            chip.name,
-            (transfers - visit) as f64 / blocks as f64,
-            transfers as f64 / (blocks * needed + visit) as f64,
-            time.as_secs_f64()
-        );
-    }
+    Ok(())
 }
 
 /// Transfers that a block needs however it is done: select and read it, write, checksum, select and read what
 /// is stored.
 const A_BLOCK: u64 = 6;
+/// Where a window may not be ready yet, a block counts when two readings of it agree: the old one and what is
+/// stored.
+const READ_TWICE: u64 = 2;
 /// All old blocks are on disk before the first one is touched, so where a block has to be in the window to be
 /// written it is selected a second time.
 const SELECTED_AGAIN: u64 = 1;
 /// Where its class takes a reset, it is selected and read once more after it.
 const AFTER_A_RESET: u64 = 2;
 
-/// A simulated gauge, awake, in that seal state, and the engine.
-fn rig(chip: &'static Chip, found: Seal) -> Option<(Arc<SimClock>, Gauge, DataFlash)> {
+/// A simulated gauge, awake, in that seal state, and the engine as it is after the first poll of a mount, with a
+/// journal.
+fn rig(chip: &'static Chip, found: Seal) -> Result<(Arc<SimClock>, Gauge, DataFlash)> {
     let clock = Arc::new(SimClock::new());
-    let sim = Sim::new(chip.name, &Options::default(), clock.clone()).ok()?;
+    let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated gauge");
     let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
     clock.sleep(Duration::from_secs(2));
-    let mut dataflash = DataFlash::default();
-    dataflash.go_to(&mut gauge, found, Duration::ZERO).ok()?;
-    Some((clock, gauge, dataflash))
+    if chip.name == BUDGETED {
+        serve(&clock, &mut gauge)?;
+    }
+    gauge.go_to(found)?;
+    let journal = Journal::new(journals(), chip.name.into(), chip.name.into());
+    let mut dataflash = DataFlash::new(Limits::default(), Some(journal));
+    let answers = gauge.identify()?;
+    dataflash.meet(chip, &answers);
+    dataflash.settle(&mut gauge, Duration::ZERO)?;
+    let mut words = HashMap::new();
+    for register in chip.registers.iter().filter(|register| register.size == 2) {
+        let mut word = [0; 2];
+        gauge.read(register.code, &mut word)?;
+        words.insert(register.code, u16::from_le_bytes(word));
+    }
+    dataflash.polled(chip, |code| words.get(&code).copied());
+    Ok((clock, gauge, dataflash))
 }
 
-/// Transfers and bytes so far.
-fn cost(gauge: &Gauge) -> (u64, u64) {
+/// Puts the pack of a bq34z100-G1 into service: Impedance Track runs and has learned. A write that takes a reset
+/// costs more then.
+fn serve(clock: &SimClock, gauge: &mut Gauge) -> Result<()> {
+    gauge.go_to(Seal::Unsealed)?;
+    gauge.command(IT_ENABLE)?;
+    clock.sleep(Duration::from_secs(2));
+    let mut subclasses = gauge.chip.subclasses.iter();
+    let (subclass, parameter) = subclasses
+        .find_map(|row| Some(row).zip(row.parameter(UPDATE_STATUS.1)).filter(|_| row.id == UPDATE_STATUS.0))
+        .expect("a row");
+    let place = Place { subclass: subclass.id, offset: parameter.offset };
+    let learned = Change { place, bytes: vec![0x06], row: Some((subclass, parameter)), saved: false };
+    DataFlash::default().write(gauge, &[learned], Duration::ZERO).map(|_| ())
+}
+
+/// The folder of the journals, in memory where that is possible: they are synced to disk many times.
+fn journals() -> PathBuf {
+    let memory = Path::new("/dev/shm");
+    let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
+    parent.join(format!("gaugefs-bench-{}", std::process::id()))
+}
+
+fn statistic(gauge: &Gauge, wanted: &str) -> u64 {
     let list = gauge.statistics.list();
-    let find = |wanted| list.iter().find(|(name, _)| *name == wanted).map_or(0, |(_, count)| *count);
-    (find("transfers"), find("bytes"))
+    list.iter().find(|(name, _)| *name == wanted).expect("a statistic of that name").1
+}
+
+/// The parameters that may be written without an option.
+fn rows(chip: &'static Chip) -> impl Iterator<Item = Row> {
+    let subclasses = chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
+    let rows = subclasses.flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
+    rows.filter(|(_, one)| one.kind.bounds().is_some() && one.safe.is_none() && !one.unproven && !one.learned)
+}
+
+/// What the engine has done before a write.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Engine {
+    /// Nothing since the mount: the limit of the flash voltage is read with the write.
+    Fresh,
+    /// It has read data flash, and that limit with it.
+    Used,
+}
+
+/// The most that changing one parameter costs.
+fn costliest(chip: &'static Chip, found: Seal, engine: Engine) -> Result<Cost> {
+    let costs = rows(chip).map(|row| change(chip, found, engine, row).map(|(cost, _)| cost));
+    costs.reduce(|most, cost| Ok(most?.max(cost?))).expect("a parameter that may be written")
+}
+
+/// Changes the lowest bit of one parameter; its cost, and whether it took a reset.
+fn change(chip: &'static Chip, found: Seal, engine: Engine, row: Row) -> Result<(Cost, bool)> {
+    let (_, mut gauge, mut dataflash) = rig(chip, found)?;
+    let mut other = DataFlash::default();
+    let reader = if engine == Engine::Used { &mut dataflash } else { &mut other };
+    let bytes = reader.read(&mut gauge, &[row.0], Duration::ZERO)?.remove(0);
+    write(&mut gauge, &mut dataflash, &[flip(row, &bytes)])
+}
+
+/// The change of a parameter's lowest bit, given the bytes of its subclass.
+fn flip((subclass, parameter): Row, bytes: &[u8]) -> Change {
+    let at = usize::from(parameter.offset - subclass.start());
+    let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
+    *bytes.last_mut().expect("a parameter has bytes") ^= 1;
+    let place = Place { subclass: subclass.id, offset: parameter.offset };
+    Change { place, bytes, row: Some((subclass, parameter)), saved: false }
+}
+
+fn write(gauge: &mut Gauge, dataflash: &mut DataFlash, changes: &[Change]) -> Result<(Cost, bool)> {
+    let before = Cost::spent(gauge);
+    let outcome = dataflash.write(gauge, changes, Duration::ZERO)?;
+    Ok((Cost::spent(gauge).since(before), outcome == Outcome::Written { reset: true }))
 }
 
 /// What a write that changes every block has cost.
 struct Whole {
     blocks: u64,
-    transfers: u64,
-    bytes: u64,
-    reset: bool,
+    cost: Cost,
+    /// Transfers that its blocks need.
+    needed: u64,
     time: Duration,
 }
 
 /// One bit more or less in one parameter of every block, written as one.
-fn image(chip: &'static Chip) -> Option<Whole> {
+fn image(chip: &'static Chip) -> Result<Whole> {
     let (clock, mut gauge, mut dataflash) = rig(chip, Seal::Sealed)?;
     let mut changes: Vec<Change> = Vec::new();
     for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
-        let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO).ok()?.remove(0);
+        let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO)?.remove(0);
         let block = |one: &Parameter| usize::from(one.offset - subclass.start()) / WINDOW;
         let may = |one: &&Parameter| {
             let last = usize::from(one.offset - subclass.start()) + one.kind.size() - 1;
@@ -111,41 +265,18 @@ fn image(chip: &'static Chip) -> Option<Whole> {
         let mut rows: Vec<_> = subclass.parameters.iter().filter(may).collect();
         rows.sort_by_key(|one| (block(one), one.learned));
         rows.dedup_by_key(|one| block(one));
-        for parameter in rows {
-            let at = usize::from(parameter.offset - subclass.start());
-            let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
-            *bytes.last_mut()? ^= 1;
-            let place = Place { subclass: subclass.id, offset: parameter.offset };
-            changes.push(Change { place, bytes, row: Some((subclass, parameter)), saved: false });
-        }
+        changes.extend(rows.into_iter().map(|parameter| flip((subclass, parameter), &bytes)));
     }
-    let (before, begun) = (cost(&gauge), clock.now());
-    let written = dataflash.write(&mut gauge, &changes, Duration::ZERO);
-    let outcome = written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;
-    let after = cost(&gauge);
-    let list = gauge.statistics.list();
-    let blocks = list.iter().find(|(name, _)| *name == "flash_writes")?.1;
-    let (transfers, bytes) = (after.0 - before.0, after.1 - before.1);
-    let reset = outcome == Outcome::Written { reset: true };
-    Some(Whole { blocks, transfers, bytes, reset, time: clock.now() - begun })
-}
-
-/// Adds one to the first parameter of two bytes that may be written: transfers, bytes, and whether it took a
-/// reset.
-fn write(chip: &'static Chip, found: Seal) -> Option<(u64, u64, bool)> {
-    let (_, mut gauge, mut dataflash) = rig(chip, found)?;
-    let rows = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
-    let plain = |one: &ti_gauge::chip::Parameter| {
-        one.kind.size() == 2 && one.safe.is_none() && !one.unproven && !one.learned
-    };
-    let (subclass, parameter) = rows.into_iter().find(|(_, one)| plain(one))?;
-    let bytes = dataflash.read(&mut gauge, &[subclass], Duration::ZERO).ok()?.remove(0);
-    let at = usize::from(parameter.offset - subclass.start());
-    let Value::Int(value) = codec::decode(parameter.kind, &bytes[at..at + 2]) else { return None };
-    let change = Change::of_value((subclass, parameter), &Value::Int(value + 1))?;
-    let before = cost(&gauge);
-    let written = dataflash.write(&mut gauge, &[change], Duration::ZERO);
-    let outcome = written.map_err(|error| println!("{}: {error}", chip.name)).ok()?;
-    let after = cost(&gauge);
-    Some((after.0 - before.0, after.1 - before.1, outcome == Outcome::Written { reset: true }))
+    let (before, begun) = (statistic(&gauge, "flash_writes"), clock.now());
+    let (cost, reset) = write(&mut gauge, &mut dataflash, &changes)?;
+    let (blocks, time) = (statistic(&gauge, "flash_writes") - before, clock.now() - begun);
+    let (twice, again) =
+        if chip.access.scheme == Scheme::Mac { (0, 0) } else { (READ_TWICE, SELECTED_AGAIN) };
+    let a_block = |reset| A_BLOCK + twice + if reset { AFTER_A_RESET } else { 0 };
+    // Preflight, unsealing and sealing cost what a write of one parameter does beside its block, which stays
+    // in the window.
+    let row = rows(chip).next().expect("a parameter that may be written");
+    let (one, one_reset) = change(chip, Seal::Sealed, Engine::Used, row)?;
+    let needed = blocks * (a_block(reset) + again) + one.transfers - a_block(one_reset);
+    Ok(Whole { blocks, cost, needed, time })
 }

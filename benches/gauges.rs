@@ -1,18 +1,27 @@
-//! What many gauges in one mount cost the daemon, beside one: memory, processor time and wake-ups.
+//! What the daemon costs the machine: one gauge whose whole tree has been read, then many gauges in one mount
+//! compared with one: memory, processor time and wake-ups.
 //!
 //!     cargo bench --bench gauges
 //!
-//! The gauges are simulated, so that the daemon computes the battery behind each as well; that is part of
-//! the figures. `watched` means that somebody reads the uevent of every gauge once a second.
+//! The gauges are simulated, so the figures include the daemon's work for the battery behind each. `watched`
+//! means that somebody reads the uevent of every gauge once a second. The promises are a limit of memory, and
+//! that the daemon sleeps between polls.
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
-const NUMBERS: &[usize] = &[1, 8, 64];
+mod report;
+use report::Report;
+
+const NUMBERS: &[usize] = &[1, 64];
 const SETTLE: Duration = Duration::from_secs(4);
 const WINDOW: Duration = Duration::from_secs(12);
+/// Resident memory of a daemon with one gauge, at most.
+const MEMORY_MIB: f64 = 6.0;
+/// Between polls that are so far apart, the daemon has nothing to do.
+const LONG: &str = "600";
 
 /// What a daemon has used up so far.
 #[derive(Clone, Copy)]
@@ -94,12 +103,63 @@ fn watch(folder: &Path, gauges: usize) {
     }
 }
 
-fn main() {
+/// Reads every file of a folder and those below it; returns how many. What cannot be read is left out.
+fn read_all(folder: &Path) -> usize {
+    let entries = fs::read_dir(folder).expect("a folder of the mount").flatten();
+    let read = |entry: fs::DirEntry| match entry.file_type() {
+        Ok(kind) if kind.is_dir() => read_all(&entry.path()),
+        Ok(kind) if kind.is_file() => fs::read(entry.path()).is_ok().into(),
+        _ => 0,
+    };
+    entries.map(read).sum()
+}
+
+fn main() -> ExitCode {
     if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
         println!("SKIPPED: /dev/fuse cannot be opened");
-        return;
+        return ExitCode::SUCCESS;
     }
-    println!("poll  gauges  watched  threads  RSS MiB   of one  CPU ms/s   of one  switches/s   of one");
+    let mut report = Report::default();
+    one(&mut report);
+    many(&mut report);
+    report.finish()
+}
+
+fn one(report: &mut Report) {
+    let daemon = Daemon::new(1, LONG);
+    let files = read_all(&daemon.1.join("m"));
+    let used = || Used::now(daemon.0.id());
+    // What the reading has left to do, such as forgetting names, is over when nothing happens for a while.
+    let begun = Instant::now();
+    let mut before = used();
+    loop {
+        std::thread::sleep(SETTLE);
+        let now = used();
+        if now.switches == before.switches || begun.elapsed() > 10 * SETTLE {
+            break;
+        }
+        before = now;
+    }
+    let before = used();
+    std::thread::sleep(WINDOW);
+    let after = used();
+    let (mib, wakeups) = (after.rss_kib as f64 / 1024.0, after.switches - before.switches);
+    println!(
+        "one gauge, {files} files read: {mib:.1} MiB resident, {wakeups} wake-ups in {WINDOW:?} between polls"
+    );
+    report.row(
+        "resident memory of the daemon, everything in its tree read",
+        &format!("{mib:.1} MiB"),
+        &format!("the limit: {MEMORY_MIB} MiB"),
+    );
+    report.row("wake-ups of the daemon between polls", &wakeups.to_string(), "");
+    report.promise(files > 200, || format!("only {files} files of the tree could be read"));
+    report.promise(mib <= MEMORY_MIB, || format!("{mib:.1} MiB resident; the limit is {MEMORY_MIB}"));
+    report.promise(wakeups == 0, || format!("{wakeups} wake-ups between polls, not 0"));
+}
+
+fn many(report: &mut Report) {
+    println!("\npoll  gauges  watched  threads  RSS MiB   of one  CPU ms/s   of one  switches/s   of one");
     for poll in ["3.0", "0.5"] {
         for watched in [false, true] {
             let mut one = None;
@@ -130,6 +190,13 @@ fn main() {
                     if watched { "yes" } else { "no" },
                     after.threads
                 );
+                if (poll, watched, gauges) == ("3.0", false, 64) {
+                    report.row(
+                        "64 simulated gauges in one mount, polled every 3 s",
+                        &format!("{rss:.1} MiB, {:.1} % of a processor", cpu / 10.0),
+                        &format!("one gauge: {:.1} MiB; {rss_ratio:.1} times the memory", first[0]),
+                    );
+                }
             }
         }
     }
