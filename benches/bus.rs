@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::wire_bytes;
-use gaugefs::sim::{Options, Sim};
+use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Place, Row};

@@ -95,3 +95,16 @@ impl From<gauge_bus::BusError> for Error {
         ti_gauge::error::Error::from(error).into()
     }
 }
+
+impl From<gauge_sim::Error> for Error {
+    fn from(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Self {
+        use gauge_sim::Kind;
+        let cause = match kind {
+            Kind::Invalid => Cause::Invalid(text),
+            Kind::OutOfRange => Cause::OutOfRange(text),
+            Kind::NotPermitted => Cause::NotPermitted(text),
+            Kind::Io(kind) => Cause::Io(kind, text),
+        };
+        Self::new(subject, cause)
+    }
+}

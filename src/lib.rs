@@ -19,4 +19,3 @@ mod mounted;
 pub mod owner;
 #[cfg(feature = "screen")]
 mod screen;
-pub mod sim;

@@ -12,11 +12,11 @@ use crate::config::GaugeOptions;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Knobs;
 use crate::lock::{self, Holder, Lock};
-use crate::sim::{self, Sim, SimBus};
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
+use gauge_sim::{self, Sim, SimBus};
 use ti_gauge::chip::{Chip, SealStatus, Tier};
 use ti_gauge::gauge::bursts;
 use ti_gauge::probe;
@@ -147,7 +147,7 @@ fn power_up(
     clock: &Arc<dyn Clock>,
 ) -> Result<(Sim, SimBus)> {
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
-    let options = sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed };
+    let options = gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed };
     let sim = Sim::new(chip.name, &options, clock.clone())?;
     let mut bus = sim.bus();
     let start = clock.now();
@@ -262,6 +262,6 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.0.set(name, text)
+        Ok(self.0.set(name, text)?)
     }
 }

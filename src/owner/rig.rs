@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use super::{Done, Handle, Owner, Request, Settings, Startup};
 use crate::error::Result;
-use crate::sim::{Options, Sim};
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{Chip, Subclass};
 
 pub(super) const INTERVAL: Duration = Duration::from_secs(8);

@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim, SimBus};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
 use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
-use gaugefs::sim::{Options, Sim, SimBus};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 

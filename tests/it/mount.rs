@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use gauge_bus::clock::RealClock;
 use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::owner::{self, Handle, Settings, Signal};
-use gaugefs::sim::{Options, Sim};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
@@ -33,7 +33,7 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.0.set(name, text)
+        Ok(self.0.set(name, text)?)
     }
 }
 

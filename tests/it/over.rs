@@ -11,10 +11,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::RealClock;
+use gauge_sim::{Options, Sim};
 use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
 use gaugefs::owner::{self, Settings, Signal};
-use gaugefs::sim::{Options, Sim};
 use ti_gauge::chip::Chip;
 
 /// A folder as `/sys`, with supplies of which each is a folder below `devices` and a link to it.

@@ -1,5 +1,42 @@
-//! Texas Instruments fuel gauges: what each part's manual says, as tables, and what can be done with a gauge
-//! on a bus.
+//! Texas Instruments fuel gauges: what each part's manual says, as tables, and what can safely be done with a gauge
+//! on an I2C bus.
+//!
+//! A [`Gauge`](gauge::Gauge) is a table ([`chip`]) on a [`gauge_bus::Bus`]: it reads standard commands, sends Control()
+//! subcommands and changes the seal state. [`DataFlash`](dataflash::DataFlash) is the only way to read and write data
+//! flash: one write is one whole transaction, verified, and put back when it fails. With a
+//! [`Journal`](journal::Journal) it survives a power cut of the host. [`image`] reads and writes configurations as
+//! TOML, gg.csv and FlashStream; [`probe`] finds a gauge without disturbing other devices.
+//!
+//! What it is not: it polls nothing, has no threads, no FUSE and no errno. The program `gaugefs` has those. It does
+//! not program firmware or chemistry.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use std::time::Duration;
+//!
+//! use gauge_bus::clock::{Clock, SimClock};
+//! use gauge_sim::{Options, Sim};
+//! use ti_gauge::chip::Chip;
+//! use ti_gauge::dataflash::{Change, DataFlash, Outcome};
+//! use ti_gauge::gauge::Gauge;
+//! use ti_gauge::keys::Keys;
+//! use ti_gauge::text;
+//!
+//! let clock = Arc::new(SimClock::new());
+//! let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated gauge");
+//! clock.sleep(Duration::from_secs(1)); // from power to the first voltage
+//!
+//! let chip = Chip::by_name("bq34z100-g1").expect("a table");
+//! let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock, Keys::default(), false);
+//! let mut dataflash = DataFlash::default();
+//!
+//! let row = chip.row("80", "53").expect("Cell Terminate Voltage");
+//! let value = text::parse(row.1, b"3100")?;
+//! let change = Change::of_value(row, &value).expect("a number of two bytes");
+//! let outcome = dataflash.write(&mut gauge, &[change], Duration::ZERO)?;
+//! assert_eq!(outcome, Outcome::Written { reset: true });
+//! # Ok::<(), ti_gauge::error::Error>(())
+//! ```
 
 pub mod authentication;
 pub mod chip;

@@ -17,7 +17,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use gaugefs::sim::Knob;
+use gauge_sim::Knob;
 
 use crate::adapter::Bench;
 use crate::qmp::Slot;

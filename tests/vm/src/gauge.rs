@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use gaugefs::clock::Clock;
-use gaugefs::sim::{Options, Sim, SimBus};
+use gauge_bus::clock::Clock;
+use gauge_sim::{Options, Sim, SimBus};
 
 /// Real time, so that the guest sees real waits, and jumps, so that a battery need not be waited for.
 #[derive(Debug)]

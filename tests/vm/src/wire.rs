@@ -1,7 +1,7 @@
 //! The wire between the guest's adapter and the gauge: turns the messages of one I2C request into
 //! transfers, and counts them.
 
-use gaugefs::bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
 
 /// One message of a request: what follows one START or repeated START.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,0 +1,211 @@
+//! The pack itself: charge, open-circuit voltage, resistance and warmth. What a gauge makes of it is
+//! in `gauging`.
+
+/// Open-circuit voltage of a lithium-ion cell in mV, by state of charge in percent.
+const CURVE: &[(f64, f64)] = &[
+    (0.0, 3000.0),
+    (2.0, 3260.0),
+    (5.0, 3430.0),
+    (10.0, 3560.0),
+    (20.0, 3645.0),
+    (30.0, 3692.0),
+    (40.0, 3735.0),
+    (50.0, 3790.0),
+    (60.0, 3855.0),
+    (70.0, 3930.0),
+    (80.0, 4010.0),
+    (90.0, 4092.0),
+    (100.0, 4199.0),
+];
+
+/// The same of a primary cell of lithium and thionyl chloride.
+const PRIMARY_CURVE: &[(f64, f64)] = &[
+    (0.0, 2000.0),
+    (3.0, 3000.0),
+    (10.0, 3420.0),
+    (20.0, 3520.0),
+    (50.0, 3580.0),
+    (80.0, 3630.0),
+    (100.0, 3660.0),
+];
+
+/// Resistance of a cell at 25 degrees, in ohms.
+const RESISTANCE: f64 = 0.042;
+const PRIMARY_RESISTANCE: f64 = 2.0;
+/// What the charger holds at a cell once it has reached it, in mV.
+const CHARGER_MV: f64 = 4200.0;
+/// Warming by the cell's own losses: kelvins a watt, and the time it takes in seconds.
+const WARMING: f64 = 12.0;
+const WARMING_TIME: f64 = 600.0;
+/// Charge and discharge end here: the protector opens.
+const SHUT: f64 = 1e-9;
+
+/// A pack of equal cells in series with a load or a charger at it.
+#[derive(Clone, Debug)]
+pub(super) struct Battery {
+    pub(super) cells: f64,
+    pub(super) capacity_mah: f64,
+    pub(super) charge_mah: f64,
+    /// What is asked of it: positive discharges.
+    pub(super) load_ma: f64,
+    /// Ambient temperature in degrees.
+    pub(super) ambient: f64,
+    /// How much warmer the pack is, in kelvins.
+    rise: f64,
+    /// What a gauge is made to measure instead of the pack's voltage.
+    pub(super) forced_mv: Option<u16>,
+    curve: &'static [(f64, f64)],
+    ohms: f64,
+}
+
+impl Battery {
+    /// A pack at rest, at 25 degrees.
+    pub(super) fn new(cells: f64, capacity_mah: f64, soc: f64) -> Self {
+        let charge_mah = capacity_mah * soc / 100.0;
+        Self {
+            cells,
+            capacity_mah,
+            charge_mah,
+            load_ma: 0.0,
+            ambient: 25.0,
+            rise: 0.0,
+            forced_mv: None,
+            curve: CURVE,
+            ohms: RESISTANCE,
+        }
+    }
+
+    /// The same of primary cells, which nobody charges.
+    pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
+        Self { curve: PRIMARY_CURVE, ohms: PRIMARY_RESISTANCE, ..Self::new(cells, capacity_mah, soc) }
+    }
+
+    /// Another size, as full as it was.
+    pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
+        self.charge_mah *= capacity_mah / self.capacity_mah;
+        self.capacity_mah = capacity_mah;
+        self.cells = cells;
+    }
+
+    pub(super) fn percent(&self) -> f64 {
+        (100.0 * self.charge_mah / self.capacity_mah).clamp(0.0, 100.0)
+    }
+
+    pub(super) fn set_percent(&mut self, percent: f64) {
+        self.charge_mah = self.capacity_mah * percent / 100.0;
+    }
+
+    /// Degrees.
+    pub(super) fn temperature(&self) -> f64 {
+        self.ambient + self.rise
+    }
+
+    /// Of a cell, in ohms.
+    pub(super) fn resistance(&self) -> f64 {
+        let cold = ((25.0 - self.temperature()) * 0.02).clamp(-0.5, 1.5);
+        let empty = (10.0 - self.percent()).max(0.0) * 0.1;
+        self.ohms * (1.0 + cold + empty)
+    }
+
+    /// Current into the pack, in mA: the load while there is charge, the charger's until the cells have
+    /// its voltage, then what that voltage still drives.
+    pub(super) fn current_ma(&self) -> f64 {
+        if self.load_ma > 0.0 {
+            return if self.charge_mah > SHUT { -self.load_ma } else { 0.0 };
+        }
+        if self.charge_mah >= self.capacity_mah - SHUT {
+            return 0.0;
+        }
+        let driven = (CHARGER_MV - self.open_circuit(self.percent())) / self.resistance();
+        (-self.load_ma).min(driven.max(0.0))
+    }
+
+    /// A cell's voltage under the present current, in mV.
+    pub(super) fn cell_mv(&self) -> f64 {
+        (self.open_circuit(self.percent()) + self.current_ma() * self.resistance()).max(0.0)
+    }
+
+    /// Lets `seconds` pass with the current it has; the caller keeps them few.
+    pub(super) fn step(&mut self, seconds: f64) {
+        let current = self.current_ma();
+        let moved = current * seconds / 3600.0;
+        self.charge_mah = (self.charge_mah + moved).clamp(0.0, self.capacity_mah);
+        let watts = (current / 1000.0).powi(2) * self.resistance();
+        self.rise += (watts * WARMING - self.rise) * (1.0 - libm::exp(-seconds / WARMING_TIME));
+    }
+
+    /// Energy left from `percent` of the pack down to empty, in mWh, without losses.
+    pub(super) fn energy_mwh(&self, charge_mah: f64) -> f64 {
+        let percent = (100.0 * charge_mah / self.capacity_mah).clamp(0.0, 100.0);
+        let mut area = 0.0;
+        for pair in self.curve.windows(2) {
+            let ((from, low), (to, _)) = (pair[0], pair[1]);
+            let end = to.min(percent);
+            if end > from {
+                area += (low + self.open_circuit(end)) / 2.0 * (end - from);
+            }
+        }
+        area / 100.0 * self.capacity_mah / 1000.0 * self.cells
+    }
+
+    fn open_circuit(&self, percent: f64) -> f64 {
+        for pair in self.curve.windows(2) {
+            let ((from, low), (to, high)) = (pair[0], pair[1]);
+            if percent <= to {
+                return low + (high - low) * (percent - from) / (to - from);
+            }
+        }
+        self.curve[self.curve.len() - 1].1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn voltage_falls_with_the_load_and_with_the_charge() {
+        let mut battery = Battery::new(1.0, 1000.0, 60.0);
+        assert!((battery.cell_mv() - 3855.0).abs() < 1e-6);
+        battery.load_ma = 1000.0;
+        assert!((battery.cell_mv() - 3813.0).abs() < 1e-6);
+        let mut last = battery.cell_mv();
+        loop {
+            battery.step(1.0);
+            // Once empty, the protector opens and the cell recovers.
+            if battery.current_ma() == 0.0 {
+                break;
+            }
+            let now = battery.cell_mv();
+            assert!(now < last, "{last} then {now}");
+            last = now;
+        }
+        assert!(battery.charge_mah.abs() < 1e-6);
+        assert!((battery.cell_mv() - 3000.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_charger_tapers() {
+        let mut battery = Battery::new(1.0, 1000.0, 90.0);
+        battery.load_ma = -500.0;
+        assert_eq!(battery.current_ma(), 500.0);
+        let mut tapered = false;
+        for _ in 0..7200 {
+            battery.step(1.0);
+            assert!(battery.cell_mv() <= CHARGER_MV + 1e-6);
+            tapered |= (1.0..100.0).contains(&battery.current_ma());
+        }
+        assert!(tapered);
+        assert_eq!(battery.current_ma(), 0.0);
+    }
+
+    #[test]
+    fn energy_is_the_area_below_the_curve() {
+        let battery = Battery::new(4.0, 1000.0, 100.0);
+        assert_eq!(battery.energy_mwh(0.0), 0.0);
+        let full = battery.energy_mwh(1000.0);
+        assert!((14_800.0..15_600.0).contains(&full), "{full}");
+        let ten = battery.energy_mwh(1000.0) - battery.energy_mwh(900.0);
+        assert!((ten - 0.4 * (4092.0 + 4199.0) / 2.0).abs() < 1e-6, "{ten}");
+    }
+}

@@ -1,0 +1,678 @@
+//! Block access: a gauge whose data flash is reached unsealed through class, block, window and checksum
+//! (SLUSBZ5D 7.3.3). It covers everything that a host can do over the bus to the parts with flash, and to
+//! those with RAM (SLUUAC9A), which differ in when the checksum counts. Differences between parts are in
+//! their descriptions, [`BlockPart`].
+//!
+//! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
+//! after every reset, and it ignores silently what it refuses.
+
+use std::time::Duration;
+
+use sha1::{Digest, Sha1};
+
+use super::device::{Device, Gauge};
+use super::error::{Error, Kind, Result};
+use super::fault::Plan;
+use super::flash::{BLOCK, Flash};
+use super::gauging::Gauging;
+use super::knob;
+use super::model::{Kept, Model, Registers, bits};
+use super::part::{Action, BlockPart, Flag, Gate, Host, Part, Place, Status, Who};
+use super::seal::{self, Level, Seal};
+use super::update::{Exit, Mode};
+use super::window::{Source, Window, checksum};
+use super::wire::{Options, ROM_ADDRESS, Wire};
+use gauge_bus::GAUGE_ADDRESS;
+
+/// The class of the keys.
+const CODES: u16 = 112;
+/// A gauge that refuses keys after it has sealed itself starts that time again at any subcommand above this
+/// one (SLUUAC9A 6.4.5.1.1).
+const LOCKING: u16 = 0x001A;
+/// Update Status: the gauge seals itself.
+const SEAL: u8 = 0x80;
+/// Update Status: Impedance Track is enabled.
+const IT_ENABLE: u8 = 0x04;
+/// Flags() of the parts with RAM: data memory is ROM's, and CONFIG UPDATE.
+const ITPOR: u16 = 0x0020;
+const CFGUPMODE: u16 = 0x0010;
+/// Flags() `[BAT_DET]`.
+const BAT_DET: u16 = 0x0008;
+
+/// A gauge with block access.
+pub(super) struct Block {
+    part: &'static BlockPart,
+    gauging: Gauging,
+    ram: Ram,
+    /// Offsets of this specimen.
+    board_offset: i8,
+    cc_offset: i16,
+    /// A sealed gauge acknowledges registers that it withholds.
+    ignores_sealed: bool,
+    /// Challenge and digest pass on the wire as they are, and not least significant byte first.
+    as_sent: bool,
+}
+
+/// Everything that a reset clears.
+struct Ram {
+    seal: Seal,
+    window: Window,
+    /// The low byte of a word of which the high byte is still to come.
+    low: u8,
+    /// What Control() reads.
+    answer: u16,
+    previous: u16,
+    /// Bits of CONTROL_STATUS that subcommands have set.
+    marks: Vec<Status>,
+    /// ROM mode, and what its boot loader was sent.
+    rom: Option<[u8; 3]>,
+    full_sleep: bool,
+    /// CAL_ENABLE.
+    calibration: bool,
+    board_until: Option<Duration>,
+    offset_until: Option<Duration>,
+    update: Mode,
+    /// No key is taken before.
+    locked_until: Duration,
+    /// The last subcommand about the battery was BAT_INSERT.
+    inserted: bool,
+    initialized_from: Duration,
+    chemistry: Option<u16>,
+    /// The registers as they were measured for this message.
+    registers: Option<Registers>,
+}
+
+impl Ram {
+    /// No key is locked out from `ready` on, and predictions are made from `initialized` on.
+    fn new(part: &BlockPart, flash: &Flash, ready: Duration, initialized: Duration) -> Self {
+        Self {
+            seal: Seal::new(part.level(flash)),
+            window: Window::new(part.authentication.is_some()),
+            low: 0,
+            answer: 0,
+            previous: 0,
+            marks: Vec::new(),
+            rom: None,
+            full_sleep: false,
+            calibration: is_set(flash, part.own.calibration),
+            board_until: None,
+            offset_until: None,
+            update: Mode::Off,
+            locked_until: ready,
+            inserted: false,
+            initialized_from: initialized,
+            chemistry: None,
+            registers: None,
+        }
+    }
+}
+
+impl BlockPart {
+    /// The level of a gauge that begins to work with its data memory: one with RAM reads Update Status.
+    fn level(&self, flash: &Flash) -> Level {
+        match self.data_memory.as_ref().map(|memory| memory.update_status) {
+            Some((id, offset)) if flash.u8(id, offset) & SEAL == 0 => Level::Unsealed,
+            Some(_) | None => Level::Sealed,
+        }
+    }
+
+    fn gain_sign(&self) -> Option<Place> {
+        self.data_memory.as_ref().and_then(|memory| memory.gain_sign)
+    }
+
+    /// Makes the sign of CC Gain what this specimen's ROM has.
+    fn set_gain_sign(&self, flash: &mut Flash) {
+        if let Some((id, offset)) = self.gain_sign() {
+            let byte = flash.u8(id, offset) & 0x7F | u8::from(flash.inverted) << 7;
+            flash.set(id, offset, &[byte]);
+        }
+    }
+
+    /// Marks a gauge with RAM as one that was sealed.
+    fn remember_seal(&self, flash: &mut Flash) {
+        if let Some((id, offset)) = self.data_memory.as_ref().map(|memory| memory.update_status) {
+            flash.set(id, offset, &[flash.u8(id, offset) | SEAL]);
+        }
+    }
+
+    /// Whether a pin detects the battery. BAT_INSERT has no effect then.
+    fn has_pin(&self, flash: &Flash) -> bool {
+        self.battery_insert.is_some_and(|(id, offset, bit)| flash.u8(id, offset) & bit != 0)
+    }
+
+    fn host_register(&self, register: u8) -> Option<Host> {
+        let found = self.host_registers.iter().find(|(at, _)| register & !1 == *at);
+        found.map(|&(_, host)| host)
+    }
+}
+
+fn is_set(flash: &Flash, place: Option<Flag>) -> bool {
+    place.is_some_and(|(id, offset, bit)| flash.u16(id, offset) & bit != 0)
+}
+
+impl Block {
+    pub(super) fn gauge(
+        part: &'static Part,
+        scheme: &'static BlockPart,
+        options: &Options,
+        now: Duration,
+    ) -> Result<Gauge> {
+        let device = Device::new(part, options, now, |flash| {
+            if let Some(words) = options.unseal_key {
+                flash.set(CODES, scheme.keys[0], &seal::stored(words));
+            }
+            // A host has sealed it, as hosts do.
+            scheme.remember_seal(flash);
+        })?;
+        let block = Self {
+            part: scheme,
+            gauging: Gauging::new(&scheme.map, &device.flash, 60.0),
+            ram: Ram::new(scheme, &device.flash, now, now),
+            // Offsets differ from part to part, by little.
+            board_offset: (options.seed % 17) as i8 - 8,
+            cc_offset: -1200 + (options.seed % 101) as i16 - 50,
+            ignores_sealed: false,
+            as_sent: false,
+        };
+        Ok(Gauge::new(device, block))
+    }
+
+    fn sealed(&self) -> bool {
+        self.ram.seal.level == Level::Sealed
+    }
+
+    /// To SEALED, with nothing left open.
+    fn close(&mut self) {
+        self.ram.seal = Seal::new(Level::Sealed);
+        self.ram.window = Window::new(self.part.authentication.is_some());
+    }
+
+    /// CONFIG UPDATE is over.
+    fn end_update(&mut self, device: &mut Device, exit: Exit, at: Duration) {
+        match exit {
+            Exit::Anew => self.gauging.load(&device.flash),
+            Exit::Plain | Exit::Forgotten => self.gauging.apply(&device.flash),
+        }
+        if exit != Exit::Forgotten {
+            device.flash.itpor = false;
+        }
+        self.ram.registers = None;
+        if self.part.level(&device.flash) == Level::Sealed {
+            self.close();
+            self.ram.locked_until = at + device.timing.lock;
+        }
+        device.save();
+    }
+
+    /// The bits of Flags() that are not about gauging.
+    fn own_flags(&self, flash: &Flash) -> u16 {
+        let (ram, detects) = (self.part.data_memory.is_some(), self.part.battery_insert.is_some());
+        bits(&[
+            (ITPOR, ram && flash.itpor),
+            (CFGUPMODE, ram && self.ram.update.shows()),
+            (BAT_DET, detects && self.present(flash)),
+        ])
+    }
+
+    /// Whether the gauge knows of a battery: a pin detects it, or the host has said so.
+    fn present(&self, flash: &Flash) -> bool {
+        self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash)
+    }
+
+    /// The divider of a stack's voltage, if the part has one.
+    fn divider(&self, flash: &Flash) -> Option<u16> {
+        let divider = self.part.gate.as_ref().and_then(|gate| gate.divider);
+        divider.map(|(id, offset)| flash.u16(id, offset))
+    }
+
+    /// Voltage() as the host reads it. The board's divider is the one that was calibrated, but no voltage
+    /// comes of a divider of 0.
+    fn voltage(&self, flash: &Flash) -> u16 {
+        if self.divider(flash) == Some(0) { 0 } else { self.gauging.voltage_mv() }
+    }
+
+    /// Stores something that the gauge itself keeps.
+    fn store(&mut self, device: &mut Device, place: Option<Place>, bytes: &[u8], now: Duration) {
+        if let Some((id, offset)) = place {
+            device.keep(self, vec![Kept::new(id, offset, bytes)], now);
+        }
+    }
+
+    /// The checksum was written.
+    fn commit(&mut self, device: &mut Device, sum: u8, plan: &mut Plan, now: Duration) {
+        let window = &mut self.ram.window;
+        let Source::Flash(id, block) = window.source else { return };
+        if sum != checksum(&window.data) {
+            return;
+        }
+        window.sum = sum;
+        let mut content = window.bytes().to_vec();
+        if id == CODES && self.ram.seal.level != Level::FullAccess {
+            // The keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), the authentication key here too. A part
+            // without that level has its keys in ROM (SLUUAC9A 6.4.5.1.1).
+            for &at in self.part.keys {
+                content[at..at + 4].copy_from_slice(&device.flash.get::<4>(id, at));
+            }
+        }
+        let taken = self.part.data_memory.is_none() || matches!(self.ram.update, Mode::On(_));
+        let allowed = taken && (!self.sealed() || self.part.sealed_writes == Some(id));
+        device.commit(self, Kept::new(id, usize::from(block) * BLOCK, &content), allowed, plan, now);
+    }
+
+    /// DataFlashBlock() was written.
+    fn select(&mut self, device: &Device, block: u8, now: Duration) {
+        let special = self.sealed() || self.ram.window.control == 0x01;
+        let window = &mut self.ram.window;
+        window.block = block;
+        let (source, wait) = match block {
+            _ if !special => (Source::Flash(u16::from(window.class), block), device.timing.load),
+            0 if self.part.authentication.is_some() => (Source::Authentication, device.timing.load),
+            _ => {
+                let class = self.part.sealed_blocks.iter().find(|(shown, _)| *shown == block);
+                let source = class.map_or(Source::Nothing, |&(_, class)| Source::Flash(class, 0));
+                (source, device.timing.sealed_load)
+            }
+        };
+        let bytes = match source {
+            Source::Flash(id, block) => device.flash.block(id, block),
+            Source::Nothing | Source::Authentication => &[],
+        };
+        let source = if bytes.is_empty() && !special { Source::Nothing } else { source };
+        window.load(source, bytes, special, now + wait);
+    }
+
+    /// Answers a challenge with SHA-1 of the key and SHA-1 of the key and the challenge (SLUSBZ5D 7.3.15).
+    /// The first byte on the wire is the least significant one, unless set otherwise: no document settles
+    /// it.
+    fn authenticate(&mut self, device: &Device, sum: u8, now: Duration) {
+        let mut message = self.ram.window.data[..20].to_vec();
+        if sum != checksum(&message) {
+            return;
+        }
+        let Some((id, offset)) = self.part.authentication else { return };
+        let key = device.flash.get::<16>(id, offset);
+        if !self.as_sent {
+            message.reverse();
+        }
+        let inner = Sha1::new().chain_update(key).chain_update(&message).finalize();
+        let mut digest = Sha1::new().chain_update(key).chain_update(inner).finalize();
+        if !self.as_sent {
+            digest.reverse();
+        }
+        let ready = now + device.timing.authentication;
+        self.ram.window.load(Source::Authentication, &digest, false, ready);
+    }
+
+    fn is(&self, device: &Device, status: Status) -> bool {
+        let (own, flash) = (&self.part.own, &device.flash);
+        match status {
+            Status::NotFullAccess => self.ram.seal.level != Level::FullAccess,
+            Status::Sealed => self.sealed(),
+            Status::CcOffset => self.ram.offset_until.is_some(),
+            Status::BoardOffset => self.ram.board_until.is_some(),
+            Status::Initialized => self.present(flash) && device.modelled >= self.ram.initialized_from,
+            Status::Sleep => own.sleep.is_some_and(|(allowed, (id, offset))| {
+                let current = f64::from(flash.i16(id, offset));
+                is_set(flash, Some(allowed)) && self.gauging.is_quiet(current)
+            }),
+            Status::LoadMode => own.load_mode.is_some_and(|(id, offset)| flash.u8(id, offset) != 0),
+            Status::Enabled => self.gauging.enabled,
+            Status::ChemistryChanged => self.ram.chemistry.is_some(),
+            Status::Calibrating
+            | Status::ChecksumValid
+            | Status::DataLog
+            | Status::Hibernate
+            | Status::OcvDone
+            | Status::ShutdownArmed
+            | Status::Snooze => self.ram.marks.contains(&status),
+        }
+    }
+
+    fn mark(&mut self, status: Status, set: bool) {
+        self.ram.marks.retain(|mark| *mark != status);
+        if set {
+            self.ram.marks.push(status);
+        }
+    }
+
+    /// CONTROL_STATUS.
+    fn control_status(&self, device: &Device) -> u16 {
+        let set = self.part.status.iter().filter(|(status, _)| self.is(device, *status));
+        set.fold(0, |word, (_, bit)| word | bit)
+    }
+
+    /// A word was written to Control(). One that is unknown, or not for a sealed gauge, does nothing.
+    fn subcommand(&mut self, device: &mut Device, word: u16, now: Duration) {
+        let keys = self.part.keys.iter().map(|&at| seal::words(device.flash.get(CODES, at)));
+        let keys: Vec<_> = keys.collect();
+        let locked = now < self.ram.locked_until;
+        if locked && word > LOCKING {
+            self.ram.locked_until = now + device.timing.lock;
+        }
+        let listening = device.hears_keys(self.ram.seal.level) && !locked;
+        if self.ram.seal.word(word, &keys, listening, now) {
+            return;
+        }
+        if let Some(&(_, who, action)) = self.part.subcommands.iter().find(|(code, _, _)| *code == word) {
+            let least = match who {
+                Who::Anyone => Level::Sealed,
+                Who::Unsealed => Level::Unsealed,
+                Who::FullAccess => Level::FullAccess,
+            };
+            if self.ram.seal.level >= least {
+                self.act(device, action, now);
+            }
+        }
+        if word < self.part.remembered {
+            self.ram.previous = word;
+        }
+    }
+
+    fn act(&mut self, device: &mut Device, action: Action, now: Duration) {
+        let own = &self.part.own;
+        match action {
+            Action::ControlStatus => self.ram.answer = self.control_status(device),
+            Action::Answer(word) => self.ram.answer = word,
+            Action::AnswerCode => self.ram.answer = self.part.code,
+            Action::AnswerFrom(id, offset) => self.ram.answer = device.flash.u16(id, offset),
+            Action::AnswerChemistry(word) => self.ram.answer = self.ram.chemistry.unwrap_or(word),
+            Action::ResetData => self.ram.answer = device.resets,
+            Action::Previous => self.ram.answer = self.ram.previous,
+            Action::BoardOffset => {
+                // A current that flows meanwhile is taken for an offset.
+                let current = self.gauging.battery().current_ma() as i64;
+                self.board_offset = (current * 4 + i64::from(self.board_offset)).clamp(-128, 127) as i8;
+                self.ram.board_until = Some(now + device.timing.calibrating);
+            }
+            Action::CcOffset => self.ram.offset_until = Some(now + device.timing.calibrating),
+            Action::WriteCcOffset => {
+                self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes(), now);
+            }
+            Action::AnswerOffset if self.is(device, Status::Calibrating) => {
+                self.ram.answer = own.cc_offset.map_or(0, |(id, offset)| device.flash.u16(id, offset));
+            }
+            Action::FlashChecksum => {
+                let bytes = device.flash.bytes();
+                self.ram.answer = bytes.iter().fold(0u16, |sum, &byte| sum.wrapping_add(byte.into()));
+                self.mark(Status::ChecksumValid, true);
+            }
+            Action::ChemistryChecksum => {
+                let block = own.chemistry.map_or(&[][..], |id| device.flash.block(id, 0));
+                self.ram.answer = block.iter().map(|&byte| u16::from(byte)).sum::<u16>() & 0x7FFF;
+                self.mark(Status::ChecksumValid, true);
+            }
+            Action::FullSleep => self.ram.full_sleep = true,
+            Action::Set(status) => self.mark(status, true),
+            Action::Clear(status) => self.mark(status, false),
+            Action::BatteryInsert(inserted) if !self.part.has_pin(&device.flash) => {
+                if inserted && !self.ram.inserted {
+                    self.ram.initialized_from = now + device.timing.initializing;
+                }
+                self.ram.inserted = inserted;
+            }
+            Action::Seal => {
+                if self.part.data_memory.is_some() {
+                    self.part.remember_seal(&mut device.flash);
+                    device.save();
+                }
+                self.close();
+            }
+            Action::ItEnable => {
+                if let Some((id, offset)) = own.update_status {
+                    let status = device.flash.u8(id, offset) | IT_ENABLE;
+                    self.store(device, own.update_status, &[status], now);
+                }
+                self.gauging.enabled = true;
+            }
+            Action::ItDisable => self.gauging.enabled = false,
+            Action::CalEnable => self.ram.calibration = !self.ram.calibration,
+            Action::ExitCalibration if self.ram.calibration => self.mark(Status::Calibrating, false),
+            Action::EnterCalibration if self.ram.calibration => self.mark(Status::Calibrating, true),
+            Action::Reset => device.reset(self, now),
+            Action::ConfigUpdate => self.ram.update.enter(device.timing.update_enter, now),
+            Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
+            Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
+            Action::Shutdown if self.is(device, Status::ShutdownArmed) => device.power_down(self, now, None),
+            Action::Rom => self.ram.rom = Some([0xFF; 3]),
+            Action::Hdq => {
+                device.flash.hdq = true;
+                device.save();
+            }
+            Action::AnswerOffset
+            | Action::BatteryInsert(_)
+            | Action::ExitCalibration
+            | Action::EnterCalibration
+            | Action::Chemistry(_)
+            | Action::Shutdown => {}
+        }
+    }
+
+    /// A byte for the boot loader, of which only the way out is known: 0x0F at 0x00 and 0x000F at 0x64.
+    fn write_rom(&mut self, device: &mut Device, mut sent: [u8; 3], register: u8, byte: u8, now: Duration) {
+        match register {
+            0x00 => sent[0] = byte,
+            0x64 | 0x65 => sent[usize::from(register - 0x63)] = byte,
+            _ => {}
+        }
+        self.ram.rom = Some(sent);
+        if sent == [0x0F, 0x0F, 0x00] {
+            device.power_up(self, now);
+        }
+    }
+
+    /// A byte of a word that the host may write. The second one completes it.
+    fn write_host(&mut self, register: u8, byte: u8) {
+        if register & 1 == 0 {
+            self.ram.low = byte;
+            return;
+        }
+        let word = u16::from_le_bytes([self.ram.low, byte]);
+        match self.part.host_register(register) {
+            Some(Host::AtRate) => self.gauging.at_rate_ma = word as i16,
+            Some(Host::Temperature) => self.gauging.host_temperature = Some(word),
+            None => {}
+        }
+        self.ram.registers = None;
+    }
+
+    /// Whether a register can be written, but not while the gauge is sealed.
+    fn withheld(&self, register: u8) -> bool {
+        let ram = self.part.data_memory.is_some();
+        self.sealed()
+            && (matches!(register, 0x3E | 0x61 | 0x55..=0x5F) || ram && matches!(register, 0x3F..=0x60))
+    }
+
+    fn writable(&self, register: u8) -> bool {
+        let known =
+            matches!(register, 0x00 | 0x01 | 0x3E..=0x61) || self.part.host_register(register).is_some();
+        known && !self.withheld(register)
+    }
+}
+
+impl Wire for Block {
+    fn address(&self, flash: &Flash) -> Option<u8> {
+        let address = if self.ram.rom.is_some() { ROM_ADDRESS } else { GAUGE_ADDRESS };
+        (!flash.hdq).then_some(address)
+    }
+
+    fn wake(&mut self, device: &Device) -> Duration {
+        let settle = self.part.own.settle.map_or(0, |(id, offset)| device.flash.u8(id, offset));
+        let settle = Duration::from_secs(u64::from(settle).max(1));
+        let asleep = std::mem::take(&mut self.ram.full_sleep);
+        let sleeps = asleep && device.quiet >= settle && self.is(device, Status::Sleep);
+        if sleeps { device.timing.waking } else { Duration::ZERO }
+    }
+
+    fn has(&self, register: u8) -> bool {
+        register <= self.part.last_register
+    }
+
+    fn extends(&self, register: u8) -> bool {
+        // Elsewhere a second byte of one message is refused (SLUSBZ5D figure 7-5).
+        self.ram.rom.is_some()
+            || matches!(register, 0x01 | 0x3F | 0x41..=0x5F)
+            || register & 1 == 1 && self.part.host_register(register).is_some()
+    }
+
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool {
+        if let Some(sent) = self.ram.rom {
+            self.write_rom(device, sent, register, byte, now);
+            return true;
+        }
+        if !self.writable(register) {
+            return self.ignores_sealed && self.withheld(register);
+        }
+        match register {
+            0x00 => self.ram.low = byte,
+            0x01 => self.subcommand(device, u16::from_le_bytes([self.ram.low, byte]), now),
+            0x3E => self.ram.window.class = byte,
+            0x3F => self.select(device, byte, now),
+            0x54 if self.ram.window.source == Source::Authentication => self.authenticate(device, byte, now),
+            0x40..=0x5F => self.ram.window.write(usize::from(register - 0x40), byte, now),
+            0x60 => self.commit(device, byte, plan, now),
+            0x61 => self.ram.window.control = byte,
+            _ => self.write_host(register, byte),
+        }
+        true
+    }
+
+    fn read(&mut self, device: &Device, register: u8, now: Duration) -> u8 {
+        if self.ram.rom.is_some() {
+            return 0;
+        }
+        let window = &self.ram.window;
+        match register {
+            0x00 | 0x01 => self.ram.answer.to_le_bytes()[usize::from(register)],
+            0x3E | 0x3F | 0x60 | 0x61 if self.withheld(register) => 0,
+            0x3E => window.class,
+            0x3F => window.block,
+            0x40..=0x5F => window.read(usize::from(register - 0x40), now),
+            0x60 => window.read_sum(now),
+            0x61 => window.control,
+            _ => {
+                let flash = &device.flash;
+                let (voltage, present, flags) =
+                    (self.voltage(flash), self.present(flash), self.own_flags(flash));
+                let (gauging, calibration) = (&self.gauging, self.ram.calibration);
+                let registers =
+                    self.ram.registers.get_or_insert_with(|| gauging.registers(calibration, present));
+                let from = |first: u8, word: u16| {
+                    word.to_le_bytes().get(usize::from(register.wrapping_sub(first))).copied()
+                };
+                let byte = registers.get(usize::from(register)).copied().unwrap_or(0);
+                let byte = from(self.part.voltage_register, voltage).unwrap_or(byte);
+                byte | from(self.part.flags_register, flags).unwrap_or(0)
+            }
+        }
+    }
+
+    fn reset(&mut self, device: &mut Device, ready: Duration) {
+        if self.part.data_memory.is_some() {
+            device.flash.reload(device.part.image, CODES);
+            self.part.set_gain_sign(&mut device.flash);
+            device.flash.itpor = true;
+            device.save();
+        }
+        let initialized = ready + device.timing.initializing;
+        self.ram = Ram::new(self.part, &device.flash, ready, initialized);
+    }
+
+    fn run(&mut self, device: &mut Device, now: Duration, settle: bool) {
+        if device.is_on() && now >= device.measured_from {
+            self.gauging.measure();
+        }
+        if device.is_on()
+            && let Some((exit, at)) = self.ram.update.run(now)
+        {
+            device.pass(self, at, true);
+            self.end_update(device, exit, at);
+        }
+        device.pass(self, now, settle);
+        if self.ram.board_until.take_if(|until| now >= *until).is_some() {
+            self.store(device, self.part.own.board_offset, &[self.board_offset as u8], now);
+        }
+        self.ram.offset_until.take_if(|until| now >= *until);
+        // In CONFIG UPDATE the gauge does not gauge.
+        if !self.ram.update.shows() {
+            self.ram.registers = None;
+        }
+    }
+
+    fn refresh(&mut self) {
+        self.gauging.update(0.0);
+        self.ram.registers = None;
+    }
+
+    fn model(&mut self) -> &mut dyn Model {
+        &mut self.gauging
+    }
+
+    fn level(&self) -> Level {
+        self.ram.seal.level
+    }
+
+    /// The stack voltage scaled back to a cell's against Flash Update OK Cell Volt (SLUSBZ5D 7.3.16.3),
+    /// unless calibration is enabled. Both parameters count at once.
+    fn gate(&self, flash: &Flash) -> bool {
+        let Some(Gate { limit: (id, offset), .. }) = self.part.gate else { return true };
+        let voltage = f64::from(self.voltage(flash));
+        let cell = match self.divider(flash) {
+            None => voltage,
+            Some(0) => 0.0,
+            Some(divider) => voltage * 5000.0 / f64::from(divider),
+        };
+        self.ram.calibration || cell >= f64::from(flash.i16(id, offset))
+    }
+
+    fn mode(&self, flash: &Flash) -> &'static str {
+        match () {
+            () if flash.hdq => "hdq",
+            () if self.ram.rom.is_some() => "rom",
+            () if self.ram.marks.contains(&Status::Calibrating) => "calibration",
+            () if self.ram.update.shows() => "config-update",
+            () => "normal",
+        }
+    }
+
+    fn knob(&self, device: &Device, name: &str) -> Option<String> {
+        Some(match name {
+            "protocol" => knob::PROTOCOL.show(device.flash.hdq),
+            "cc_gain_inverted" => knob::CC_GAIN_INVERTED.show(device.flash.inverted),
+            "sealed_writes" => knob::SEALED_WRITES.show(self.ignores_sealed),
+            "auth_order" => knob::AUTH_ORDER.show(self.as_sent),
+            _ => return None,
+        })
+    }
+
+    fn set_knob(&mut self, device: &mut Device, name: &str, text: &str) -> Result<()> {
+        match name {
+            "protocol" => {
+                let before = device.flash.hdq;
+                device.flash.hdq = knob::PROTOCOL.read(name, text)?;
+                device.store.save(&device.flash).inspect_err(|_| device.flash.hdq = before)
+            }
+            "cc_gain_inverted" => {
+                let inverted = knob::CC_GAIN_INVERTED.read(name, text)?;
+                if inverted && self.part.gain_sign().is_none() {
+                    return Err(Error::new(
+                        name,
+                        Kind::NotPermitted,
+                        "no such specimen of this part is known",
+                    ));
+                }
+                device.flash.inverted = inverted;
+                self.part.set_gain_sign(&mut device.flash);
+                self.gauging.apply(&device.flash);
+                device.store.save(&device.flash)
+            }
+            "sealed_writes" => {
+                self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?;
+                Ok(())
+            }
+            _ => {
+                self.as_sent = knob::AUTH_ORDER.read(name, text)?;
+                Ok(())
+            }
+        }
+    }
+}

@@ -1,0 +1,500 @@
+//! The shell of a simulated gauge, which is the same for every part: power, flash and its state file,
+//! timing, the battery's clock, and the knobs that all gauges have. Everything else is the part's scheme.
+//!
+//! Where the documents leave a choice, the gauge does what is worst for a driver: it does not answer while
+//! it starts, and what it does not store it acknowledges all the same.
+
+use std::time::Duration;
+
+use super::error::Result;
+use super::fault::{Commit, Plan};
+use super::flash::{BLOCK, Flash, Store};
+use super::knob::{self, Knob, Of};
+use super::model::Kept;
+use super::part::{Part, Scheme};
+use super::seal::Level;
+use super::wire::{Options, Wire};
+
+/// How long everything takes that depends on the part or on the specimen.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Timing {
+    /// From power to the first answer.
+    pub(super) power_up: Duration,
+    /// From a reset to the first answer.
+    pub(super) reset: Duration,
+    /// The gauge holds the clock during a reset. Otherwise it does not acknowledge its address.
+    pub(super) reset_stretches: bool,
+    /// The same choice applies after power has come. Otherwise the gauge is silent then.
+    pub(super) power_up_stretches: bool,
+    /// From power to the first Voltage().
+    pub(super) first_voltage: Duration,
+    /// Programming a 16-bit word of flash.
+    pub(super) word: Duration,
+    /// From selecting a block or an address until it can be read.
+    pub(super) load: Duration,
+    /// The same for the blocks that a sealed gauge shows.
+    pub(super) sealed_load: Duration,
+    /// From the checksum of a challenge until the digest can be read.
+    pub(super) authentication: Duration,
+    /// Silence on the bus without which a key is refused, and a key to FULL ACCESS.
+    pub(super) key_quiet: Duration,
+    pub(super) full_access_quiet: Duration,
+    /// Time without keys after a gauge has sealed itself.
+    pub(super) lock: Duration,
+    /// From the first answer, or from knowing of a battery, to the first prediction.
+    pub(super) initializing: Duration,
+    /// The first message in FULL SLEEP.
+    pub(super) waking: Duration,
+    /// Measuring an offset.
+    pub(super) calibrating: Duration,
+    /// From SET_CFGUPDATE to CONFIG UPDATE, and from the way out to its end.
+    pub(super) update_enter: Duration,
+    pub(super) update_leave: Duration,
+}
+
+impl Timing {
+    /// The bq34z100-G1's, and of its sisters where nothing else is known.
+    pub(super) const USUAL: Self = Self {
+        // SLUSBZ5D 6.3.
+        power_up: Duration::from_millis(250),
+        // In no document; drivers found it by trying.
+        reset: Duration::from_millis(175),
+        reset_stretches: false,
+        power_up_stretches: false,
+        first_voltage: Duration::from_secs(1),
+        // SLUSBZ5D 6.12.
+        word: Duration::from_millis(2),
+        load: Duration::ZERO,
+        // Blank for a while, as drivers of its sisters found out.
+        sealed_load: Duration::from_millis(20),
+        authentication: Duration::from_millis(20),
+        key_quiet: Duration::ZERO,
+        full_access_quiet: Duration::ZERO,
+        // SLUUAC9A 6.4.5.1.1.
+        lock: Duration::from_secs(4),
+        // Up to 10 s (SLUUAC9A 2.4.6).
+        initializing: Duration::from_secs(2),
+        // SLUSBZ5D 7.3.1.2.12.
+        waking: Duration::from_millis(8),
+        calibrating: Duration::from_secs(4),
+        update_enter: Duration::ZERO,
+        update_leave: Duration::ZERO,
+    };
+
+    /// Those of the parts with ManufacturerAccessControl().
+    pub(super) const MAC: Self = Self {
+        power_up: Self::USUAL.reset,
+        power_up_stretches: true,
+        // An owner's full-access key was refused right after the unseal key and taken after a pause
+        // (E2E 888302). TI advises 4 s of silence.
+        full_access_quiet: Duration::from_secs(4),
+        ..Self::USUAL
+    };
+
+    /// The time that a knob sets.
+    fn knob(&mut self, name: &str) -> Option<&mut Duration> {
+        Some(match name {
+            "load_ms" => &mut self.load,
+            "sealed_load_ms" => &mut self.sealed_load,
+            "cfgupdate_ms" => &mut self.update_enter,
+            "cfgexit_ms" => &mut self.update_leave,
+            "auth_ms" => &mut self.authentication,
+            "word_ms" => &mut self.word,
+            "key_quiet_ms" => &mut self.key_quiet,
+            _ => return None,
+        })
+    }
+}
+
+enum Power {
+    On,
+    /// Off, until then if it comes back by itself.
+    Off(Option<Duration>),
+}
+
+/// What is being programmed.
+struct Pending {
+    area: u16,
+    offset: usize,
+    old: Vec<u8>,
+    started: Duration,
+}
+
+/// The shell.
+pub(super) struct Device {
+    pub(super) part: &'static Part,
+    pub(super) flash: Flash,
+    pub(super) store: Store,
+    pub(super) timing: Timing,
+    /// Seconds of battery time to a second.
+    speed: f64,
+    /// Up to when the battery and its model have been run.
+    pub(super) modelled: Duration,
+    power: Power,
+    /// The gauge starts until then, after power has come if `cold`.
+    ready_at: Duration,
+    cold: bool,
+    /// When Voltage() is measured for the first time since power came.
+    pub(super) measured_from: Duration,
+    /// Full resets since power came.
+    pub(super) resets: u16,
+    /// The clock is held until then.
+    busy_until: Duration,
+    pending: Option<Pending>,
+    /// Commits that were acknowledged and not stored.
+    dropped: u64,
+    last_transfer: Duration,
+    /// Silence on the bus before the present message.
+    pub(super) quiet: Duration,
+}
+
+impl Device {
+    /// A device that has long had power. `prepare` makes a new part's flash what the options ask for.
+    pub(super) fn new(
+        part: &'static Part,
+        options: &Options,
+        now: Duration,
+        prepare: impl FnOnce(&mut Flash),
+    ) -> Result<Self> {
+        let mut flash = Flash::new(part.image);
+        let mut store = Store::new(options.state.clone(), part.name);
+        if !store.load(&mut flash)? {
+            prepare(&mut flash);
+            store.save(&flash)?;
+        }
+        Ok(Self {
+            part,
+            flash,
+            store,
+            timing: part.timing,
+            speed: 1.0,
+            modelled: now,
+            power: Power::On,
+            ready_at: now,
+            cold: false,
+            measured_from: now,
+            resets: 0,
+            busy_until: now,
+            pending: None,
+            dropped: 0,
+            last_transfer: Duration::ZERO,
+            quiet: Duration::MAX,
+        })
+    }
+
+    pub(super) fn is_on(&self) -> bool {
+        matches!(self.power, Power::On)
+    }
+
+    /// Whether there was enough silence for the first word of a key to be taken at `level`.
+    pub(super) fn hears_keys(&self, level: Level) -> bool {
+        let quiet = match level {
+            Level::Unsealed => self.timing.key_quiet.max(self.timing.full_access_quiet),
+            Level::Sealed | Level::FullAccess => self.timing.key_quiet,
+        };
+        self.quiet >= quiet
+    }
+
+    /// Saves flash. The `state` knob reports a file that cannot be written.
+    pub(super) fn save(&mut self) {
+        let _ = self.store.save(&self.flash);
+    }
+
+    /// Brings everything that depends on time up to `now`.
+    fn run(&mut self, wire: &mut dyn Wire, now: Duration, settle: bool) {
+        if let Power::Off(Some(until)) = self.power
+            && now >= until
+        {
+            self.power_up(wire, until);
+        }
+        if now >= self.busy_until {
+            self.pending = None;
+        }
+        wire.run(self, now, settle);
+    }
+
+    /// Lets the battery's time pass up to `now`. Measurements are made once a second of the gauge's time;
+    /// `settle` makes one at once.
+    pub(super) fn pass(&mut self, wire: &mut dyn Wire, now: Duration, settle: bool) {
+        let seconds = now.saturating_sub(self.modelled).as_secs_f64() * self.speed;
+        if seconds < 1.0 && !settle && self.speed > 0.0 {
+            return;
+        }
+        self.modelled = now;
+        let mut left = seconds;
+        while left > 0.0 {
+            // A pack at rest changes in ways that are exact over any time; a long run is coarser.
+            let longest = if wire.model().at_rest() {
+                60.0_f64.max(left / 100.0)
+            } else {
+                (seconds / 3600.0).clamp(1.0, 15.0)
+            };
+            let step = left.min(longest);
+            let kept = wire.model().step(step);
+            self.keep(wire, kept, now);
+            left -= step;
+        }
+        let learned = wire.model().learned(&self.flash);
+        self.keep(wire, learned, now);
+    }
+
+    /// Stores what the gauge itself keeps, if it has power and its voltage allows it.
+    pub(super) fn keep(&mut self, wire: &mut dyn Wire, kept: Vec<Kept>, now: Duration) {
+        for kept in kept {
+            if self.is_on() && wire.gate(&self.flash) {
+                self.program(wire, kept, now);
+            }
+        }
+    }
+
+    /// Stores what the host has committed, unless the gauge does not allow it or a fault is due.
+    pub(super) fn commit(
+        &mut self,
+        wire: &mut dyn Wire,
+        mut kept: Kept,
+        allowed: bool,
+        plan: &mut Plan,
+        now: Duration,
+    ) {
+        let fault = plan.commit();
+        if !allowed || !wire.gate(&self.flash) || fault == Some(Commit::Drop) {
+            self.dropped += 1;
+            return;
+        }
+        if fault == Some(Commit::Corrupt) {
+            let old = |at: usize| self.flash.u8(kept.area, kept.offset + at);
+            let changed = (0..kept.bytes.len()).find(|&at| kept.bytes[at] != old(at));
+            kept.bytes[changed.unwrap_or(0)] ^= 0x01;
+        }
+        self.program(wire, kept, now);
+        if let Some(Commit::Torn(words)) = fault
+            && let Some(pending) = self.pending.take()
+        {
+            self.tear(&pending, words);
+            self.power_down(wire, now, None);
+        }
+    }
+
+    /// Programs flash. A state file that cannot be written is as bad as flash that cannot be programmed.
+    fn program(&mut self, wire: &mut dyn Wire, kept: Kept, now: Duration) {
+        let Kept { area, offset, bytes } = match self.part.scheme {
+            Scheme::Block(_) => self.whole_block(kept),
+            Scheme::Mac(_) => kept,
+        };
+        let old = self.flash.clone();
+        self.flash.program(area, offset, &bytes);
+        if self.store.save(&self.flash).is_err() {
+            self.flash = old;
+            self.dropped += 1;
+            return;
+        }
+        let words = bytes.len().div_ceil(2) as u32;
+        self.busy_until = self.busy_until.max(now) + self.timing.word * words;
+        let old = old.bytes_at(area, offset, bytes.len()).to_vec();
+        self.pending = Some(Pending { area, offset, old, started: now });
+        wire.model().configure(&self.flash);
+    }
+
+    /// The block in which the bytes are, with the bytes in it.
+    fn whole_block(&self, kept: Kept) -> Kept {
+        let (block, at) = (kept.offset / BLOCK, kept.offset % BLOCK);
+        let mut bytes = self.flash.block(kept.area, block as u8).to_vec();
+        bytes[at..at + kept.bytes.len()].copy_from_slice(&kept.bytes);
+        Kept { area: kept.area, offset: block * BLOCK, bytes }
+    }
+
+    /// What a loss of power leaves when `words` words are programmed: those are new and the rest is old.
+    /// Nothing else decides it.
+    fn tear(&mut self, pending: &Pending, words: usize) {
+        let count = pending.old.len().min(2 * words);
+        self.flash.set(pending.area, pending.offset + count, &pending.old[count..]);
+        self.save();
+    }
+
+    /// Takes power away, until `back` has passed or until it is switched on.
+    pub(super) fn power_down(&mut self, wire: &mut dyn Wire, now: Duration, back: Option<Duration>) {
+        self.run(wire, now, true);
+        if let Some(pending) = self.pending.take() {
+            let time = now.saturating_sub(pending.started).as_nanos();
+            let words = time / self.timing.word.as_nanos().max(1);
+            self.tear(&pending, words.min(BLOCK as u128) as usize);
+        }
+        self.power = Power::Off(back.map(|time| now + time));
+    }
+
+    pub(super) fn power_up(&mut self, wire: &mut dyn Wire, now: Duration) {
+        self.power = Power::On;
+        self.cold = true;
+        self.resets = 0;
+        self.busy_until = now;
+        self.measured_from = now + self.timing.first_voltage;
+        wire.model().power_up();
+        self.restart(wire, now + self.timing.power_up);
+    }
+
+    pub(super) fn reset(&mut self, wire: &mut dyn Wire, now: Duration) {
+        self.cold = false;
+        self.resets = self.resets.saturating_add(1);
+        self.restart(wire, now + self.timing.reset);
+    }
+
+    fn restart(&mut self, wire: &mut dyn Wire, ready: Duration) {
+        self.ready_at = ready;
+        wire.reset(self, ready);
+        wire.model().restart(&self.flash);
+    }
+}
+
+/// A simulated gauge: a device, and the scheme by which it is accessed.
+pub(super) struct Gauge {
+    device: Device,
+    wire: Box<dyn Wire>,
+    /// The register that is read or written next.
+    pointer: u8,
+}
+
+impl Gauge {
+    pub(super) fn new(device: Device, wire: impl Wire + 'static) -> Self {
+        Self { device, wire: Box::new(wire), pointer: 0 }
+    }
+
+    pub(super) fn flash(&self) -> &Flash {
+        &self.device.flash
+    }
+
+    /// START and address: `None` if it is not acknowledged, else how long the clock is held.
+    pub(super) fn start(&mut self, address: u8, now: Duration) -> Option<Duration> {
+        let (device, wire) = (&mut self.device, &mut *self.wire);
+        device.run(wire, now, false);
+        device.quiet = now.saturating_sub(device.last_transfer);
+        let starting = device.ready_at.saturating_sub(now);
+        let timing = &device.timing;
+        let stretches = timing.reset_stretches && (timing.power_up_stretches || !device.cold);
+        if !device.is_on()
+            || wire.address(&device.flash) != Some(address)
+            || !starting.is_zero() && !stretches
+        {
+            return None;
+        }
+        let busy = device.busy_until.saturating_sub(now);
+        Some(busy.max(starting).max(wire.wake(device)))
+    }
+
+    /// The bytes of a message. An error is how many were sent up to the one that is not acknowledged.
+    pub(super) fn message(
+        &mut self,
+        write: &[u8],
+        read: &mut [u8],
+        plan: &mut Plan,
+        now: Duration,
+    ) -> Result<(), usize> {
+        if let Some((&register, data)) = write.split_first() {
+            if !self.wire.has(register) {
+                return Err(1);
+            }
+            self.pointer = register;
+            for (at, &byte) in data.iter().enumerate() {
+                let taken = (at == 0 || self.wire.extends(self.pointer))
+                    && self.wire.write(&mut self.device, self.pointer, byte, plan, now);
+                if !taken {
+                    return Err(at + 2);
+                }
+                self.advance();
+            }
+        }
+        for byte in read {
+            *byte = self.wire.read(&self.device, self.pointer, now);
+            self.advance();
+        }
+        Ok(())
+    }
+
+    /// The pointer goes from 0x7F to 0x00 (SLUSBZ5D figure 7-6).
+    fn advance(&mut self) {
+        self.pointer = (self.pointer + 1) & 0x7F;
+    }
+
+    /// STOP.
+    pub(super) fn stop(&mut self, now: Duration) {
+        self.device.last_transfer = now;
+        self.wire.stop();
+    }
+
+    /// Takes power away, until `back` has passed or until it is switched on.
+    pub(super) fn power_off(&mut self, now: Duration, back: Option<Duration>) {
+        self.device.power_down(&mut *self.wire, now, back);
+    }
+
+    /// Whether the part has a knob.
+    pub(super) fn has_knob(&self, knob: &Knob) -> bool {
+        !matches!(
+            (knob.of, &self.device.part.scheme),
+            (Of::Block, Scheme::Mac(_)) | (Of::Mac, Scheme::Block(_))
+        )
+    }
+
+    /// What a knob shows.
+    pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
+        let (device, wire) = (&mut self.device, &mut *self.wire);
+        device.run(wire, now, true);
+        if let Some(time) = device.timing.knob(name) {
+            return Some(time.as_millis().to_string());
+        }
+        let mode = match wire.mode(&device.flash) {
+            _ if !device.is_on() => "off",
+            "normal" if now < device.ready_at => "reset",
+            mode => mode,
+        };
+        let battery = wire.model().battery();
+        Some(match name {
+            "load_ma" => battery.load_ma.to_string(),
+            "temperature" => (battery.ambient * 10.0).round().to_string(),
+            "speed" => device.speed.to_string(),
+            "soc" => format!("{:.1}", wire.model().percent()),
+            "voltage_mv" => battery.forced_mv.map_or_else(|| "auto".into(), |forced| forced.to_string()),
+            "power" => knob::POWER.show(device.is_on()),
+            "mode" => mode.into(),
+            "seal" => wire.level().as_str().into(),
+            "wear" => device.flash.wear(),
+            "programmed" => device.flash.programmed().to_string(),
+            "dropped" => device.dropped.to_string(),
+            "resets" => device.resets.to_string(),
+            "state" => device.store.failure.clone().unwrap_or_else(|| "ok".into()),
+            "reset_busy" => knob::RESET_BUSY.show(device.timing.reset_stretches),
+            _ => return wire.knob(device, name),
+        })
+    }
+
+    /// Turns a knob.
+    pub(super) fn set_knob(&mut self, name: &str, text: &str, now: Duration) -> Result<()> {
+        let (device, wire) = (&mut self.device, &mut *self.wire);
+        device.run(wire, now, true);
+        let number = |min, max| knob::number(name, text, min, max);
+        match name {
+            "load_ma" => {
+                let least = if wire.model().charges() { -32_000.0 } else { 0.0 };
+                wire.model().battery_mut().load_ma = number(least, 32_000.0)?;
+            }
+            "temperature" => wire.model().battery_mut().ambient = number(-400.0, 1200.0)? / 10.0,
+            "speed" => device.speed = number(0.0, 100_000.0)?,
+            "soc" => wire.model().set_percent(number(0.0, 100.0)?),
+            "voltage_mv" => {
+                let forced = if text == "auto" { None } else { Some(number(0.0, 65_535.0)? as u16) };
+                wire.model().battery_mut().forced_mv = forced;
+            }
+            "power" => match (knob::POWER.read(name, text)?, device.is_on()) {
+                (true, false) => device.power_up(wire, now),
+                (false, true) => device.power_down(wire, now, None),
+                (false, false) => device.power = Power::Off(None),
+                (true, true) => {}
+            },
+            "reset_busy" => device.timing.reset_stretches = knob::RESET_BUSY.read(name, text)?,
+            _ => match device.timing.knob(name) {
+                Some(time) => *time = Duration::from_millis(number(0.0, 60_000.0)? as u64),
+                None => wire.set_knob(device, name, text)?,
+            },
+        }
+        wire.refresh();
+        Ok(())
+    }
+}

@@ -1,0 +1,44 @@
+//! What the simulator refuses, and what the host refuses the simulator.
+
+use std::{fmt, io};
+
+/// A `Result` whose error is [`Error`].
+pub(super) type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// The kind of a failure: what a caller decides by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The text is not understood, or there is no such thing.
+    Invalid,
+    /// A number outside its range.
+    OutOfRange,
+    /// Not possible on this gauge, or read-only.
+    NotPermitted,
+    /// The host could not read or write the state file.
+    Io(io::ErrorKind),
+}
+
+/// One failure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error {
+    /// The knob, file or part that it is about.
+    pub subject: String,
+    /// What kind of failure it is.
+    pub kind: Kind,
+    /// What happened and what to do.
+    pub text: String,
+}
+
+impl Error {
+    pub(super) fn new(subject: impl Into<String>, kind: Kind, text: impl Into<String>) -> Self {
+        Self { subject: subject.into(), kind, text: text.into() }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.subject, self.text)
+    }
+}
+
+impl std::error::Error for Error {}

@@ -1,0 +1,399 @@
+//! Faults: what goes wrong with the nth transfer from now, and a [`Bus`] that makes it go wrong.
+//!
+//! [`FaultBus`] wraps any bus. The simulated gauge takes the same texts in its `fault` file and knows a few
+//! more, which happen inside the gauge, where no wrapper reaches.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use super::error::{Error, Kind, Result};
+use gauge_bus::{Bus, BusError};
+
+/// What goes wrong with a transfer on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transfer {
+    /// The address, or the given byte after the register, is not acknowledged. The bytes before it have
+    /// reached the target.
+    Nack(Option<usize>),
+    /// One bit of one byte is wrong. Bytes written are counted first, then bytes read.
+    Flip(usize, u8),
+    /// The adapter moves only a part: all but the last byte written, or no byte read.
+    Short,
+    /// The transfer takes effect and its acknowledgement is lost.
+    Lost,
+    /// A line is held low after that many bytes written, until the adapter gives up.
+    Stuck(usize),
+    /// Another controller wins the bus.
+    Arbitration,
+    /// The clock is stretched for that many milliseconds.
+    Stretch(u64),
+}
+
+/// What goes wrong with a commit of flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Commit {
+    /// It is acknowledged and not stored.
+    Drop,
+    /// It is stored with one wrong bit.
+    Corrupt,
+    /// Power is lost when that many 16-bit words are programmed.
+    Torn(usize),
+}
+
+/// A fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// On the bus.
+    Transfer(Transfer),
+    /// Power is lost before the transfer, for that many milliseconds or until it is switched on.
+    PowerCut(Option<u64>),
+    /// Power is lost right after the transfer.
+    PowerCutAfter(Option<u64>),
+    /// In the gauge's next commit.
+    Commit(Commit),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Armed {
+    /// Transfers until it acts, this one included; 0 for a fault that waits for a commit.
+    count: u64,
+    fault: Fault,
+}
+
+/// The faults that are still to come.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    armed: Vec<Armed>,
+    /// Chance of a random fault for each transfer, in thousandths.
+    permille: u32,
+    random: u64,
+}
+
+/// The syntax of a plan.
+pub const SYNTAX: &str = "none, nack N [BYTE], flip N BYTE BIT, short N, lost N, stuck N [BYTE], \
+     arbitration N, stretch N MS, power-cut N [MS], power-cut-after N [MS], drop-commit, corrupt-commit, \
+     torn-commit WORDS, random PERMILLE; several with `;` between";
+
+impl Plan {
+    /// No faults. `seed` is for the random ones.
+    pub fn new(seed: u64) -> Self {
+        // An odd multiplier keeps seeds apart, and the generator must not start at 0.
+        Self { armed: Vec::new(), permille: 0, random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1 }
+    }
+
+    /// Replaces the faults by those of a text (see [`SYNTAX`]). A bad text changes nothing.
+    pub fn set(&mut self, text: &str) -> Result<()> {
+        let mut new = Self { armed: Vec::new(), permille: 0, random: self.random };
+        for part in text.split(';') {
+            let words: Vec<&str> = part.split_whitespace().collect();
+            let Some((name, numbers)) = words.split_first() else { continue };
+            let numbers: Option<Vec<u64>> = numbers.iter().map(|word| word.parse().ok()).collect();
+            new.add(name, &numbers.ok_or_else(|| bad(part))?).ok_or_else(|| bad(part))?;
+        }
+        *self = new;
+        Ok(())
+    }
+
+    fn add(&mut self, name: &str, numbers: &[u64]) -> Option<()> {
+        use Fault::{PowerCut, PowerCutAfter};
+        use Transfer::{Arbitration, Flip, Lost, Nack, Short, Stretch, Stuck};
+        let on_bus = |count: u64, fault| (count, Fault::Transfer(fault));
+        let (count, fault) = match (name, numbers) {
+            ("none", []) => {
+                (self.armed, self.permille) = (Vec::new(), 0);
+                return Some(());
+            }
+            ("random", &[permille]) if permille <= 1000 => {
+                self.permille = permille as u32;
+                return Some(());
+            }
+            ("nack", &[n]) => on_bus(n, Nack(None)),
+            ("nack", &[n, byte]) => on_bus(n, Nack(Some(byte as usize))),
+            ("flip", &[n, byte, bit]) if bit < 8 => on_bus(n, Flip(byte as usize, bit as u8)),
+            ("short", &[n]) => on_bus(n, Short),
+            ("lost", &[n]) => on_bus(n, Lost),
+            ("stuck", &[n]) => on_bus(n, Stuck(0)),
+            ("stuck", &[n, byte]) => on_bus(n, Stuck(byte as usize)),
+            ("arbitration", &[n]) => on_bus(n, Arbitration),
+            ("stretch", &[n, ms]) => on_bus(n, Stretch(ms)),
+            ("power-cut", &[n]) => (n, PowerCut(None)),
+            ("power-cut", &[n, ms]) => (n, PowerCut(Some(ms))),
+            ("power-cut-after", &[n]) => (n, PowerCutAfter(None)),
+            ("power-cut-after", &[n, ms]) => (n, PowerCutAfter(Some(ms))),
+            ("drop-commit", []) => (0, Fault::Commit(Commit::Drop)),
+            ("corrupt-commit", []) => (0, Fault::Commit(Commit::Corrupt)),
+            ("torn-commit", &[words]) => (0, Fault::Commit(Commit::Torn(words as usize))),
+            _ => return None,
+        };
+        let armed = Armed { count, fault };
+        if count == 0 && !armed.waits() {
+            return None;
+        }
+        self.armed.push(armed);
+        Some(())
+    }
+
+    /// Counts a transfer of `bytes` bytes. Returns the fault that is due with it, if any.
+    pub fn next(&mut self, bytes: usize) -> Option<Fault> {
+        for armed in self.armed.iter_mut().filter(|armed| !armed.waits()) {
+            armed.count = armed.count.saturating_sub(1);
+        }
+        let due = self.armed.iter().position(|armed| armed.count == 0 && !armed.waits());
+        if let Some(at) = due {
+            return Some(self.armed.remove(at).fault);
+        }
+        if self.permille > 0 && self.roll(1000) < u64::from(self.permille) {
+            let byte = self.roll(bytes.max(1) as u64) as usize;
+            return Some(Fault::Transfer(match self.roll(7) {
+                0 => Transfer::Nack(None),
+                1 => Transfer::Nack(Some(byte)),
+                2 => Transfer::Flip(byte, self.roll(8) as u8),
+                3 => Transfer::Short,
+                4 => Transfer::Lost,
+                5 => Transfer::Stuck(byte),
+                _ => Transfer::Arbitration,
+            }));
+        }
+        None
+    }
+
+    /// Takes the fault that waits for a commit.
+    pub(super) fn commit(&mut self) -> Option<Commit> {
+        let at = self.armed.iter().position(Armed::waits)?;
+        match self.armed.remove(at).fault {
+            Fault::Commit(commit) => Some(commit),
+            _ => None,
+        }
+    }
+
+    fn roll(&mut self, below: u64) -> u64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        self.random % below
+    }
+}
+
+impl Armed {
+    fn waits(&self) -> bool {
+        matches!(self.fault, Fault::Commit(_))
+    }
+}
+
+fn bad(part: &str) -> Error {
+    Error::new("fault", Kind::Invalid, format!("`{}` is none of: {SYNTAX}", part.trim()))
+}
+
+impl fmt::Display for Armed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n = self.count;
+        match self.fault {
+            Fault::Transfer(Transfer::Nack(None)) => write!(f, "nack {n}"),
+            Fault::Transfer(Transfer::Nack(Some(byte))) => write!(f, "nack {n} {byte}"),
+            Fault::Transfer(Transfer::Flip(byte, bit)) => write!(f, "flip {n} {byte} {bit}"),
+            Fault::Transfer(Transfer::Short) => write!(f, "short {n}"),
+            Fault::Transfer(Transfer::Lost) => write!(f, "lost {n}"),
+            Fault::Transfer(Transfer::Stuck(byte)) => write!(f, "stuck {n} {byte}"),
+            Fault::Transfer(Transfer::Arbitration) => write!(f, "arbitration {n}"),
+            Fault::Transfer(Transfer::Stretch(ms)) => write!(f, "stretch {n} {ms}"),
+            Fault::PowerCut(None) => write!(f, "power-cut {n}"),
+            Fault::PowerCut(Some(ms)) => write!(f, "power-cut {n} {ms}"),
+            Fault::PowerCutAfter(None) => write!(f, "power-cut-after {n}"),
+            Fault::PowerCutAfter(Some(ms)) => write!(f, "power-cut-after {n} {ms}"),
+            Fault::Commit(Commit::Drop) => f.write_str("drop-commit"),
+            Fault::Commit(Commit::Corrupt) => f.write_str("corrupt-commit"),
+            Fault::Commit(Commit::Torn(words)) => write!(f, "torn-commit {words}"),
+        }
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parts: Vec<String> = self.armed.iter().map(Armed::to_string).collect();
+        if self.permille > 0 {
+            parts.push(format!("random {}", self.permille));
+        }
+        if parts.is_empty() { f.write_str("none") } else { f.write_str(&parts.join("; ")) }
+    }
+}
+
+/// How long an adapter waits while the clock is held low.
+pub(super) const ADAPTER_WAITS: Duration = Duration::from_secs(1);
+
+impl Transfer {
+    /// Performs a transfer on `bus` with this fault. The caller lets the time pass that a stretched or
+    /// stuck bus takes.
+    pub fn perform(self, bus: &mut dyn Bus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        match self {
+            Transfer::Nack(None) => Err(BusError::NoAck),
+            Transfer::Nack(Some(byte)) => {
+                part(bus, write, byte.saturating_add(1))?;
+                Err(BusError::NoAck)
+            }
+            Transfer::Flip(byte, bit) => {
+                let mut write = write.to_vec();
+                if let Some(byte) = write.get_mut(byte) {
+                    *byte ^= 1 << bit;
+                }
+                bus.transfer(&write, read)?;
+                let target = byte.checked_sub(write.len()).and_then(|byte| read.get_mut(byte));
+                if let Some(byte) = target {
+                    *byte ^= 1 << bit;
+                }
+                Ok(())
+            }
+            Transfer::Short => {
+                let cut = if read.is_empty() { write.len().saturating_sub(1) } else { write.len() };
+                part(bus, write, cut)?;
+                Err(BusError::Short)
+            }
+            Transfer::Lost => {
+                // The target has sent its bytes, but the host must not have them.
+                let mut lost = vec![0; read.len()];
+                bus.transfer(write, &mut lost)?;
+                Err(BusError::NoAck)
+            }
+            Transfer::Stuck(byte) => {
+                part(bus, write, byte)?;
+                Err(BusError::Timeout)
+            }
+            Transfer::Arbitration => Err(BusError::ArbitrationLost),
+            Transfer::Stretch(ms) if Duration::from_millis(ms) > ADAPTER_WAITS => Err(BusError::Timeout),
+            Transfer::Stretch(_) => bus.transfer(write, read),
+        }
+    }
+}
+
+fn part(bus: &mut dyn Bus, write: &[u8], count: usize) -> Result<(), BusError> {
+    match write.get(..count.min(write.len())) {
+        Some(some) if !some.is_empty() => bus.transfer(some, &mut []),
+        _ => Ok(()),
+    }
+}
+
+/// A bus whose transfers go wrong as planned.
+#[derive(Debug)]
+pub struct FaultBus<B> {
+    inner: B,
+    plan: Arc<Mutex<Plan>>,
+}
+
+impl<B: Bus> FaultBus<B> {
+    /// Wraps `inner`. The plan may be changed while the bus is in use. Faults inside a gauge have no effect
+    /// here.
+    pub fn new(inner: B, plan: Arc<Mutex<Plan>>) -> Self {
+        Self { inner, plan }
+    }
+}
+
+impl<B: Bus> Bus for FaultBus<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let due = {
+            let mut plan = self.plan.lock().unwrap_or_else(PoisonError::into_inner);
+            plan.next(write.len() + read.len())
+        };
+        match due {
+            Some(Fault::Transfer(fault)) => fault.perform(&mut self.inner, write, read),
+            _ => self.inner.transfer(write, read),
+        }
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.inner.set_secret(secret);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Echo(Vec<Vec<u8>>);
+
+    impl Bus for Echo {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            self.0.push(write.to_vec());
+            read.fill(0xA0);
+            Ok(())
+        }
+    }
+
+    /// The result, what reached the target, and what was read.
+    type Outcome = (Result<(), BusError>, Vec<Vec<u8>>, [u8; 2]);
+
+    fn run(text: &str, write: &[u8]) -> Outcome {
+        let mut plan = Plan::new(1);
+        plan.set(text).unwrap();
+        let mut bus = FaultBus::new(Echo(Vec::new()), Arc::new(Mutex::new(plan)));
+        let mut read = [0; 2];
+        let result = bus.transfer(write, &mut read);
+        (result, bus.inner.0, read)
+    }
+
+    #[test]
+    fn each_fault_does_what_it_says() {
+        let write = [0x40, 1, 2];
+        assert_eq!(run("nack 1", &write), (Err(BusError::NoAck), vec![], [0; 2]));
+        assert_eq!(run("nack 1 1", &write), (Err(BusError::NoAck), vec![vec![0x40, 1]], [0; 2]));
+        assert_eq!(run("flip 1 2 0", &write), (Ok(()), vec![vec![0x40, 1, 3]], [0xA0; 2]));
+        assert_eq!(run("flip 1 4 0", &write), (Ok(()), vec![vec![0x40, 1, 2]], [0xA0, 0xA1]));
+        assert_eq!(run("short 1", &write), (Err(BusError::Short), vec![vec![0x40, 1, 2]], [0; 2]));
+        assert_eq!(run("lost 1", &write), (Err(BusError::NoAck), vec![vec![0x40, 1, 2]], [0; 2]));
+        assert_eq!(run("stuck 1", &write), (Err(BusError::Timeout), vec![], [0; 2]));
+        assert_eq!(run("stuck 1 2", &write), (Err(BusError::Timeout), vec![vec![0x40, 1]], [0; 2]));
+        assert_eq!(run("arbitration 1", &write), (Err(BusError::ArbitrationLost), vec![], [0; 2]));
+        assert_eq!(run("nack 2", &write), (Ok(()), vec![vec![0x40, 1, 2]], [0xA0; 2]));
+    }
+
+    #[test]
+    fn only_the_nth_transfer_fails_and_only_once() {
+        let mut plan = Plan::new(1);
+        plan.set("nack 2; lost 2; short 5").unwrap();
+        let due: Vec<_> = (0..7).map(|_| plan.next(3).is_some()).collect();
+        assert_eq!(due, [false, true, true, false, true, false, false]);
+        assert_eq!(plan.to_string(), "none");
+    }
+
+    #[test]
+    fn texts_read_back() {
+        let mut plan = Plan::new(1);
+        for text in [
+            "none",
+            "nack 3",
+            "nack 3 1",
+            "flip 1 2 7",
+            "short 1; lost 2; stuck 3 4",
+            "power-cut 2 500; power-cut-after 3",
+            "drop-commit",
+            "torn-commit 5; random 20",
+            "stretch 1 25",
+        ] {
+            plan.set(text).unwrap();
+            assert_eq!(plan.to_string(), text);
+        }
+    }
+
+    #[test]
+    fn a_bad_text_changes_nothing() {
+        let mut plan = Plan::new(1);
+        plan.set("nack 3").unwrap();
+        for text in ["nack", "nack 0", "nack x", "flip 1 2 8", "fail", "lost 1; bad", "random 1001", "none 1"]
+        {
+            assert!(plan.set(text).is_err(), "{text}");
+            assert_eq!(plan.to_string(), "nack 3");
+        }
+    }
+
+    #[test]
+    fn random_faults_repeat_with_their_seed() {
+        let draw = |seed| {
+            let mut plan = Plan::new(seed);
+            plan.set("random 100").unwrap();
+            (0..1000).map(|_| plan.next(8)).collect::<Vec<_>>()
+        };
+        assert_eq!(draw(7), draw(7));
+        assert_ne!(draw(7), draw(8));
+        let faults = draw(7).iter().flatten().count();
+        assert!((50..200).contains(&faults), "{faults}");
+    }
+}

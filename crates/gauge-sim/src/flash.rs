@@ -1,0 +1,350 @@
+//! Data flash of a simulated gauge, or the RAM in its place: bytes by area and block, how often each block was programmed, and
+//! the file that keeps both across processes.
+//!
+//! An area is a subclass; its blocks are 32 bytes, the last one may be shorter. Nothing here knows what
+//! the bytes mean.
+
+use std::fmt::Write as _;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use sha1::{Digest, Sha1};
+
+use super::error::{Error, Kind, Result};
+
+/// Bytes in a whole block.
+pub(super) const BLOCK: usize = 32;
+
+/// The bytes that a new part holds: area number and content, in the order of [`Flash::bytes`].
+pub(super) type Image = &'static [(u16, &'static [u8])];
+
+#[derive(Clone, Debug)]
+struct Area {
+    id: u16,
+    bytes: Vec<u8>,
+    wear: Vec<u32>,
+}
+
+/// All flash of one gauge.
+#[derive(Clone, Debug)]
+pub(super) struct Flash {
+    areas: Vec<Area>,
+    /// The flag that moves the interface from I2C to HDQ, which outlives a loss of power.
+    pub(super) hdq: bool,
+    /// Of a gauge with RAM: its content is ROM's since power came, Flags() `[ITPOR]`.
+    pub(super) itpor: bool,
+    /// This specimen's ROM has a negative CC Gain.
+    pub(super) inverted: bool,
+}
+
+impl Flash {
+    pub(super) fn new(image: Image) -> Self {
+        let area = |&(id, bytes): &(u16, &'static [u8])| Area {
+            id,
+            bytes: bytes.to_vec(),
+            wear: vec![0; bytes.len().div_ceil(BLOCK)],
+        };
+        Self { areas: image.iter().map(area).collect(), hdq: false, itpor: false, inverted: false }
+    }
+
+    fn area(&self, id: u16) -> Option<&Area> {
+        self.areas.iter().find(|area| area.id == id)
+    }
+
+    fn area_mut(&mut self, id: u16) -> Option<&mut Area> {
+        self.areas.iter_mut().find(|area| area.id == id)
+    }
+
+    /// A block's own bytes: fewer than 32 at the end of an area, none beyond it.
+    pub(super) fn block(&self, id: u16, block: u8) -> &[u8] {
+        let start = usize::from(block) * BLOCK;
+        match self.area(id) {
+            Some(area) if start < area.bytes.len() => &area.bytes[start..area.bytes.len().min(start + BLOCK)],
+            _ => &[],
+        }
+    }
+
+    /// Programs bytes and counts the wear of every block that they touch.
+    pub(super) fn program(&mut self, id: u16, offset: usize, bytes: &[u8]) {
+        self.set(id, offset, bytes);
+        if let Some(area) = self.area_mut(id) {
+            let blocks = offset / BLOCK..(offset + bytes.len()).div_ceil(BLOCK);
+            for count in area.wear.iter_mut().take(blocks.end).skip(blocks.start) {
+                *count += 1;
+            }
+        }
+    }
+
+    /// Changes bytes without programming them: in a new part, and by a loss of power.
+    pub(super) fn set(&mut self, id: u16, offset: usize, bytes: &[u8]) {
+        if let Some(target) = self.area_mut(id).and_then(|area| area.bytes.get_mut(offset..)) {
+            let count = target.len().min(bytes.len());
+            target[..count].copy_from_slice(&bytes[..count]);
+        }
+    }
+
+    /// Bytes of an area; none if it does not have as many.
+    pub(super) fn bytes_at(&self, id: u16, offset: usize, count: usize) -> &[u8] {
+        self.area(id).and_then(|area| area.bytes.get(offset..offset + count)).unwrap_or(&[])
+    }
+
+    /// The same as an array; zeros if there are none.
+    pub(super) fn get<const N: usize>(&self, id: u16, offset: usize) -> [u8; N] {
+        self.bytes_at(id, offset, N).try_into().unwrap_or([0; N])
+    }
+
+    /// A byte.
+    pub(super) fn u8(&self, id: u16, offset: usize) -> u8 {
+        self.get::<1>(id, offset)[0]
+    }
+
+    /// Two bytes, the most significant first.
+    pub(super) fn u16(&self, id: u16, offset: usize) -> u16 {
+        u16::from_be_bytes(self.get(id, offset))
+    }
+
+    /// The same, signed.
+    pub(super) fn i16(&self, id: u16, offset: usize) -> i16 {
+        i16::from_be_bytes(self.get(id, offset))
+    }
+
+    /// Puts back what `image` has, but for one area: what becomes of RAM.
+    pub(super) fn reload(&mut self, image: Image, but: u16) {
+        for &(id, bytes) in image.iter().filter(|(id, _)| *id != but) {
+            self.set(id, 0, bytes);
+        }
+    }
+
+    /// Every byte, area after area.
+    pub(super) fn bytes(&self) -> Vec<u8> {
+        self.areas.iter().flat_map(|area| area.bytes.iter().copied()).collect()
+    }
+
+    /// How often each block was programmed, for those that were: `48/0 3 68/0 1`.
+    pub(super) fn wear(&self) -> String {
+        let mut out = String::new();
+        for area in &self.areas {
+            for (block, &count) in area.wear.iter().enumerate().filter(|&(_, &count)| count > 0) {
+                let space = if out.is_empty() { "" } else { " " };
+                let _ = write!(out, "{space}{}/{block} {count}", area.id);
+            }
+        }
+        out
+    }
+
+    /// How often any block was programmed.
+    pub(super) fn programmed(&self) -> u64 {
+        self.areas.iter().flat_map(|area| &area.wear).map(|&count| u64::from(count)).sum()
+    }
+}
+
+/// Where the flash of a gauge is kept, if anywhere.
+#[derive(Debug)]
+pub(super) struct Store {
+    path: Option<PathBuf>,
+    chip: &'static str,
+    /// Why the last attempt to save failed.
+    pub(super) failure: Option<String>,
+}
+
+impl Store {
+    pub(super) fn new(path: Option<PathBuf>, chip: &'static str) -> Self {
+        Self { path, chip, failure: None }
+    }
+
+    /// Fills `flash` from the file; `false` where there is none yet.
+    pub(super) fn load(&self, flash: &mut Flash) -> Result<bool> {
+        let Some(path) = &self.path else { return Ok(false) };
+        let text = match fs::read(path) {
+            Ok(bytes) => String::from_utf8(bytes).map_err(|_| self.refuse("it is not text"))?,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(host(path, &error, "cannot be read")),
+        };
+        self.parse(&text, flash).map_err(|why| self.refuse(&why))?;
+        Ok(true)
+    }
+
+    fn refuse(&self, why: &str) -> Error {
+        let path = self.path.as_deref().unwrap_or(Path::new("")).display().to_string();
+        let remedy = "restore it, or move it away for a new gauge";
+        let text = format!("not a usable state of a {} gauge: {why}; {remedy}", self.chip);
+        Error::new(path, Kind::Invalid, text)
+    }
+
+    fn parse(&self, text: &str, flash: &mut Flash) -> Result<(), String> {
+        let mut lines = text.lines();
+        if lines.next() != Some(HEAD) {
+            return Err(format!("it does not begin with `{HEAD}`"));
+        }
+        // The chip is compared first: for a file of another gauge that is the answer that helps.
+        let chip = lines.next().and_then(|line| line.strip_prefix("chip ")).ok_or("it names no chip")?;
+        if chip != self.chip {
+            return Err(format!("it is one of a {chip}"));
+        }
+        let (body, sum) = text.rsplit_once("sum ").ok_or("its end is missing")?;
+        if sum.strip_suffix('\n') != Some(&sum_of(body)) {
+            return Err("its sum is wrong: it is truncated or was changed".into());
+        }
+        let mut new = Flash { itpor: false, inverted: false, ..flash.clone() };
+        let mut seen = 0;
+        for line in body.lines().skip(2) {
+            let words: Vec<&str> = line.split(' ').collect();
+            match words[..] {
+                ["protocol", "i2c"] => new.hdq = false,
+                ["protocol", "hdq"] => new.hdq = true,
+                ["itpor"] => new.itpor = true,
+                ["cc-gain", "inverted"] => new.inverted = true,
+                ["wear", area, ref counts @ ..] => {
+                    let area = area.parse().ok().and_then(|id| new.area_mut(id));
+                    let area = area.ok_or_else(|| format!("it holds an unknown line `{line}`"))?;
+                    let counts: Result<Vec<u32>, _> = counts.iter().map(|count| count.parse()).collect();
+                    match counts {
+                        Ok(counts) if counts.len() == area.wear.len() => area.wear = counts,
+                        _ => return Err(format!("area {} has another number of blocks", area.id)),
+                    }
+                }
+                ["flash", area, digits] => {
+                    let area = area.parse().ok().and_then(|id| new.area_mut(id));
+                    let area = area.ok_or("it holds an area that the part does not have")?;
+                    match from_hex(digits) {
+                        Some(bytes) if bytes.len() == area.bytes.len() => area.bytes = bytes,
+                        _ => return Err(format!("area {} does not have the part's length", area.id)),
+                    }
+                    seen += 1;
+                }
+                _ => return Err(format!("it holds an unknown line `{line}`")),
+            }
+        }
+        if seen != new.areas.len() {
+            return Err("areas are missing".into());
+        }
+        *flash = new;
+        Ok(())
+    }
+
+    /// Puts `flash` into the file, so that a process killed at any moment leaves the old content or the
+    /// new one. Without a file there is nothing to do.
+    pub(super) fn save(&mut self, flash: &Flash) -> Result<()> {
+        let Some(path) = &self.path else { return Ok(()) };
+        let result =
+            replace(path, &self.print(flash)).map_err(|error| host(path, &error, "cannot be written"));
+        self.failure = result.as_ref().err().map(ToString::to_string);
+        result
+    }
+
+    fn print(&self, flash: &Flash) -> String {
+        let mut out = format!("{HEAD}\nchip {}\n", self.chip);
+        out.push_str(if flash.hdq { "protocol hdq\n" } else { "protocol i2c\n" });
+        if flash.itpor {
+            out.push_str("itpor\n");
+        }
+        if flash.inverted {
+            out.push_str("cc-gain inverted\n");
+        }
+        for area in &flash.areas {
+            let _ = write!(out, "wear {}", area.id);
+            for count in &area.wear {
+                let _ = write!(out, " {count}");
+            }
+            let _ = write!(out, "\nflash {} ", area.id);
+            push_hex(&mut out, &area.bytes);
+            out.push('\n');
+        }
+        let sum = sum_of(&out);
+        let _ = writeln!(out, "sum {sum}");
+        out
+    }
+}
+
+const HEAD: &str = "gaugefs simulated gauge 1";
+
+fn host(path: &Path, error: &io::Error, what: &str) -> Error {
+    let text = format!("the simulated gauge's state {what}: {error}");
+    Error::new(path.display().to_string(), Kind::Io(error.kind()), text)
+}
+
+fn replace(path: &Path, text: &str) -> io::Result<()> {
+    let name = path.file_name().ok_or_else(|| io::ErrorKind::IsADirectory)?;
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut temporary = name.to_os_string();
+    temporary.push(".new");
+    let temporary = folder.join(temporary);
+    // Keys are part of the flash, so nobody else may read the file.
+    let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&temporary)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    fs::rename(&temporary, path)?;
+    File::open(folder)?.sync_all()
+}
+
+fn sum_of(text: &str) -> String {
+    let mut out = String::new();
+    push_hex(&mut out, &Sha1::digest(text.as_bytes()));
+    out
+}
+
+fn push_hex(out: &mut String, bytes: &[u8]) {
+    for byte in bytes {
+        let _ = write!(out, "{byte:02x}");
+    }
+}
+
+fn from_hex(text: &str) -> Option<Vec<u8>> {
+    if !text.len().is_multiple_of(2) || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+        return None;
+    }
+    (0..text.len()).step_by(2).map(|at| u8::from_str_radix(&text[at..at + 2], 16).ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    static IMAGE: Image = &[(2, &[1, 2, 3]), (48, &[7; 40])];
+
+    #[test]
+    fn blocks_end_where_the_area_ends() {
+        let mut flash = Flash::new(IMAGE);
+        assert_eq!(flash.block(48, 1), [7; 8]);
+        assert_eq!(flash.block(48, 2), []);
+        assert_eq!(flash.block(3, 0), []);
+        flash.program(48, 32, &[9; 32]);
+        assert_eq!(flash.block(48, 1), [9; 8]);
+        assert_eq!(flash.block(48, 0), [7; 32]);
+        assert_eq!((flash.wear().as_str(), flash.programmed()), ("48/1 1", 1));
+    }
+
+    #[test]
+    fn what_is_printed_reads_back() {
+        let store = Store::new(Some("x".into()), "part");
+        let mut flash = Flash::new(IMAGE);
+        flash.program(48, 32, &[0xA5; 8]);
+        flash.hdq = true;
+        let text = store.print(&flash);
+        let mut back = Flash::new(IMAGE);
+        store.parse(&text, &mut back).unwrap();
+        assert_eq!((back.bytes(), back.wear(), back.hdq), (flash.bytes(), flash.wear(), true));
+    }
+
+    #[test]
+    fn no_damage_goes_unnoticed() {
+        let store = Store::new(Some("x".into()), "part");
+        let text = store.print(&Flash::new(IMAGE));
+        for end in 0..text.len() {
+            let mut flash = Flash::new(IMAGE);
+            assert!(store.parse(&text[..end], &mut flash).is_err(), "cut at {end}");
+        }
+        for at in 0..text.len() {
+            let mut bytes = text.clone().into_bytes();
+            bytes[at] ^= 1;
+            let Ok(changed) = String::from_utf8(bytes) else { continue };
+            let mut flash = Flash::new(IMAGE);
+            assert!(store.parse(&changed, &mut flash).is_err(), "changed at {at}");
+        }
+    }
+}

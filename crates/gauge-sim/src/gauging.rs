@@ -1,0 +1,765 @@
+//! What a gauge makes of its pack: measurements, counting, states and flags, and the registers that show
+//! them. Thresholds are read from data flash at a reset, as the parts do; where they stand there, and
+//! which register shows what, is each part's own.
+
+use super::battery::Battery;
+use super::flash::Flash;
+use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, signed, whole};
+use super::part::Place;
+
+/// Rest after which an open-circuit voltage is taken.
+const OCV_S: f64 = 1800.0;
+
+// Conditions, as Flags() of the bq34z100-G1 shows them (SLUSBZ5D table 7-6) ...
+pub(super) const OTC: u32 = 0x8000;
+pub(super) const OTD: u32 = 0x4000;
+pub(super) const BATHI: u32 = 0x2000;
+pub(super) const BATLOW: u32 = 0x1000;
+pub(super) const CHG_INH: u32 = 0x0800;
+pub(super) const XCHG: u32 = 0x0400;
+pub(super) const FC: u32 = 0x0200;
+pub(super) const CHG: u32 = 0x0100;
+pub(super) const OCVTAKEN: u32 = 0x0080;
+pub(super) const CF: u32 = 0x0010;
+pub(super) const SOC1: u32 = 0x0004;
+pub(super) const SOCF: u32 = 0x0002;
+pub(super) const DSG: u32 = 0x0001;
+// ... and those that it does not know: too warm or too cold, whether or not current flows.
+pub(super) const OT: u32 = 0x0001_0000;
+pub(super) const UT: u32 = 0x0002_0000;
+// FlagsB(), table 7-7.
+const FIRSTDOD: u16 = 0x2000;
+const DODEOC: u16 = 0x0400;
+
+/// How a part's bytes and registers are laid out, as far as they are about gauging.
+#[derive(Debug)]
+pub(super) struct Map {
+    /// Reads its thresholds.
+    pub(super) settings: fn(&Flash) -> Settings,
+    /// Address, bytes, and what is shown there.
+    pub(super) registers: &'static [(u8, usize, Quantity)],
+    /// Conditions and the bits of Flags() that show them.
+    pub(super) flags: &'static [(u32, u16)],
+    /// Where the cycle count is stored.
+    pub(super) cycles: Option<Place>,
+    /// The classes of the lifetime data and of their count of samples.
+    pub(super) lifetime: Option<(u16, u16)>,
+}
+
+/// What a register can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Quantity {
+    AtRate,
+    AtRateTimeToEmpty,
+    AverageCurrent,
+    AveragePower,
+    AvailableEnergy,
+    ChargeCurrent,
+    ChargeVoltage,
+    ConstantPowerTimeToEmpty,
+    Current,
+    CycleCount,
+    DesignCapacity,
+    Dod,
+    DodTime,
+    /// The same in sixteenths of an hour.
+    DodTimeHours,
+    EndDod,
+    Flags,
+    FlagsB,
+    Full,
+    Grid,
+    Health,
+    /// That it comes from learned resistances.
+    HealthStatus,
+    InternalTemperature,
+    LearnedStatus,
+    MaxError,
+    MaxLoadCurrent,
+    MaxLoadTimeToEmpty,
+    NominalFull,
+    NominalRemaining,
+    PackConfiguration,
+    PassedCharge,
+    Percent,
+    /// Power drawn, scaled, and never negative.
+    PowerDrawn,
+    QmaxPassed,
+    Remaining,
+    SerialNumber,
+    StandbyCurrent,
+    StandbyTimeToEmpty,
+    StartCharge,
+    StateTime,
+    Temperature,
+    TimeToEmpty,
+    TimeToFull,
+    Voltage,
+}
+
+/// Data flash as it was at the last reset.
+#[derive(Clone, Debug)]
+pub(super) struct Settings {
+    pub(super) ot_charge: (f64, f64, f64),
+    pub(super) ot_discharge: (f64, f64, f64),
+    /// Too warm and too cold, with the distance back.
+    pub(super) over: (f64, f64),
+    pub(super) under: (f64, f64),
+    pub(super) inhibit: (f64, f64, f64),
+    pub(super) suspend: (f64, f64),
+    pub(super) taper_ma: f64,
+    pub(super) taper_mv: f64,
+    pub(super) taper_s: f64,
+    pub(super) charge_alert: (i8, i8),
+    pub(super) full: (i8, i8),
+    pub(super) serial: u16,
+    pub(super) cycle_mah: f64,
+    pub(super) cycles: u16,
+    pub(super) max_error_limit: u8,
+    pub(super) design_mah: u16,
+    pub(super) charge_mv: [u16; 3],
+    pub(super) charge_percent: [u8; 3],
+    /// Limits of the temperature ranges, where there are any.
+    pub(super) jeita: Option<[f64; 4]>,
+    pub(super) energy_scale: f64,
+    pub(super) soc1: (u16, u16),
+    pub(super) socf: (u16, u16),
+    pub(super) low_mv: (f64, f64, f64),
+    pub(super) high_mv: (f64, f64, f64),
+    /// What the copy of the configuration shows.
+    pub(super) pack: u16,
+    pub(super) full_at_taper: bool,
+    pub(super) thermistor: bool,
+    /// The host writes Temperature().
+    pub(super) host_temperature: bool,
+    pub(super) reserve_mah: f64,
+    pub(super) discharge_ma: f64,
+    pub(super) charge_ma: f64,
+    pub(super) quit_ma: f64,
+    pub(super) relax_s: (f64, f64),
+    pub(super) internal_offset: f64,
+    pub(super) external_offset: f64,
+    pub(super) deadband_ma: f64,
+    pub(super) standby_ma: f64,
+    pub(super) max_load_ma: f64,
+    /// Current counts with the wrong sign.
+    pub(super) inverted: bool,
+    pub(super) cells: f64,
+    pub(super) qmax_mah: f64,
+    pub(super) enabled: bool,
+    /// Update Status but for its bit of IT_ENABLE.
+    pub(super) learned: u8,
+    pub(super) lifetime_s: f64,
+    pub(super) lifetime_step: [f64; 3],
+    pub(super) lifetime: [f64; 6],
+}
+
+impl Settings {
+    /// A gauge of one cell for which nothing is a threshold.
+    pub(super) const NONE: Self = Self {
+        ot_charge: (f64::INFINITY, 0.0, f64::INFINITY),
+        ot_discharge: (f64::INFINITY, 0.0, f64::INFINITY),
+        over: (f64::INFINITY, 0.0),
+        under: (f64::NEG_INFINITY, 0.0),
+        inhibit: (f64::NEG_INFINITY, f64::INFINITY, 0.0),
+        suspend: (f64::NEG_INFINITY, f64::INFINITY),
+        taper_ma: 0.0,
+        taper_mv: 0.0,
+        taper_s: 40.0,
+        charge_alert: (99, 95),
+        full: (-1, 98),
+        serial: 0,
+        cycle_mah: f64::INFINITY,
+        cycles: 0,
+        max_error_limit: 100,
+        design_mah: 0,
+        charge_mv: [4200; 3],
+        charge_percent: [0; 3],
+        jeita: None,
+        energy_scale: 1.0,
+        soc1: (0, 0),
+        socf: (0, 0),
+        low_mv: (0.0, 0.0, 0.0),
+        high_mv: (f64::INFINITY, 0.0, f64::INFINITY),
+        pack: 0,
+        full_at_taper: false,
+        thermistor: false,
+        host_temperature: false,
+        reserve_mah: 0.0,
+        discharge_ma: 60.0,
+        charge_ma: 75.0,
+        quit_ma: 40.0,
+        relax_s: (60.0, 60.0),
+        internal_offset: 0.0,
+        external_offset: 0.0,
+        deadband_ma: 5.0,
+        standby_ma: 0.0,
+        max_load_ma: 0.0,
+        inverted: false,
+        cells: 1.0,
+        qmax_mah: 1000.0,
+        enabled: true,
+        learned: 0,
+        lifetime_s: 0.0,
+        lifetime_step: [0.0; 3],
+        lifetime: [0.0; 6],
+    };
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Rest,
+    Charge,
+    Discharge,
+}
+
+/// What has changed since it was stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Learned {
+    cycles: bool,
+    lifetime: bool,
+}
+
+/// The measuring and counting half of the gauge.
+#[derive(Clone, Debug)]
+pub(super) struct Gauging {
+    map: &'static Map,
+    battery: Battery,
+    settings: Settings,
+    /// What the host writes into AtRate() and, where it may, into Temperature().
+    pub(super) at_rate_ma: i16,
+    pub(super) host_temperature: Option<u16>,
+    /// By how much the count of charge is wrong.
+    drift_mah: f64,
+    /// Voltage() has been measured since power came.
+    measured: bool,
+    /// Impedance Track runs.
+    pub(super) enabled: bool,
+    max_error: u8,
+    average_ma: f64,
+    state: State,
+    state_s: f64,
+    quiet_s: f64,
+    flags: u32,
+    flags_b: u16,
+    over_s: [f64; 2],
+    low_s: f64,
+    high_s: f64,
+    taper_s: f64,
+    tapered: bool,
+    cycle_mah: f64,
+    cycles: u16,
+    passed_mah: f64,
+    qmax_passed_mah: f64,
+    start_mah: f64,
+    dod: f64,
+    dod_s: f64,
+    end_dod: f64,
+    /// Warmest, coldest, largest charge and discharge current, highest and lowest voltage, as stored.
+    lifetime: [f64; 6],
+    lifetime_kept: [f64; 6],
+    lifetime_s: f64,
+    learned: Learned,
+}
+
+impl Gauging {
+    /// A gauge that has long been at rest with its pack.
+    pub(super) fn new(map: &'static Map, flash: &Flash, soc: f64) -> Self {
+        let settings = (map.settings)(flash);
+        let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
+        let mut new = Self {
+            map,
+            battery,
+            settings,
+            at_rate_ma: 0,
+            host_temperature: None,
+            drift_mah: 0.0,
+            measured: true,
+            enabled: false,
+            max_error: 2,
+            average_ma: 0.0,
+            state: State::Rest,
+            state_s: 3600.0,
+            quiet_s: 0.0,
+            flags: OCVTAKEN,
+            flags_b: 0,
+            over_s: [0.0; 2],
+            low_s: 0.0,
+            high_s: 0.0,
+            taper_s: 0.0,
+            tapered: false,
+            cycle_mah: 0.0,
+            cycles: 0,
+            passed_mah: 0.0,
+            qmax_passed_mah: 0.0,
+            start_mah: 0.0,
+            dod: 0.0,
+            dod_s: 1800.0,
+            end_dod: 0.0,
+            lifetime: [0.0; 6],
+            lifetime_kept: [0.0; 6],
+            lifetime_s: 0.0,
+            learned: Learned::default(),
+        };
+        new.load(flash);
+        new
+    }
+
+    /// Works with data flash as it is now, from a new open-circuit voltage on.
+    pub(super) fn load(&mut self, flash: &Flash) {
+        self.apply(flash);
+        self.lifetime = self.settings.lifetime;
+        self.lifetime_kept = self.lifetime;
+        self.take_ocv();
+        self.update(0.0);
+    }
+
+    /// Works with data flash as it is now, and goes on counting from where it is.
+    pub(super) fn apply(&mut self, flash: &Flash) {
+        self.settings = (self.map.settings)(flash);
+        self.battery.resize(self.settings.cells, self.settings.qmax_mah);
+        self.enabled = self.settings.enabled;
+        self.cycles = self.settings.cycles;
+        self.update(0.0);
+    }
+
+    /// Voltage() is measured for the first time since power came.
+    pub(super) fn measure(&mut self) {
+        if !self.measured {
+            self.measured = true;
+            self.update(0.0);
+        }
+    }
+
+    fn take_ocv(&mut self) {
+        self.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
+        (self.dod_s, self.drift_mah) = (0.0, 0.0);
+        self.simulate();
+    }
+
+    /// The gauge predicts anew, and counts from here.
+    fn simulate(&mut self) {
+        self.passed_mah = 0.0;
+        self.start_mah = self.remaining();
+    }
+
+    fn remaining(&self) -> f64 {
+        (self.counted() - self.settings.reserve_mah).max(0.0)
+    }
+
+    /// The charge that it takes the pack to have.
+    fn counted(&self) -> f64 {
+        (self.battery.charge_mah + self.drift_mah).clamp(0.0, self.battery.capacity_mah)
+    }
+
+    fn full(&self) -> f64 {
+        (self.battery.capacity_mah - self.settings.reserve_mah).max(0.0)
+    }
+
+    /// Voltage() of the whole stack.
+    pub(super) fn voltage_mv(&self) -> u16 {
+        let model = self.battery.cell_mv() * self.battery.cells;
+        if self.measured { self.battery.forced_mv.unwrap_or(whole(model)) } else { 0 }
+    }
+
+    fn cell_mv(&self) -> f64 {
+        f64::from(self.voltage_mv()) / self.battery.cells
+    }
+
+    /// What the coulomb counter shows: nothing within the deadband.
+    fn current_ma(&self) -> f64 {
+        let current = self.battery.current_ma();
+        let current = if self.settings.inverted { -current } else { current };
+        if current.abs() < self.settings.deadband_ma { 0.0 } else { current }
+    }
+
+    /// No more than the current of SLEEP, given in mA, on average.
+    pub(super) fn is_quiet(&self, sleep_ma: f64) -> bool {
+        self.state == State::Rest && self.average_ma.abs() <= sleep_ma
+    }
+
+    /// States and flags as they are with the present measurements, after `seconds` of them.
+    pub(super) fn update(&mut self, seconds: f64) {
+        self.change_state(seconds);
+        let charging = self.state == State::Charge;
+        let temperature = self.temperature() - FREEZING;
+        self.terminate(seconds);
+        let s = &self.settings;
+
+        for (index, bit, (limit, time, recovery), state) in
+            [(0, OTC, s.ot_charge, State::Charge), (1, OTD, s.ot_discharge, State::Discharge)]
+        {
+            let timer = &mut self.over_s[index];
+            *timer = if self.state == state && temperature >= limit { *timer + seconds } else { 0.0 };
+            // A time of 0 switches the protection off.
+            if time > 0.0 && *timer >= time {
+                self.flags |= bit;
+            } else if temperature <= recovery {
+                self.flags &= !bit;
+            }
+        }
+        let ((over, back), (under, up)) = (s.over, s.under);
+        if temperature >= over {
+            self.flags |= OT;
+        } else if temperature < over - back {
+            self.flags &= !OT;
+        }
+        if temperature <= under {
+            self.flags |= UT;
+        } else if temperature > under + up {
+            self.flags &= !UT;
+        }
+        let (low, high, hysteresis) = s.inhibit;
+        let allowed = temperature >= low + hysteresis && temperature <= high - hysteresis;
+        if !charging && (temperature < low || temperature > high) {
+            self.flags |= CHG_INH;
+        } else if charging || allowed {
+            self.flags &= !CHG_INH;
+        }
+        if charging && (temperature < s.suspend.0 || temperature > s.suspend.1) {
+            self.flags |= XCHG;
+        } else if !charging || allowed {
+            self.flags &= !XCHG;
+        }
+
+        let cell = self.cell_mv();
+        let (set, time, clear) = s.low_mv;
+        self.low_s = if cell < set { self.low_s + seconds } else { 0.0 };
+        if cell < set && self.low_s >= time {
+            self.flags |= BATLOW;
+        } else if cell > if clear < DISTANCE { set + clear } else { clear } {
+            self.flags &= !BATLOW;
+        }
+        let (set, time, clear) = s.high_mv;
+        self.high_s = if cell > set { self.high_s + seconds } else { 0.0 };
+        if cell > set && self.high_s >= time {
+            self.flags |= BATHI;
+        } else if cell < if clear < DISTANCE { set - clear } else { clear } {
+            self.flags &= !BATHI;
+        }
+
+        let remaining = whole(self.remaining());
+        for (bit, (set, clear)) in [(SOC1, s.soc1), (SOCF, s.socf)] {
+            if remaining <= set {
+                self.flags |= bit;
+            } else if remaining >= clear {
+                self.flags &= !bit;
+            }
+        }
+        // Nothing is full by rounding up.
+        let (exact, percent) = (self.percent(), self.percent().round() as i8);
+        let full = if s.full.0 < 0 { self.tapered } else { exact >= f64::from(s.full.0) };
+        let stop = if s.charge_alert.0 < 0 { self.tapered } else { exact >= f64::from(s.charge_alert.0) };
+        if full {
+            self.flags |= FC;
+        } else if percent <= s.full.1 {
+            self.flags &= !FC;
+        }
+        let stopped = stop || self.flags & CHG == 0 && percent > s.charge_alert.1;
+        let allowed = !stopped && self.flags & (OTC | BATHI | CHG_INH | XCHG | OT | UT) == 0;
+        self.flags = if allowed { self.flags | CHG } else { self.flags & !CHG };
+        let worn = self.max_error > s.max_error_limit;
+        self.flags = if worn { self.flags | CF } else { self.flags & !CF };
+        let discharging = self.state == State::Discharge;
+        self.flags = if discharging { self.flags | DSG } else { self.flags & !DSG };
+    }
+
+    fn change_state(&mut self, seconds: f64) {
+        let current = self.current_ma();
+        let s = &self.settings;
+        self.quiet_s = if current.abs() < s.quit_ma { self.quiet_s + seconds } else { 0.0 };
+        let next = if -current > s.discharge_ma {
+            State::Discharge
+        } else if current > s.charge_ma {
+            State::Charge
+        } else {
+            match self.state {
+                State::Discharge if self.quiet_s >= s.relax_s.0 => State::Rest,
+                State::Charge if self.quiet_s >= s.relax_s.1 => State::Rest,
+                same => same,
+            }
+        };
+        self.state_s += seconds;
+        if next != self.state {
+            self.state = next;
+            self.state_s = 0.0;
+            self.simulate();
+            if next == State::Rest {
+                self.flags &= !OCVTAKEN;
+                self.flags_b |= FIRSTDOD;
+            } else {
+                self.flags_b &= !FIRSTDOD;
+            }
+        }
+        if self.state == State::Rest && self.state_s >= OCV_S && self.flags & OCVTAKEN == 0 {
+            self.take_ocv();
+            self.flags |= OCVTAKEN;
+            self.flags_b &= !FIRSTDOD;
+        }
+    }
+
+    /// Primary charge termination: twice the taper window below the taper current near the full voltage.
+    fn terminate(&mut self, seconds: f64) {
+        let s = &self.settings;
+        let near = self.cell_mv() >= f64::from(s.charge_mv[1]) - s.taper_mv;
+        let low = self.average_ma > 0.0 && self.average_ma < s.taper_ma;
+        let tapering = self.state == State::Charge && near && low;
+        self.taper_s = if tapering { self.taper_s + seconds } else { 0.0 };
+        if tapering && !self.tapered && self.taper_s >= 2.0 * s.taper_s {
+            self.tapered = true;
+            if s.full_at_taper {
+                self.battery.charge_mah = self.battery.capacity_mah;
+                self.drift_mah = 0.0;
+            }
+            self.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
+            self.flags_b |= DODEOC;
+            if self.enabled {
+                self.max_error = self.max_error.min(3);
+            }
+        } else if self.state == State::Discharge {
+            self.tapered = false;
+            self.flags_b &= !DODEOC;
+        }
+    }
+
+    /// Keeps the extremes; tells when they are worth a flash write (SLUSBZ5D 7.3.6.17).
+    fn track(&mut self, seconds: f64) -> bool {
+        let s = &self.settings;
+        if !self.enabled || s.lifetime_s == 0.0 {
+            return false;
+        }
+        let (degrees, current) = (self.temperature() - FREEZING, self.current_ma());
+        let volts = f64::from(self.voltage_mv()) / 20.0;
+        for (at, value) in [(0, degrees), (2, current), (4, volts)] {
+            self.lifetime[at] = self.lifetime[at].max(value);
+        }
+        for (at, value) in [(1, degrees), (3, current), (5, volts)] {
+            self.lifetime[at] = self.lifetime[at].min(value);
+        }
+        self.lifetime_s += seconds;
+        let grown = (0..6).any(|i| {
+            (self.lifetime[i] - self.lifetime_kept[i]).abs() >= self.settings.lifetime_step[i / 2].max(1.0)
+        });
+        if !grown || self.lifetime_s < s.lifetime_s {
+            return false;
+        }
+        self.lifetime_s = 0.0;
+        self.lifetime_kept = self.lifetime;
+        true
+    }
+
+    fn die(&self) -> f64 {
+        self.battery.temperature() * 10.0 + FREEZING + self.settings.internal_offset
+    }
+
+    /// Temperature() in 0.1 K, before rounding.
+    fn temperature(&self) -> f64 {
+        if self.settings.host_temperature {
+            return self.host_temperature.map_or(self.die(), f64::from);
+        }
+        if !self.settings.thermistor {
+            return self.die();
+        }
+        self.battery.temperature() * 10.0 + FREEZING + self.settings.external_offset
+    }
+
+    /// ChargeVoltage() and ChargeCurrent() for the present temperature.
+    fn charge_advice(&self) -> (u16, u16) {
+        let s = &self.settings;
+        let temperature = self.temperature() - FREEZING;
+        let range = match s.jeita {
+            None => 1,
+            Some([t1, _, _, t4]) if temperature < t1 || temperature > t4 => return (0, 0),
+            Some([_, t2, t3, _]) => usize::from(temperature >= t2) + usize::from(temperature >= t3),
+        };
+        let current = f64::from(s.design_mah) * f64::from(s.charge_percent[range]) / 100.0;
+        (s.charge_mv[range], whole(current))
+    }
+
+    /// Minutes to empty and to full at the average current; the second allows for the taper.
+    fn times(&self) -> (u16, u16) {
+        let average = self.average_ma.round();
+        let minutes = |mah: f64| whole((mah / average.abs() * 60.0).min(65534.0));
+        match self.state {
+            State::Discharge if average < 0.0 => (minutes(self.remaining()), NO_TIME),
+            State::Charge if average > 0.0 => {
+                (NO_TIME, minutes((self.full() - self.remaining()).max(0.0) * 1.1))
+            }
+            _ => (NO_TIME, NO_TIME),
+        }
+    }
+
+    /// Minutes to empty at a load in mA.
+    fn minutes_at(&self, load_ma: f64) -> u16 {
+        if load_ma < 0.0 { whole((self.remaining() / -load_ma * 60.0).min(65534.0)) } else { NO_TIME }
+    }
+
+    /// The registers that show all this; the host's own ones are left 0. `present` is whether the gauge
+    /// knows of a battery: it predicts nothing without.
+    pub(super) fn registers(&self, calibration: bool, present: bool) -> Registers {
+        let mut out = [0; 0x80];
+        for &(register, size, quantity) in self.map.registers {
+            let word = if present || !quantity.is_predicted() { self.show(quantity, calibration) } else { 0 };
+            let at = usize::from(register);
+            out[at..at + size].copy_from_slice(&word.to_le_bytes()[..size]);
+        }
+        out
+    }
+
+    fn show(&self, quantity: Quantity, calibration: bool) -> u16 {
+        let s = &self.settings;
+        match quantity {
+            Quantity::AtRate => self.at_rate_ma as u16,
+            Quantity::AtRateTimeToEmpty => self.minutes_at(f64::from(self.at_rate_ma)),
+            Quantity::AverageCurrent => signed(self.average_ma),
+            Quantity::AveragePower => signed(self.average_ma * f64::from(self.voltage_mv()) / 1000.0),
+            Quantity::AvailableEnergy => {
+                let counted = self.counted();
+                let reserve = self.battery.energy_mwh(counted - self.remaining());
+                whole((self.battery.energy_mwh(counted) - reserve) / s.energy_scale)
+            }
+            Quantity::ChargeCurrent => self.charge_advice().1,
+            Quantity::ChargeVoltage => self.charge_advice().0,
+            Quantity::ConstantPowerTimeToEmpty | Quantity::TimeToEmpty => self.times().0,
+            Quantity::Current => signed(self.current_ma()),
+            Quantity::CycleCount => self.cycles,
+            Quantity::DesignCapacity => s.design_mah,
+            Quantity::Dod => whole(self.dod),
+            Quantity::DodTime => whole(self.dod_s / 60.0),
+            Quantity::DodTimeHours => whole(self.dod_s * 16.0 / 3600.0),
+            Quantity::EndDod => whole(self.end_dod),
+            Quantity::Flags => {
+                let set = self.map.flags.iter().filter(|(condition, _)| self.flags & condition != 0);
+                set.fold(0, |word, (_, bit)| word | bit)
+            }
+            Quantity::FlagsB => self.flags_b,
+            Quantity::Full => whole(self.full()),
+            Quantity::Grid => ((100.0 - self.percent()) / 100.0 * 14.0) as u16,
+            Quantity::Health => match s.design_mah {
+                0 => 0,
+                design => whole((100.0 * self.full() / f64::from(design)).min(100.0)),
+            },
+            Quantity::HealthStatus => 3,
+            Quantity::InternalTemperature => whole(self.die()),
+            Quantity::LearnedStatus => u16::from(s.learned) | u16::from(self.enabled) << 2,
+            Quantity::MaxError => u16::from(self.max_error),
+            Quantity::MaxLoadCurrent => signed(s.max_load_ma),
+            Quantity::MaxLoadTimeToEmpty => self.minutes_at(s.max_load_ma),
+            Quantity::NominalFull => whole(self.battery.capacity_mah),
+            Quantity::NominalRemaining => whole(self.counted()),
+            // CAL_ENABLE toggles the bit of the running copy.
+            Quantity::PackConfiguration if calibration => s.pack | 0x4000,
+            Quantity::PackConfiguration => s.pack,
+            Quantity::PassedCharge => signed(self.passed_mah),
+            Quantity::Percent => whole(self.percent()),
+            Quantity::PowerDrawn => {
+                let power = (-self.average_ma).max(0.0) * f64::from(self.voltage_mv()) / 1000.0;
+                whole(power / s.energy_scale)
+            }
+            Quantity::QmaxPassed => signed(self.qmax_passed_mah),
+            Quantity::Remaining => whole(self.remaining()),
+            Quantity::SerialNumber => s.serial,
+            Quantity::StandbyCurrent => signed(s.standby_ma),
+            Quantity::StandbyTimeToEmpty => self.minutes_at(s.standby_ma),
+            Quantity::StartCharge => whole(self.start_mah),
+            Quantity::StateTime => whole(self.state_s),
+            Quantity::Temperature => whole(self.temperature()),
+            Quantity::TimeToFull => self.times().1,
+            Quantity::Voltage => self.voltage_mv(),
+        }
+    }
+}
+
+impl Model for Gauging {
+    fn battery(&self) -> &Battery {
+        &self.battery
+    }
+
+    fn battery_mut(&mut self) -> &mut Battery {
+        &mut self.battery
+    }
+
+    fn percent(&self) -> f64 {
+        if self.full() > 0.0 { 100.0 * self.remaining() / self.full() } else { 0.0 }
+    }
+
+    fn set_percent(&mut self, percent: f64) {
+        let reserve = self.settings.reserve_mah.min(self.battery.capacity_mah);
+        self.battery.charge_mah = reserve + self.full() * percent / 100.0;
+        self.drift_mah = 0.0;
+        self.simulate();
+    }
+
+    fn power_up(&mut self) {
+        self.measured = false;
+    }
+
+    /// A full reset knows nothing of the error it makes (table 7-4).
+    fn restart(&mut self, flash: &Flash) {
+        let (battery, measured) = (self.battery.clone(), self.measured);
+        *self = Self::new(self.map, flash, 0.0);
+        (self.battery, self.measured) = (battery, measured);
+        (self.max_error, self.state_s, self.dod_s) = (100, 0.0, 0.0);
+        self.load(flash);
+    }
+
+    fn at_rest(&self) -> bool {
+        self.battery.current_ma() == 0.0 && self.state == State::Rest
+    }
+
+    fn step(&mut self, seconds: f64) -> Vec<Kept> {
+        let before = self.battery.charge_mah;
+        self.battery.step(seconds);
+        let mut moved = self.battery.charge_mah - before;
+        if self.settings.inverted {
+            // It may run against the end of its scale, and no further.
+            let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
+            self.drift_mah = (self.drift_mah - 2.0 * moved).clamp(low, high);
+            moved = -moved;
+        }
+        let current = self.current_ma();
+        self.average_ma += (current - self.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
+        self.passed_mah += moved;
+        self.qmax_passed_mah += moved;
+        self.cycle_mah += (-moved).max(0.0);
+        while self.cycle_mah >= self.settings.cycle_mah {
+            self.cycle_mah -= self.settings.cycle_mah;
+            self.cycles = self.cycles.saturating_add(1);
+            self.learned.cycles = true;
+        }
+        self.dod_s += seconds;
+        self.update(seconds);
+        self.learned.lifetime |= self.track(seconds);
+        Vec::new()
+    }
+
+    fn learned(&mut self, flash: &Flash) -> Vec<Kept> {
+        let learned = std::mem::take(&mut self.learned);
+        let mut kept = Vec::new();
+        if let Some((id, offset)) = self.map.cycles.filter(|_| learned.cycles) {
+            kept.push(Kept::new(id, offset, &self.cycles.to_be_bytes()));
+        }
+        if let Some((data, samples)) = self.map.lifetime.filter(|_| learned.lifetime) {
+            let words = self.lifetime.map(|value| (value.round() as i32 as u16).to_be_bytes());
+            kept.push(Kept::new(data, 0, words.as_flattened()));
+            let count = flash.u16(samples, 0).saturating_add(1);
+            kept.push(Kept::new(samples, 0, &count.to_be_bytes()));
+        }
+        kept
+    }
+}
+
+impl Quantity {
+    fn is_predicted(self) -> bool {
+        use Quantity::{
+            AvailableEnergy, Full, Health, HealthStatus, NominalFull, NominalRemaining, Percent, Remaining,
+        };
+        let predicted =
+            [Remaining, Full, NominalRemaining, NominalFull, Percent, AvailableEnergy, Health, HealthStatus];
+        predicted.contains(&self)
+    }
+}
+
+/// TI prints the clear voltages of BATLOW and BATHI once as absolute voltages and once as a default of
+/// 5 mV, which can only be a distance from the voltage that sets the flag.
+const DISTANCE: f64 = 1000.0;

@@ -1,0 +1,114 @@
+//! The knobs of a simulated gauge: their names, and how their texts are read.
+
+use super::error::{Error, Kind, Result};
+use super::fault::SYNTAX;
+
+/// One file of the folder `sim/`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Knob {
+    /// Name of the file.
+    pub name: &'static str,
+    /// What it shows or does.
+    pub help: &'static str,
+    /// Whether it can be written.
+    pub writable: bool,
+    pub(super) of: Of,
+}
+
+/// What has a knob.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Of {
+    Bus,
+    /// Every gauge.
+    Gauge,
+    /// A gauge with block access.
+    Block,
+    /// A gauge with ManufacturerAccessControl().
+    Mac,
+}
+
+impl Of {
+    const fn set(self, name: &'static str, help: &'static str) -> Knob {
+        Knob { name, help, writable: true, of: self }
+    }
+
+    const fn show(self, name: &'static str, help: &'static str) -> Knob {
+        Knob { name, help, writable: false, of: self }
+    }
+}
+
+/// All knobs.
+pub(super) static KNOBS: &[Knob] = &[
+    Of::Bus.set("fault", SYNTAX),
+    Of::Bus.show("transfers", "transfers that passed on the bus"),
+    Of::Bus.show("bytes", "bytes that passed on the bus, address bytes included"),
+    Of::Bus.show("bus_us", "time those took at 100 kHz, in microseconds, without waits"),
+    Of::Bus.show("stretched_us", "time the gauge held the clock, in microseconds"),
+    Of::Bus.show("nacks", "transfers that were not acknowledged"),
+    Of::Gauge.set("load_ma", "current drawn from the pack in mA; negative charges"),
+    Of::Gauge.set("temperature", "ambient temperature in 0.1 degrees Celsius"),
+    Of::Gauge.set("speed", "seconds of battery time to a second; 0 freezes it"),
+    Of::Gauge.set("soc", "state of charge in percent"),
+    Of::Gauge.set("voltage_mv", "what Voltage() shows in mV; `auto` for the model's"),
+    Of::Gauge.set("power", "`on` or `off`: without it the gauge loses its RAM and does not answer"),
+    Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, hdq or off"),
+    Of::Block.set("protocol", "`i2c` or `hdq`: the interface the gauge listens on"),
+    Of::Gauge.show("seal", "sealed, unsealed or full-access"),
+    Of::Gauge.show("wear", "blocks that were programmed and how often: subclass/block count ..."),
+    Of::Gauge.show("programmed", "how often any flash block was programmed"),
+    Of::Gauge.show("dropped", "commits that were acknowledged and not stored"),
+    Of::Gauge.show("resets", "full resets since power came"),
+    Of::Gauge.show("state", "`ok`, or why the state file could not be written"),
+    Of::Gauge.set("reset_busy", "`nack` or `stretch`: what the gauge does while it resets"),
+    Of::Block
+        .set("sealed_writes", "`nack` or `ignore`: what a sealed gauge does with registers it withholds"),
+    Of::Gauge.set("load_ms", "from selecting a block until it can be read"),
+    Of::Block.set("sealed_load_ms", "the same for the blocks that a sealed gauge shows"),
+    Of::Block.set("cfgupdate_ms", "from SET_CFGUPDATE until CONFIG UPDATE begins"),
+    Of::Block.set("cfgexit_ms", "from the way out of CONFIG UPDATE until it has ended"),
+    Of::Block.set("cc_gain_inverted", "`on`: CC Gain is negative in ROM, as many parts have it; `off`"),
+    Of::Block.set("auth_ms", "from the challenge's checksum until the digest can be read"),
+    Of::Block.set("auth_order", "`lsb-first` or `as-sent`: order of challenge and digest on the wire"),
+    Of::Gauge.set("word_ms", "time to program a 16-bit word of flash; the clock is held meanwhile"),
+    Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
+    Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
+];
+
+/// A knob with two positions.
+#[derive(Debug)]
+pub(super) struct Switch([&'static str; 2]);
+
+pub(super) const POWER: Switch = Switch(["off", "on"]);
+pub(super) const PROTOCOL: Switch = Switch(["i2c", "hdq"]);
+pub(super) const RESET_BUSY: Switch = Switch(["nack", "stretch"]);
+pub(super) const SEALED_WRITES: Switch = Switch(["nack", "ignore"]);
+pub(super) const CC_GAIN_INVERTED: Switch = Switch(["off", "on"]);
+pub(super) const AUTH_ORDER: Switch = Switch(["lsb-first", "as-sent"]);
+
+impl Switch {
+    pub(super) fn show(&self, second: bool) -> String {
+        self.0[usize::from(second)].into()
+    }
+
+    /// Whether `text` is the second position.
+    pub(super) fn read(&self, name: &str, text: &str) -> Result<bool> {
+        let found = self.0.iter().position(|word| *word == text);
+        let expected = || format!("`{text}` is not one of: {}", self.0.join(", "));
+        found.map(|at| at == 1).ok_or_else(|| Error::new(name, Kind::Invalid, expected()))
+    }
+}
+
+/// A number within bounds.
+pub(super) fn number(name: &str, text: &str, min: f64, max: f64) -> Result<f64> {
+    let bad = || Error::new(name, Kind::Invalid, format!("`{text}` is not a number"));
+    // `f64` also reads texts that are not decimal numbers, such as `inf` and `1e9`.
+    if !text.bytes().all(|byte| byte.is_ascii_digit() || b"+-.".contains(&byte)) {
+        return Err(bad());
+    }
+    let value: f64 = text.parse().map_err(|_| bad())?;
+    if value < min || value > max {
+        let text = format!("{text} is not within {min} and {max}");
+        return Err(Error::new(name, Kind::OutOfRange, text));
+    }
+    Ok(value)
+}

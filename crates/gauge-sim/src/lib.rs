@@ -1,0 +1,370 @@
+//! Simulated Texas Instruments fuel gauges: each is a [`gauge_bus::Bus`] with a believable part, its data flash and a
+//! battery behind it.
+//!
+//! They are written from the manuals alone, byte by byte: acknowledgement, sealed and unsealed, the block-access window
+//! apart from flash, the checksum that commits, the voltage below which nothing is stored, a reset that takes its time.
+//! Knobs turn the load, the temperature, the timings and the power; [`fault`] makes the nth transfer fail.
+//!
+//! What it is not: it knows no tables of parameters, no names and no units, so that a wrong table of `ti-gauge` cannot
+//! agree with a wrong simulator by being the same text. It is no model of a chemistry.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use std::time::Duration;
+//!
+//! use gauge_bus::Bus;
+//! use gauge_bus::clock::{Clock, SimClock};
+//! use gauge_sim::{Options, Sim};
+//!
+//! let clock = Arc::new(SimClock::new());
+//! let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated part");
+//! clock.sleep(Duration::from_secs(1)); // from power to the first voltage
+//! let mut word = [0; 2];
+//! sim.bus().transfer(&[0x08], &mut word)?; // Voltage()
+//! assert_eq!(u16::from_le_bytes(word), 3855);
+//! # Ok::<(), gauge_bus::BusError>(())
+//! ```
+//!
+//! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one of
+//! two schemes: `block` access or `mac`. A `part` describes what is particular to one gauge, and a `model` is what it
+//! makes of its `battery`.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
+
+mod battery;
+mod block;
+mod device;
+mod error;
+pub mod fault;
+mod flash;
+mod flat;
+mod gauging;
+mod knob;
+mod mac;
+mod model;
+mod part;
+mod parts;
+mod seal;
+mod update;
+mod window;
+mod wire;
+
+use block::Block;
+use device::Gauge;
+use error::Result;
+pub use error::{Error, Kind};
+use fault::{ADAPTER_WAITS, Fault, Plan, Transfer};
+pub use knob::Knob;
+use mac::Mac;
+use part::Scheme;
+use parts::PARTS;
+pub use wire::Options;
+
+/// One bit at 100 kHz.
+const BIT: Duration = Duration::from_micros(10);
+/// How many transfers the log keeps.
+const LOG: usize = 4096;
+
+/// A transfer as it passed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// When it ended.
+    pub at: Duration,
+    /// The 7-bit address.
+    pub address: u8,
+    /// Bytes written, the register first.
+    pub write: Vec<u8>,
+    /// Bytes read.
+    pub read: Vec<u8>,
+    /// What the host was told.
+    pub result: Result<(), BusError>,
+    /// The host said that it carries keys: it is not shown.
+    pub secret: bool,
+}
+
+impl fmt::Display for Record {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.secret {
+            return f.write_str("; hidden");
+        }
+        let hex = |f: &mut fmt::Formatter<'_>, bytes: &[u8]| {
+            bytes.iter().try_for_each(|byte| write!(f, " {byte:02X}"))
+        };
+        match (&self.write[..], self.read.len()) {
+            ([register], count) if count > 0 => write!(f, "R {register:02X} {count:X}")?,
+            ([], count) if count > 0 => write!(f, "R {count:X}")?,
+            (write, count) => {
+                f.write_str("W")?;
+                hex(f, write)?;
+                if count > 0 {
+                    write!(f, " ; R {count:X}")?;
+                }
+            }
+        }
+        match &self.result {
+            Ok(()) if self.read.is_empty() => Ok(()),
+            Ok(()) => {
+                f.write_str(" ->")?;
+                hex(f, &self.read)
+            }
+            Err(BusError::NoAck) => f.write_str(" -> NACK"),
+            Err(other) => write!(f, " -> {other:?}"),
+        }
+    }
+}
+
+struct State {
+    gauge: Gauge,
+    plan: Plan,
+    counters: Counters,
+    log: Option<VecDeque<Record>>,
+}
+
+/// What has passed on the bus.
+#[derive(Default)]
+struct Counters {
+    transfers: u64,
+    bytes: u64,
+    bits: u64,
+    stretched: Duration,
+    nacks: u64,
+}
+
+impl State {
+    /// The knob of that name, if the part has it.
+    fn find(&self, name: &str) -> Option<&'static Knob> {
+        knob::KNOBS.iter().find(|knob| knob.name == name && self.gauge.has_knob(knob))
+    }
+}
+
+/// A simulated gauge. Clones are the same gauge.
+#[derive(Clone)]
+pub struct Sim {
+    state: Arc<Mutex<State>>,
+    clock: Arc<dyn Clock>,
+}
+
+impl fmt::Debug for Sim {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Sim")
+    }
+}
+
+impl Sim {
+    /// A gauge: SEALED, its pack of one cell at rest and about 60 % full; a primary cell is new.
+    pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
+        let Some(part) = PARTS.iter().find(|part| part.name == chip) else {
+            let known: Vec<&str> = PARTS.iter().map(|part| part.name).collect();
+            let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
+            return Err(Error::new(chip, Kind::Invalid, text));
+        };
+        let gauge = match &part.scheme {
+            Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
+            Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
+        };
+        let state = State { gauge, plan: Plan::new(options.seed), counters: Counters::default(), log: None };
+        Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A way to the gauge.
+    pub fn bus(&self) -> SimBus {
+        self.bus_at(GAUGE_ADDRESS)
+    }
+
+    /// A way to another address of the same bus, where usually nothing answers.
+    pub fn bus_at(&self, address: u8) -> SimBus {
+        SimBus { sim: self.clone(), address, secret: false }
+    }
+
+    /// The knobs that the part has: the files of `sim/`.
+    pub fn knobs(&self) -> Vec<Knob> {
+        let state = self.lock();
+        knob::KNOBS.iter().copied().filter(|knob| state.gauge.has_knob(knob)).collect()
+    }
+
+    /// What a knob shows; `None` if there is none of that name.
+    pub fn get(&self, knob: &str) -> Option<String> {
+        let mut state = self.lock();
+        state.find(knob)?;
+        let counters = &state.counters;
+        Some(match knob {
+            "fault" => state.plan.to_string(),
+            "transfers" => counters.transfers.to_string(),
+            "bytes" => counters.bytes.to_string(),
+            "bus_us" => (counters.bits * BIT.as_micros() as u64).to_string(),
+            "stretched_us" => counters.stretched.as_micros().to_string(),
+            "nacks" => counters.nacks.to_string(),
+            _ => return state.gauge.knob(knob, self.clock.now()),
+        })
+    }
+
+    /// Turns a knob. A text that is not understood changes nothing.
+    pub fn set(&self, knob: &str, text: &str) -> Result<()> {
+        let text = text.trim();
+        let mut state = self.lock();
+        match state.find(knob) {
+            None => Err(Error::new(knob, Kind::Invalid, "there is no such knob")),
+            Some(known) if !known.writable => {
+                Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
+            }
+            Some(_) if knob == "fault" => state.plan.set(text),
+            Some(_) => state.gauge.set_knob(knob, text, self.clock.now()),
+        }
+    }
+
+    /// All flash, subclass after subclass: what tests compare.
+    pub fn flash(&self) -> Vec<u8> {
+        self.lock().gauge.flash().bytes()
+    }
+
+    /// Switches the log on or off; it starts empty.
+    pub fn keep_log(&self, on: bool) {
+        self.lock().log = on.then(VecDeque::new);
+    }
+
+    /// The latest transfers, oldest first; none while the log is off.
+    pub fn log(&self) -> Vec<Record> {
+        self.lock().log.iter().flatten().cloned().collect()
+    }
+
+    /// Empties the log.
+    pub fn clear_log(&self) {
+        if let Some(log) = &mut self.lock().log {
+            log.clear();
+        }
+    }
+}
+
+/// A [`Bus`] to one address of the simulated gauge's bus.
+#[derive(Debug)]
+pub struct SimBus {
+    sim: Sim,
+    address: u8,
+    secret: bool,
+}
+
+/// The bus without faults.
+struct Direct<'a> {
+    sim: &'a Sim,
+    address: u8,
+}
+
+impl Direct<'_> {
+    /// Counts what passes and lets its time pass. Nothing follows an address that is not acknowledged.
+    fn pass(&self, state: &mut State, write: usize, read: usize) {
+        let bits = wire_bits(write, read);
+        state.counters.transfers += 1;
+        state.counters.bytes += wire_bytes(write, read);
+        state.counters.bits += bits;
+        self.sim.clock.spend(BIT * bits as u32);
+    }
+}
+
+impl Bus for Direct<'_> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let clock = &*self.sim.clock;
+        let mut held = self.sim.lock();
+        let Some(hold) = held.gauge.start(self.address, clock.now()) else {
+            self.pass(&mut held, 0, 0);
+            return Err(BusError::NoAck);
+        };
+        if hold > Duration::ZERO {
+            held.counters.stretched += hold.min(ADAPTER_WAITS);
+            // Knobs can be read meanwhile, by a thread that serves other gauges as well.
+            drop(held);
+            clock.sleep(hold.min(ADAPTER_WAITS));
+            if hold > ADAPTER_WAITS {
+                return Err(BusError::Timeout);
+            }
+            held = self.sim.lock();
+        }
+        // The time of a transfer depends on which bytes are acknowledged, and they on the time.
+        let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
+        let state = &mut *held;
+        let result = state.gauge.message(write, read, &mut state.plan, now);
+        match result {
+            Ok(()) => self.pass(state, write.len(), read.len()),
+            Err(sent) => self.pass(state, sent, 0),
+        }
+        state.gauge.stop(clock.now());
+        result.map_err(|_| BusError::NoAck)
+    }
+}
+
+impl SimBus {
+    fn attempt(&self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let clock = &*self.sim.clock;
+        let due = self.sim.lock().plan.next(write.len() + read.len());
+        // Waits of the bus pass while nobody holds the gauge, so that its knobs can still be read.
+        if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
+            let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);
+            clock.sleep(hold);
+            self.sim.lock().counters.stretched += hold;
+        }
+        let mut direct = Direct { sim: &self.sim, address: self.address };
+        let power_off = |back: Option<u64>| {
+            self.sim.lock().gauge.power_off(clock.now(), back.map(Duration::from_millis));
+        };
+        let result = match due {
+            Some(Fault::Transfer(fault)) => {
+                if matches!(fault, Transfer::Nack(None) | Transfer::Arbitration) {
+                    direct.pass(&mut self.sim.lock(), 0, 0);
+                }
+                fault.perform(&mut direct, write, read)
+            }
+            Some(Fault::PowerCut(back)) => {
+                power_off(back);
+                direct.transfer(write, read)
+            }
+            Some(Fault::PowerCutAfter(back)) => {
+                let result = direct.transfer(write, read);
+                power_off(back);
+                result
+            }
+            // A commit takes its faults from the plan itself.
+            Some(Fault::Commit(_)) | None => direct.transfer(write, read),
+        };
+        if result == Err(BusError::NoAck) {
+            self.sim.lock().counters.nacks += 1;
+        }
+        if let Some(Fault::Transfer(Transfer::Stuck(_))) = due {
+            clock.sleep(ADAPTER_WAITS);
+        }
+        result
+    }
+}
+
+impl Bus for SimBus {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let result = self.attempt(write, read);
+        let mut state = self.sim.lock();
+        if let Some(log) = &mut state.log {
+            if log.len() == LOG {
+                log.pop_front();
+            }
+            log.push_back(Record {
+                at: self.sim.clock.now(),
+                address: self.address,
+                write: write.to_vec(),
+                read: read.to_vec(),
+                result,
+                secret: self.secret,
+            });
+        }
+        result
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.secret = secret;
+    }
+}

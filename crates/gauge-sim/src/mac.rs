@@ -1,0 +1,369 @@
+//! ManufacturerAccessControl: a flash gauge whose subcommands and flat data flash are reached through one
+//! word, a buffer, a sum and a length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to
+//! such a part over the bus. What each part makes of its pack is in its own file.
+//!
+//! Where the documents leave a choice, the gauge does what is worst for a driver: it is sealed after every
+//! reset, it ignores silently what it refuses, and it echoes a refused word above the previous answer.
+
+use std::time::Duration;
+
+use super::device::{Device, Gauge};
+use super::error::Result;
+use super::fault::Plan;
+use super::flash::{BLOCK, Flash};
+use super::flat::{BASE, DATA_FLASH, SIZE, i16_at};
+use super::knob;
+use super::model::{Kept, MacModel, Model, Registers};
+use super::part::{MacPart, Part};
+use super::seal::{Level, Seal};
+use super::window::checksum;
+use super::wire::{Options, ROM_ADDRESS, Wire};
+use gauge_bus::GAUGE_ADDRESS;
+
+/// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).
+/// Where that begins is not known.
+const SHIFTED: u16 = 0x4100;
+/// What MACDataLen() counts besides the data: the word, the sum and itself.
+const OVERHEAD: usize = 4;
+/// What Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
+const ANSWERED_ELSEWHERE: u16 = 0xFFA5;
+
+/// MACData(), MACDataSum() and MACDataLen() as the host reads them.
+#[derive(Clone, Copy)]
+struct Answer {
+    data: [u8; BLOCK],
+    sum: u8,
+    length: u8,
+}
+
+impl Answer {
+    fn new(word: u16, bytes: &[u8]) -> Self {
+        let mut data = [0; BLOCK];
+        data[..bytes.len()].copy_from_slice(bytes);
+        Self { data, sum: sum(word, bytes), length: (bytes.len() + OVERHEAD) as u8 }
+    }
+}
+
+/// The complement of the sum of the word and the data.
+fn sum(word: u16, data: &[u8]) -> u8 {
+    let [low, high] = word.to_le_bytes();
+    checksum(data).wrapping_sub(low).wrapping_sub(high)
+}
+
+/// The buffer. It is separate from flash: after a write the host reads this back, whether anything was
+/// stored or not.
+struct Buffer {
+    shown: Answer,
+    /// An answer that is still being fetched, and when it is there. It overwrites what a host writes before.
+    coming: Option<(Answer, Duration)>,
+    /// The sum, if it has been written and the length has not.
+    sum_sent: Option<u8>,
+}
+
+impl Buffer {
+    fn new() -> Self {
+        Self { shown: Answer::new(0, &[]), coming: None, sum_sent: None }
+    }
+
+    fn settle(&mut self, now: Duration) {
+        if let Some((answer, _)) = self.coming.take_if(|(_, ready)| now >= *ready) {
+            self.shown = answer;
+        }
+    }
+}
+
+/// A gauge with ManufacturerAccessControl().
+pub(super) struct Mac {
+    part: &'static MacPart,
+    model: Box<dyn MacModel>,
+    ram: Ram,
+    /// By how many bytes this specimen has its data flash lower than the manual.
+    shift: u16,
+}
+
+/// Everything that a reset clears.
+struct Ram {
+    seal: Seal,
+    buffer: Buffer,
+    /// ManufacturerAccessControl() as it is read back.
+    echo: u16,
+    /// The low bytes of Control() and of ManufacturerAccessControl(), while the high byte is still to come.
+    low: [u8; 2],
+    previous: u16,
+    /// The word came with this message.
+    selecting: bool,
+    /// Control() has 0xFFA5 to show, and shows it in this message.
+    elsewhere: bool,
+    elsewhere_seen: bool,
+    /// The boot loader runs. Nothing is known of it but that a loss of power ends it.
+    rom: bool,
+    /// The registers as they were measured for this message.
+    registers: Option<Registers>,
+}
+
+impl Ram {
+    fn new() -> Self {
+        Self {
+            seal: Seal::new(Level::Sealed),
+            buffer: Buffer::new(),
+            echo: 0,
+            low: [0; 2],
+            previous: 0,
+            selecting: false,
+            elsewhere: false,
+            elsewhere_seen: false,
+            rom: false,
+            registers: None,
+        }
+    }
+}
+
+impl Mac {
+    pub(super) fn gauge(
+        part: &'static Part,
+        scheme: &'static MacPart,
+        options: &Options,
+        now: Duration,
+    ) -> Result<Gauge> {
+        let device = Device::new(part, options, now, |flash| {
+            if let Some(words) = options.unseal_key {
+                let (area, offset) = scheme.keys;
+                flash.set(area, offset, words.map(u16::to_be_bytes).as_flattened());
+            }
+        })?;
+        let model = (scheme.model)(&device.flash);
+        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::new(), shift: 0 }))
+    }
+
+    fn sealed(&self) -> bool {
+        self.ram.seal.level == Level::Sealed
+    }
+
+    /// Voltage() as the host reads it.
+    fn voltage_mv(&self) -> u16 {
+        self.model.battery().forced_mv.unwrap_or_else(|| self.model.voltage_mv())
+    }
+
+    /// The offset in data flash that a word addresses in this specimen.
+    fn locate(&self, word: u16) -> Option<usize> {
+        let at = word.checked_sub(BASE).map(usize::from).filter(|&at| at < SIZE)?;
+        let shift = if word < SHIFTED { 0 } else { usize::from(self.shift) };
+        Some(at + shift).filter(|&at| at < SIZE)
+    }
+
+    /// The length was written after the sum. Both have to be right.
+    fn commit(&mut self, device: &mut Device, told: u8, length: u8, plan: &mut Plan, now: Duration) {
+        let count = usize::from(length).saturating_sub(OVERHEAD);
+        if !(1..=BLOCK).contains(&count) {
+            return;
+        }
+        let (word, level) = (self.ram.echo, self.ram.seal.level);
+        let bytes = &self.ram.buffer.shown.data[..count];
+        if told != sum(word, bytes) {
+            return;
+        }
+        let Some(offset) = self.locate(word) else {
+            let kept = self.model.parameters(word, bytes, level);
+            device.keep(self, kept, now);
+            return;
+        };
+        if offset + count > SIZE {
+            return;
+        }
+        let (area, keys) = self.part.keys;
+        let of_keys = area == DATA_FLASH && offset < keys + 8 && keys < offset + count;
+        let allowed = match level {
+            Level::Sealed => false,
+            Level::Unsealed => !of_keys,
+            Level::FullAccess => true,
+        };
+        let kept = Kept::new(DATA_FLASH, offset, bytes);
+        device.commit(self, kept, allowed, plan, now);
+    }
+
+    /// A word was written to Control() or ManufacturerAccessControl(). One that is unknown, or not for a
+    /// sealed gauge, is echoed and does nothing.
+    fn word(&mut self, device: &mut Device, word: u16, now: Duration) {
+        self.ram.echo = word;
+        self.ram.buffer.sum_sent = None;
+        let stored: [u8; 8] = device.flash.get(self.part.keys.0, self.part.keys.1);
+        let key = |at: usize| u16::from_be_bytes([stored[at], stored[at + 1]]);
+        let keys = [[key(0), key(2)], [key(4), key(6)]];
+        // The first word ends the silence, the second follows it.
+        let listening = device.hears_keys(self.ram.seal.level);
+        if self.ram.seal.word(word, &keys, listening, now) {
+            return;
+        }
+        let open = !self.sealed();
+        if let Some(at) = self.locate(word) {
+            if open {
+                let bytes = device.flash.bytes_at(DATA_FLASH, at, BLOCK.min(SIZE - at));
+                self.answer(device, word, bytes, now);
+            }
+            return;
+        }
+        self.ram.elsewhere |= self.part.answers_elsewhere && matches!(word, 0x0001 | 0x0002);
+        match word {
+            0x0000 => {}
+            0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes(), now),
+            0x0041 if open => {
+                device.reset(self, now);
+                return;
+            }
+            0x0F00 if open => self.ram.rom = true,
+            _ if word == self.part.seal => {
+                if open {
+                    self.ram.seal = Seal::new(Level::Sealed);
+                    self.ram.buffer = Buffer::new();
+                }
+            }
+            _ => {
+                if let Some(reply) = self.model.subcommand(word, self.ram.seal.level, &device.flash) {
+                    if let Some(bytes) = reply.answer {
+                        self.answer(device, word, &bytes, now);
+                    }
+                    device.keep(self, reply.kept, now);
+                }
+            }
+        }
+        self.ram.previous = word;
+        self.ram.registers = None;
+    }
+
+    fn answer(&mut self, device: &Device, word: u16, bytes: &[u8], now: Duration) {
+        self.ram.buffer.coming = Some((Answer::new(word, bytes), now + device.timing.load));
+        self.ram.buffer.settle(now);
+    }
+
+    /// CONTROL_STATUS.
+    fn control_status(&self) -> u16 {
+        self.model.control_status(self.ram.seal.level)
+    }
+}
+
+impl Wire for Mac {
+    fn address(&self, _: &Flash) -> Option<u8> {
+        Some(if self.ram.rom { ROM_ADDRESS } else { GAUGE_ADDRESS })
+    }
+
+    fn has(&self, register: u8) -> bool {
+        register < 0x80
+    }
+
+    fn extends(&self, register: u8) -> bool {
+        matches!(register, 0x01 | 0x07 | 0x3F..=0x61)
+    }
+
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool {
+        if self.ram.rom {
+            return true;
+        }
+        let buffer = &mut self.ram.buffer;
+        buffer.settle(now);
+        match register {
+            0x00 => self.ram.low[0] = byte,
+            0x01 => self.word(device, u16::from_le_bytes([self.ram.low[0], byte]), now),
+            0x3E => self.ram.low[1] = byte,
+            0x3F => {
+                self.word(device, u16::from_le_bytes([self.ram.low[1], byte]), now);
+                self.ram.selecting = true;
+            }
+            0x40..=0x5F => {
+                // Data in the word's own message is taken after the block has been fetched.
+                if self.ram.selecting {
+                    buffer.settle(Duration::MAX);
+                }
+                buffer.sum_sent = None;
+                buffer.shown.data[usize::from(register - 0x40)] = byte;
+            }
+            0x60 => {
+                // The gauge does one thing after the other: the block overwrites what came before it.
+                buffer.settle(Duration::MAX);
+                buffer.shown.sum = byte;
+                buffer.sum_sent = Some(byte);
+            }
+            0x61 => {
+                buffer.shown.length = byte;
+                if let Some(told) = buffer.sum_sent.take() {
+                    self.commit(device, told, byte, plan, now);
+                }
+            }
+            _ => return self.model.write(register, byte),
+        }
+        true
+    }
+
+    fn read(&mut self, _: &Device, register: u8, now: Duration) -> u8 {
+        if self.ram.rom {
+            return 0;
+        }
+        self.ram.buffer.settle(now);
+        let shown = &self.ram.buffer.shown;
+        match register {
+            0x00 | 0x01 => {
+                self.ram.elsewhere_seen |= self.ram.elsewhere;
+                let word = if self.ram.elsewhere { ANSWERED_ELSEWHERE } else { self.control_status() };
+                word.to_le_bytes()[usize::from(register)]
+            }
+            0x3E | 0x3F => self.ram.echo.to_le_bytes()[usize::from(register - 0x3E)],
+            0x40..=0x5F => shown.data[usize::from(register - 0x40)],
+            0x60 => shown.sum,
+            0x61 => shown.length,
+            _ => {
+                let (model, level, voltage_mv) = (&self.model, self.ram.seal.level, self.voltage_mv());
+                let registers = self.ram.registers.get_or_insert_with(|| model.registers(level, voltage_mv));
+                let byte = registers.get(usize::from(register)).copied().unwrap_or(0);
+                self.model.seen(register);
+                byte
+            }
+        }
+    }
+
+    fn stop(&mut self) {
+        self.ram.selecting = false;
+        self.ram.elsewhere &= !self.ram.elsewhere_seen;
+        self.ram.elsewhere_seen = false;
+    }
+
+    fn reset(&mut self, _: &mut Device, _: Duration) {
+        self.ram = Ram::new();
+    }
+
+    fn run(&mut self, device: &mut Device, now: Duration, settle: bool) {
+        self.ram.registers = None;
+        device.pass(self, now, settle);
+    }
+
+    fn refresh(&mut self) {
+        self.ram.registers = None;
+    }
+
+    fn model(&mut self) -> &mut dyn Model {
+        &mut *self.model
+    }
+
+    fn level(&self) -> Level {
+        self.ram.seal.level
+    }
+
+    fn gate(&self, flash: &Flash) -> bool {
+        i32::from(self.voltage_mv()) >= i32::from(i16_at(flash, self.part.gate))
+    }
+
+    fn mode(&self, _: &Flash) -> &'static str {
+        match () {
+            () if self.ram.rom => "rom",
+            () if self.model.calibrating() => "calibration",
+            () => "normal",
+        }
+    }
+
+    fn knob(&self, _: &Device, name: &str) -> Option<String> {
+        (name == "df_shift").then(|| self.shift.to_string())
+    }
+
+    fn set_knob(&mut self, _: &mut Device, name: &str, text: &str) -> Result<()> {
+        self.shift = knob::number(name, text, 0.0, 1.0)? as u16;
+        Ok(())
+    }
+}

@@ -1,0 +1,186 @@
+//! The measuring half of a gauge: what it makes of its pack. The parts with block access share `gauging`;
+//! those with ManufacturerAccessControl() have a model each, in their own files.
+
+use super::battery::Battery;
+use super::flash::Flash;
+use super::flat::{DATA_FLASH, offset};
+use super::seal::Level;
+
+/// All registers, 0x00 to 0x7F.
+pub(super) type Registers = [u8; 0x80];
+
+/// 0 degrees Celsius in 0.1 K.
+pub(super) const FREEZING: f64 = 2731.0;
+/// Time constant of AverageCurrent().
+pub(super) const AVERAGE_S: f64 = 15.0;
+/// A time in minutes that is not known.
+pub(super) const NO_TIME: u16 = 0xFFFF;
+/// Duration of an offset measurement.
+const OFFSET_S: f64 = 4.0;
+
+/// Bytes that the gauge itself stores, and their place in flash.
+pub(super) struct Kept {
+    pub(super) area: u16,
+    pub(super) offset: usize,
+    pub(super) bytes: Vec<u8>,
+}
+
+impl Kept {
+    pub(super) fn new(area: u16, offset: usize, bytes: &[u8]) -> Self {
+        Self { area, offset, bytes: bytes.to_vec() }
+    }
+}
+
+/// What every gauge makes of its pack.
+pub(super) trait Model: Send {
+    fn battery(&self) -> &Battery;
+    fn battery_mut(&mut self) -> &mut Battery;
+    /// State of charge as the gauge reports it, before rounding.
+    fn percent(&self) -> f64 {
+        self.battery().percent()
+    }
+    /// Brings the pack to a state of charge.
+    fn set_percent(&mut self, percent: f64);
+    /// Whether the pack can be charged.
+    fn charges(&self) -> bool {
+        true
+    }
+    /// Power has come: nothing has been measured yet.
+    fn power_up(&mut self) {}
+    /// Builds RAM anew from flash. The pack itself goes on.
+    fn restart(&mut self, flash: &Flash);
+    /// Flash was programmed. A gauge that reads its parameters at a reset only does nothing.
+    fn configure(&mut self, _flash: &Flash) {}
+    /// Whether the pack changes so slowly that a step may be long.
+    fn at_rest(&self) -> bool {
+        self.battery().current_ma() == 0.0
+    }
+    /// Lets time pass that is short compared with everything modelled. Returns what is stored at once.
+    fn step(&mut self, seconds: f64) -> Vec<Kept>;
+    /// What is stored once after a run of steps.
+    fn learned(&mut self, _flash: &Flash) -> Vec<Kept> {
+        Vec::new()
+    }
+}
+
+/// The model of a part with ManufacturerAccessControl(), which has subcommands of its own.
+pub(super) trait MacModel: Model {
+    /// The pack's voltage as Voltage() shows it.
+    fn voltage_mv(&self) -> u16;
+    fn calibrating(&self) -> bool;
+    fn control_status(&self, level: Level) -> u16;
+    /// What can be read at 0x00 to 0x7F. Registers that the host writes are left 0.
+    fn registers(&self, level: Level, voltage_mv: u16) -> Registers;
+    /// Takes a subcommand; `None` if the part does not take it at this level.
+    fn subcommand(&mut self, word: u16, level: Level, flash: &Flash) -> Option<Reply>;
+    /// Takes data that is committed to a subcommand instead of an address.
+    fn parameters(&mut self, _word: u16, _data: &[u8], _level: Level) -> Vec<Kept> {
+        Vec::new()
+    }
+    /// Takes a byte that is written to a standard command. Returns whether it is acknowledged.
+    fn write(&mut self, _register: u8, _byte: u8) -> bool {
+        false
+    }
+    /// A register has been read.
+    fn seen(&mut self, _register: u8) {}
+}
+
+/// What a subcommand does besides changing the model.
+#[derive(Default)]
+pub(super) struct Reply {
+    /// Its answer. Without one the buffer stays as it was.
+    pub(super) answer: Option<Vec<u8>>,
+    pub(super) kept: Vec<Kept>,
+}
+
+impl Reply {
+    pub(super) fn word(word: u16) -> Option<Self> {
+        Self::bytes(&word.to_le_bytes())
+    }
+
+    pub(super) fn bytes(bytes: &[u8]) -> Option<Self> {
+        Some(Self { answer: Some(bytes.to_vec()), kept: Vec::new() })
+    }
+
+    pub(super) fn kept(kept: Vec<Kept>) -> Option<Self> {
+        Some(Self { answer: None, kept })
+    }
+
+    pub(super) fn done() -> Option<Self> {
+        Some(Self::default())
+    }
+}
+
+/// Offset calibration of the parts with ManufacturerAccessControl().
+#[derive(Default)]
+pub(super) struct Calibration {
+    board_s: f64,
+    cc_s: f64,
+    pub(super) enabled: bool,
+    pub(super) mode: bool,
+    /// AnalogCount() or Cal_Count().
+    pub(super) count: u8,
+    /// What has passed of the second that is counted next.
+    part_s: f64,
+}
+
+impl Calibration {
+    pub(super) fn board_running(&self) -> bool {
+        self.board_s > 0.0
+    }
+
+    pub(super) fn cc_running(&self) -> bool {
+        self.cc_s > 0.0
+    }
+
+    /// BOARD_OFFSET measures the offset of the counter as well.
+    pub(super) fn board_offset(&mut self) {
+        (self.board_s, self.cc_s) = (OFFSET_S, OFFSET_S);
+    }
+
+    pub(super) fn cc_offset(&mut self) {
+        self.cc_s = OFFSET_S;
+    }
+
+    pub(super) fn save() -> Kept {
+        Kept::new(DATA_FLASH, offset(0x4008), &(-1180i16).to_be_bytes())
+    }
+
+    /// Lets time pass. A current that flows meanwhile is taken for an offset.
+    pub(super) fn step(&mut self, seconds: f64, current_ma: f64) -> Option<Kept> {
+        self.part_s += seconds;
+        if self.part_s >= 1.0 {
+            self.count = self.count.wrapping_add(self.part_s as u8);
+            self.part_s = self.part_s.fract();
+        }
+        self.cc_s = (self.cc_s - seconds).max(0.0);
+        if !self.board_running() {
+            return None;
+        }
+        self.board_s = (self.board_s - seconds).max(0.0);
+        let measured = (current_ma * 4.0).round().clamp(-128.0, 127.0) as i8;
+        (!self.board_running()).then(|| Kept::new(DATA_FLASH, offset(0x400C), &[measured as u8]))
+    }
+}
+
+/// Registers with these words, and 0 elsewhere.
+pub(super) fn registers(words: &[(usize, u16)]) -> Registers {
+    let mut out = [0; 0x80];
+    for (register, word) in words {
+        out[*register..register + 2].copy_from_slice(&word.to_le_bytes());
+    }
+    out
+}
+
+/// The bits that are on.
+pub(super) fn bits(bits: &[(u16, bool)]) -> u16 {
+    bits.iter().filter(|(_, on)| *on).fold(0, |word, (bit, _)| word | bit)
+}
+
+pub(super) fn whole(value: f64) -> u16 {
+    value.round().clamp(0.0, 65535.0) as u16
+}
+
+pub(super) fn signed(value: f64) -> u16 {
+    value.round().clamp(-32768.0, 32767.0) as i16 as u16
+}

@@ -1,0 +1,185 @@
+//! The description of a part: everything in which one simulated gauge differs from another.
+
+use super::device::Timing;
+use super::flash::{Flash, Image};
+use super::gauging::Map;
+use super::model::MacModel;
+use super::update::Exit;
+
+/// A part.
+pub(super) struct Part {
+    pub(super) name: &'static str,
+    pub(super) image: Image,
+    pub(super) timing: Timing,
+    pub(super) scheme: Scheme,
+}
+
+/// How a part is accessed.
+pub(super) enum Scheme {
+    Block(BlockPart),
+    Mac(MacPart),
+}
+
+/// Class and offset of a value in data flash.
+pub(super) type Place = (u16, usize);
+/// A bit of the word there.
+pub(super) type Flag = (u16, usize, u16);
+
+/// A part with block access.
+#[derive(Debug)]
+pub(super) struct BlockPart {
+    /// DM_CODE, the only difference between some parts.
+    pub(super) code: u16,
+    pub(super) map: Map,
+    /// Control(): code, who may send it, what it does. All other codes do nothing.
+    pub(super) subcommands: &'static [(u16, Who, Action)],
+    /// Bits of CONTROL_STATUS.
+    pub(super) status: &'static [(Status, u16)],
+    /// PREV_MACWRITE shows only subcommands below this one.
+    pub(super) remembered: u16,
+    /// Registers above it are not acknowledged.
+    pub(super) last_register: u8,
+    pub(super) flags_register: u8,
+    pub(super) voltage_register: u8,
+    /// Registers whose word the host may write.
+    pub(super) host_registers: &'static [(u8, Host)],
+    /// Offsets in class 112 of the key to UNSEALED and, if there is such a level, of that to FULL ACCESS.
+    pub(super) keys: &'static [usize],
+    /// Data memory is RAM.
+    pub(super) data_memory: Option<DataMemory>,
+    pub(super) gate: Option<Gate>,
+    /// Place of the key of SHA-1 authentication.
+    pub(super) authentication: Option<Place>,
+    /// Blocks that a sealed gauge shows, and the class of each.
+    pub(super) sealed_blocks: &'static [(u8, u16)],
+    /// The one of those classes that a sealed gauge lets the host write.
+    pub(super) sealed_writes: Option<u16>,
+    /// Class, offset and bit by which a pin detects the battery, and BAT_INSERT has no effect.
+    pub(super) battery_insert: Option<(u16, usize, u8)>,
+    pub(super) own: Own,
+}
+
+/// Data memory that is RAM, filled from ROM when power comes.
+#[derive(Debug)]
+pub(super) struct DataMemory {
+    /// Update Status, whose bit 7 seals.
+    pub(super) update_status: Place,
+    /// The byte whose bit 7 is the sign of CC Gain, if parts differ in what their ROM has there.
+    pub(super) gain_sign: Option<Place>,
+}
+
+/// Data flash that the gauge itself reads or stores, besides what gauging does.
+#[derive(Debug)]
+pub(super) struct Own {
+    pub(super) update_status: Option<Place>,
+    pub(super) cc_offset: Option<Place>,
+    pub(super) board_offset: Option<Place>,
+    /// The byte that is not 0 for the constant-power model.
+    pub(super) load_mode: Option<Place>,
+    /// The bit that lifts the gate.
+    pub(super) calibration: Option<Flag>,
+    /// The bit that allows SLEEP, and the current below which the gauge sleeps.
+    pub(super) sleep: Option<(Flag, Place)>,
+    /// Seconds of silence before FULL SLEEP.
+    pub(super) settle: Option<Place>,
+    /// The class whose checksum is the chemistry's.
+    pub(super) chemistry: Option<u16>,
+}
+
+/// The voltage below which nothing is programmed.
+#[derive(Debug)]
+pub(super) struct Gate {
+    pub(super) limit: Place,
+    /// The divider of a stack's voltage.
+    pub(super) divider: Option<Place>,
+}
+
+/// Who may send a subcommand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Who {
+    Anyone,
+    Unsealed,
+    FullAccess,
+}
+
+/// A word that the host writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Host {
+    AtRate,
+    Temperature,
+}
+
+/// What a subcommand does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Action {
+    ControlStatus,
+    Answer(u16),
+    AnswerCode,
+    /// Answers with a word of data flash.
+    AnswerFrom(u16, usize),
+    /// Answers with the chemistry that was chosen, or with this one.
+    AnswerChemistry(u16),
+    AnswerOffset,
+    ResetData,
+    Previous,
+    BoardOffset,
+    CcOffset,
+    WriteCcOffset,
+    /// Answers with the sum of all data flash.
+    FlashChecksum,
+    ChemistryChecksum,
+    FullSleep,
+    Set(Status),
+    Clear(Status),
+    BatteryInsert(bool),
+    Seal,
+    ItEnable,
+    ItDisable,
+    CalEnable,
+    EnterCalibration,
+    ExitCalibration,
+    Reset,
+    ConfigUpdate,
+    Leave(Exit),
+    /// Chooses a chemistry, in CONFIG UPDATE only.
+    Chemistry(u16),
+    /// If it was armed: off until power is switched off and on.
+    Shutdown,
+    Rom,
+    Hdq,
+}
+
+/// The meaning of a bit of CONTROL_STATUS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Status {
+    NotFullAccess,
+    Sealed,
+    CcOffset,
+    BoardOffset,
+    Initialized,
+    Sleep,
+    LoadMode,
+    Enabled,
+    ChemistryChanged,
+    // Marks: subcommands set and clear them, and nothing else does.
+    Calibrating,
+    ChecksumValid,
+    DataLog,
+    Hibernate,
+    OcvDone,
+    ShutdownArmed,
+    Snooze,
+}
+
+/// A part with ManufacturerAccessControl().
+pub(super) struct MacPart {
+    /// The address of Flash Update OK Voltage.
+    pub(super) gate: u16,
+    /// Area and offset of the keys: four words in the order in which they are sent.
+    pub(super) keys: Place,
+    /// The subcommand that seals.
+    pub(super) seal: u16,
+    /// Control() reads 0xFFA5 once after DEVICE_TYPE or FW_VERSION.
+    pub(super) answers_elsewhere: bool,
+    pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
+}

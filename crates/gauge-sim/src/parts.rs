@@ -1,0 +1,32 @@
+//! The parts that are simulated, a file each.
+
+// A part's file names them as `super::part` and so on.
+use super::part::Part;
+use super::{battery, device, flash, flat, gauging, model, part, seal, update};
+
+mod bq27427;
+mod bq27441_g1;
+mod bq27520_g3;
+mod bq34110;
+mod bq34z100_g1;
+mod bq35100;
+
+pub(super) static PARTS: &[&Part] = &[
+    &bq34z100_g1::PART,
+    &bq27520_g3::PART,
+    &bq27441_g1::PART,
+    &bq27441_g1::BQ27421,
+    &bq27427::PART,
+    &bq34110::PART,
+    &bq35100::PART,
+];
+
+/// Compares blocks of an image with the checksums that documents and parts have for them.
+#[cfg(test)]
+fn check_sums(image: flash::Image, sums: &[(u16, usize, u8)]) {
+    for &(id, block, sum) in sums {
+        let (_, bytes) = image.iter().find(|(area, _)| *area == id).unwrap();
+        let bytes = bytes.chunks(flash::BLOCK).nth(block).unwrap();
+        assert_eq!(super::window::checksum(bytes), sum, "{id}/{block}");
+    }
+}

@@ -1,0 +1,110 @@
+//! The three security levels, and the keys of two consecutive words that lead from one to the next.
+
+use std::time::Duration;
+
+/// The halves of a key must follow each other within this time.
+const WINDOW: Duration = Duration::from_secs(4);
+
+/// What a host may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Level {
+    /// Only standard commands and the manufacturer's block.
+    Sealed,
+    /// Data flash too, except the keys.
+    Unsealed,
+    /// Everything.
+    FullAccess,
+}
+
+impl Level {
+    pub(super) fn as_str(self) -> &'static str {
+        match self {
+            Level::Sealed => "sealed",
+            Level::Unsealed => "unsealed",
+            Level::FullAccess => "full-access",
+        }
+    }
+}
+
+/// The level of a gauge, and whether the first half of a key has come.
+#[derive(Debug)]
+pub(super) struct Seal {
+    pub(super) level: Level,
+    first: Option<Duration>,
+}
+
+impl Seal {
+    /// A level, and no half of a key.
+    pub(super) fn new(level: Level) -> Self {
+        Self { level, first: None }
+    }
+
+    /// Takes a word written to Control(). `keys` are the one to UNSEALED and, if there is such a level, the
+    /// one to FULL ACCESS, with their words in the order they are sent. Without `listening` a first half is
+    /// ignored. Returns whether the level has changed.
+    pub(super) fn word(&mut self, word: u16, keys: &[[u16; 2]], listening: bool, now: Duration) -> bool {
+        let first = self.first.take();
+        let (key, next) = match (self.level, keys) {
+            (Level::Sealed, [key, ..]) => (key, Level::Unsealed),
+            (Level::Unsealed, [_, key, ..]) => (key, Level::FullAccess),
+            _ => return false,
+        };
+        if word == key[1] && first.is_some_and(|then| now.saturating_sub(then) <= WINDOW) {
+            self.level = next;
+            return true;
+        }
+        if word == key[0] && listening {
+            self.first = Some(now);
+        }
+        false
+    }
+}
+
+/// The words of a stored key as they are sent: all four bytes reversed, each word little-endian on the wire.
+pub(super) fn words(stored: [u8; 4]) -> [u16; 2] {
+    let [a, b, c, d] = stored;
+    [u16::from_be_bytes([c, d]), u16::from_be_bytes([a, b])]
+}
+
+/// A key as it is stored: the inverse of [`words`].
+pub(super) fn stored(words: [u16; 2]) -> [u8; 4] {
+    let [c, d] = words[0].to_be_bytes();
+    let [a, b] = words[1].to_be_bytes();
+    [a, b, c, d]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KEYS: [[u16; 2]; 2] = [[0x0414, 0x3672], [0xFFFF, 0xFFFF]];
+
+    fn send(words: &[(u16, u64)]) -> Level {
+        let mut seal = Seal::new(Level::Sealed);
+        for &(word, at) in words {
+            seal.word(word, &KEYS, true, Duration::from_millis(at));
+        }
+        seal.level
+    }
+
+    #[test]
+    fn keys_open_one_level_each() {
+        assert_eq!(send(&[(0x0414, 0), (0x3672, 4000)]), Level::Unsealed);
+        assert_eq!(send(&[(0x0414, 0), (0x3672, 1), (0xFFFF, 2)]), Level::Unsealed);
+        assert_eq!(send(&[(0x0414, 0), (0x3672, 1), (0xFFFF, 2), (0xFFFF, 3)]), Level::FullAccess);
+    }
+
+    #[test]
+    fn halves_must_be_consecutive_ordered_and_quick() {
+        assert_eq!(send(&[(0x3672, 0), (0x0414, 1)]), Level::Sealed);
+        assert_eq!(send(&[(0x0414, 0), (0x0000, 1), (0x3672, 2)]), Level::Sealed);
+        assert_eq!(send(&[(0x0414, 0), (0x3672, 4001)]), Level::Sealed);
+        assert_eq!(send(&[(0xFFFF, 0), (0xFFFF, 1)]), Level::Sealed);
+    }
+
+    #[test]
+    fn stored_bytes_are_reversed_on_the_wire() {
+        assert_eq!(words([0x36, 0x72, 0x04, 0x14]), [0x0414, 0x3672]);
+        assert_eq!(stored([0x0414, 0x3672]), [0x36, 0x72, 0x04, 0x14]);
+    }
+}

@@ -1,0 +1,95 @@
+//! The 32-byte window at 0x40 to 0x5F, its checksum, and the registers that select what it shows. It is
+//! separate from flash: after a write the host reads this buffer back, whether anything was stored or not.
+
+use std::time::Duration;
+
+use super::flash::BLOCK;
+
+/// What the window shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    /// Nothing: there is no such block.
+    Nothing,
+    /// A block of flash.
+    Flash(u16, u8),
+    /// Challenge and digest.
+    Authentication,
+}
+
+/// The window.
+#[derive(Debug)]
+pub(super) struct Window {
+    /// BlockDataControl(), DataFlashClass() and DataFlashBlock().
+    pub(super) control: u8,
+    pub(super) class: u8,
+    pub(super) block: u8,
+    pub(super) source: Source,
+    pub(super) data: [u8; BLOCK],
+    /// Length of the block. The bytes after it stay 0.
+    length: usize,
+    /// The checksum as loaded or committed, which need not be that of `data`.
+    pub(super) sum: u8,
+    /// When the bytes are there, and what is read before.
+    ready: Duration,
+    early: ([u8; BLOCK], u8),
+}
+
+impl Window {
+    /// The window after a reset, which shows the field for a challenge if there is one.
+    pub(super) fn new(authentication: bool) -> Self {
+        Self {
+            control: 0,
+            class: 0,
+            block: 0,
+            source: if authentication { Source::Authentication } else { Source::Nothing },
+            data: [0; BLOCK],
+            length: BLOCK,
+            sum: 0xFF,
+            ready: Duration::ZERO,
+            early: ([0; BLOCK], 0),
+        }
+    }
+
+    /// Shows `bytes` of `source` from `ready` on. Until then it reads as zeros if `blank`, else as it does
+    /// now, with the checksum that belongs to that.
+    pub(super) fn load(&mut self, source: Source, bytes: &[u8], blank: bool, ready: Duration) {
+        self.early = if blank { ([0; BLOCK], 0) } else { (self.data, self.sum) };
+        self.source = source;
+        self.data = [0; BLOCK];
+        self.length = match source {
+            Source::Authentication => BLOCK,
+            _ => bytes.len(),
+        };
+        self.data[..bytes.len()].copy_from_slice(bytes);
+        self.sum = checksum(&self.data);
+        self.ready = ready;
+    }
+
+    /// A byte of the window.
+    pub(super) fn read(&self, index: usize, now: Duration) -> u8 {
+        if now < self.ready { self.early.0[index] } else { self.data[index] }
+    }
+
+    /// The checksum as the host reads it.
+    pub(super) fn read_sum(&self, now: Duration) -> u8 {
+        if now < self.ready { self.early.1 } else { self.sum }
+    }
+
+    /// Changes a byte of the buffer. A byte that comes before the block is loaded is overwritten by it,
+    /// and one beyond the block's end has no place.
+    pub(super) fn write(&mut self, index: usize, byte: u8, now: Duration) {
+        if now >= self.ready && index < self.length {
+            self.data[index] = byte;
+        }
+    }
+
+    /// The block's own bytes as the buffer has them now.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.data[..self.length]
+    }
+}
+
+/// 255 less the sum of the bytes.
+pub(super) fn checksum(bytes: &[u8]) -> u8 {
+    !bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
+}

@@ -1,0 +1,55 @@
+//! A driver crate that somebody else published, `bq27441`, against the simulated bq27441-G1: it reaches the gauge
+//! through embedded-hal's `I2c`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bq27441::{Bq27441, ControlCmd, DelayMs};
+use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::hal::AsHal;
+use gauge_sim::{Options, Sim, SimBus};
+
+type Driver = Bq27441<AsHal<SimBus>>;
+
+/// What the driver waits for passes on the simulated clock.
+struct Delay(Arc<SimClock>);
+
+impl DelayMs for Delay {
+    fn delay_ms(&mut self, ms: u32) {
+        self.0.sleep(Duration::from_millis(ms.into()));
+    }
+}
+
+fn connect() -> (Sim, Arc<SimClock>, Driver) {
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new("bq27441-g1", &Options::default(), clock.clone()).expect("a simulated gauge");
+    clock.sleep(Duration::from_secs(3));
+    let driver = Driver::new(AsHal::new(sim.bus(), GAUGE_ADDRESS)).expect("the driver finds its part");
+    (sim, clock, driver)
+}
+
+#[test]
+fn a_published_driver_reads_what_the_simulated_gauge_holds() {
+    let (sim, _, mut driver) = connect();
+    assert_eq!(driver.control_read(ControlCmd::DeviceType).expect("an answer"), 0x0421);
+    assert_eq!(driver.voltage().expect("a word"), 3855);
+    let soc = driver.state_of_charge().expect("a word");
+    let shown: f64 = sim.get("soc").expect("a knob").parse().expect("a number");
+    assert!((f64::from(soc) - shown).abs() <= 1.0, "{soc} and {shown}");
+    assert!((driver.temperature_celsius().expect("a word") - 25.0).abs() < 1.0);
+    assert_eq!(driver.average_current().expect("a word"), 0);
+}
+
+/// Unseal, CONFIG UPDATE, block access and checksum as the driver does them.
+#[test]
+fn a_published_driver_unseals_and_reads_data_memory() {
+    let (sim, clock, mut driver) = connect();
+    assert!(driver.is_sealed().expect("an answer"));
+    driver.unseal().expect("the manual's key");
+    assert!(!driver.is_sealed().expect("an answer"));
+    driver.enter_config_mode().expect("SET_CFGUPDATE");
+    driver.wait_for_config_mode(true, &mut Delay(clock.clone())).expect("the mode comes");
+    assert_eq!(sim.get("mode").as_deref(), Some("config-update"));
+    assert_eq!(driver.design_capacity().expect("a block"), 1340);
+}

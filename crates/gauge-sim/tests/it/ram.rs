@@ -1,0 +1,572 @@
+//! The simulated gauges without the bq34z100-G1, which has tests of its own, against the manuals: bytes
+//! in, bytes out. Nothing of the engine takes part, but for the last test.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
+
+struct Bench {
+    sim: Sim,
+    clock: Arc<SimClock>,
+}
+
+const UNSEAL: &str = "W 00 00 80 ; W 00 00 80";
+/// CONFIG UPDATE and its end, each waited for.
+const BEGIN: &str = "W 00 13 00 ; X 1200";
+const END: &str = "W 00 42 00 ; X 1200";
+
+impl Bench {
+    fn new(chip: &str) -> Self {
+        Self::with(chip, &Options::default())
+    }
+
+    fn with(chip: &str, options: &Options) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip, options, clock.clone()).unwrap();
+        Self { sim, clock }
+    }
+
+    /// As it is after a loss of power: UNSEALED, data memory as in ROM.
+    fn fresh(chip: &str) -> Self {
+        let bench = Self::new(chip);
+        bench.cycle();
+        bench
+    }
+
+    fn cycle(&self) {
+        self.set("power", "off");
+        self.set("power", "on");
+        self.clock.sleep(Duration::from_secs(5));
+    }
+
+    /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
+    /// `X ms` to wait. Numbers are hexadecimal but for X; `..` stands for any further bytes.
+    #[track_caller]
+    fn replay(&self, text: &str) {
+        let mut bus = self.sim.bus();
+        for line in text.split([';', '\n']).map(str::trim).filter(|line| !line.is_empty()) {
+            let (sent, expected) = line.split_once("->").unwrap_or((line, ""));
+            let expected = expected.trim();
+            let (kind, rest) = sent.split_at(1);
+            let numbers = if kind == "X" { Vec::new() } else { hex(rest) };
+            let result = match kind {
+                "X" => {
+                    self.clock.sleep(Duration::from_millis(rest.trim().parse().unwrap()));
+                    continue;
+                }
+                "W" => bus.transfer(&numbers, &mut []).map(|()| Vec::new()),
+                _ => {
+                    let mut read = vec![0; usize::from(numbers.get(1).copied().unwrap_or(1))];
+                    bus.transfer(&numbers[..1], &mut read).map(|()| read)
+                }
+            };
+            match (result, expected) {
+                (Err(error), "NACK") => assert_eq!(error, BusError::NoAck, "{line}"),
+                (Ok(_), "NACK") => panic!("{line}: acknowledged"),
+                (Ok(read), _) if expected.ends_with("..") => {
+                    let start = hex(expected.trim_end_matches("..").trim());
+                    assert_eq!(read[..start.len()], start, "{line}");
+                }
+                (Ok(read), _) if kind == "R" => assert_eq!(read, hex(expected), "{line}"),
+                (Ok(_), _) => {}
+                (Err(error), _) => panic!("{line}: {error}"),
+            }
+        }
+    }
+
+    /// A block of an UNSEALED gauge as it is written down, the end that is all zeros left out.
+    #[track_caller]
+    fn block(&self, class: u8, block: u8) -> (String, u8) {
+        let mut bus = self.sim.bus();
+        for write in [[0x61, 0], [0x3E, class], [0x3F, block]] {
+            bus.transfer(&write, &mut []).unwrap();
+        }
+        let mut read = [0; 33];
+        bus.transfer(&[0x40], &mut read).unwrap();
+        let end = read[..32].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+        let text: Vec<String> = read[..end].iter().map(|byte| format!("{byte:02X}")).collect();
+        (text.join(" "), read[32])
+    }
+
+    fn word(&self, register: u8) -> u16 {
+        let mut read = [0; 2];
+        self.sim.bus().transfer(&[register], &mut read).unwrap();
+        u16::from_le_bytes(read)
+    }
+
+    #[track_caller]
+    fn set(&self, knob: &str, text: &str) {
+        self.sim.set(knob, text).unwrap();
+    }
+
+    #[track_caller]
+    fn shows(&self, knob: &str, text: &str) {
+        assert_eq!(self.sim.get(knob).as_deref(), Some(text), "{knob}");
+    }
+}
+
+fn hex(text: &str) -> Vec<u8> {
+    text.split_whitespace().map(|digits| u8::from_str_radix(digits, 16).unwrap()).collect()
+}
+
+// Flags() of the parts with RAM.
+const ITPOR: u16 = 0x0020;
+const CFGUPMODE: u16 = 0x0010;
+const BAT_DET: u16 = 0x0008;
+const DSG: u16 = 0x0001;
+const FLAGS: u8 = 0x06;
+
+mod bq27441 {
+    use super::*;
+
+    #[test]
+    fn identity_and_copies() {
+        let bench = Bench::new("bq27441-g1");
+        bench.replay("W 00 01 00 ; R 00 2 -> 21 04");
+        bench.replay("W 00 02 00 ; R 00 2 -> 09 01");
+        bench.replay("W 00 08 00 ; R 00 2 -> 28 01");
+        bench.replay("W 00 04 00 ; R 00 2 -> 48 00");
+        bench.replay("R 3A 2 -> F8 25 ; R 3C 2 -> 3C 05");
+        let other = Bench::new("bq27421-g1");
+        other.replay("W 00 01 00 ; R 00 2 -> 21 04 ; W 00 02 00 ; R 00 2 -> 09 01");
+        other.replay("W 00 04 00 ; R 00 2 -> 01 00");
+    }
+
+    /// SLUUAC9A 3.1, the example that changes Design Capacity to 1200, on a G1A: the sums are its own, the
+    /// rule is the manual's.
+    #[test]
+    fn design_capacity_as_in_the_manual() {
+        let bench = Bench::new("bq27441-g1");
+        bench.replay("W 00 00 00 ; R 00 2 -> 98 20");
+        bench.replay(UNSEAL);
+        bench.replay("W 00 00 00 ; R 00 2 -> 98 00");
+        bench.replay("W 00 13 00 ; R 06 1 -> 88 ; X 1000 ; R 06 1 -> 98");
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00");
+        // 82/2 says that the gauge was sealed: 80 less than the AC of a fresh one.
+        bench.replay("R 60 1 -> 2C ; R 4A 1 -> 05 ; R 4B 1 -> 3C");
+        // (FF - 2C - 05 - 3C) mod 100 = 92; FF - (92 + 04 + B0) mod 100 = B9.
+        bench.replay("W 4A 04 ; W 4B B0 ; W 60 B9 ; W 3E 52 ; W 3F 00 ; R 60 1 -> B9 ; R 4A 2 -> 04 B0");
+        bench.replay("W 00 42 00 ; R 06 1 -> 98 ; X 1000 ; R 06 1 -> 88");
+        bench.replay("R 3C 2 -> B0 04");
+        bench.replay("W 00 20 00 ; W 00 00 00 ; R 00 2 -> 98 20");
+    }
+
+    /// Blocks of a part that nobody has sealed, as derived from the manual's defaults.
+    #[test]
+    fn whole_blocks() {
+        let bench = Bench::fresh("bq27441-g1");
+        for (class, block, bytes, sum) in [
+            (
+                0x52,
+                0,
+                "40 00 00 00 00 81 0E DB 0E A8 05 3C 13 60 05 3C 0C 80 00 C8 00 32 00 14 03 E8 01 00 64 10 04",
+                0xAC,
+            ),
+            (0x52, 1, "0A 10 5E FF CE FF CE 00 01", 0xEC),
+            (
+                0x59,
+                0,
+                "00 66 00 66 00 63 00 6B 00 48 00 3B 00 3E 00 3F 00 35 00 2F 00 3C 00 46 00 8C 01 71 02 4C",
+                0x33,
+            ),
+            (0x02, 0, "02 26 00 00 32", 0xA5),
+            (0x70, 0, "80 00 80", 0xFF),
+            (0x24, 0, "00 19 28 63 5F FF 62 00 32", 0x69),
+        ] {
+            assert_eq!(bench.block(class, block), (bytes.into(), sum), "{class:02X}/{block}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_checksum_changes_nothing() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.replay(BEGIN);
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0 ; W 60 00 ; W 3F 00 ; R 4A 2 -> 05 3C");
+        bench.replay("W 4A 04 ; W 4B B0 ; W 60 39 ; W 3F 00 ; R 4A 2 -> 04 B0");
+    }
+
+    #[test]
+    fn blocks_are_taken_in_config_update_only() {
+        let bench = Bench::fresh("bq27441-g1");
+        let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0 ; W 60 39 ; W 3F 00";
+        bench.replay(write);
+        bench.replay("R 4A 2 -> 05 3C");
+        // Nor on the way in and on the way out.
+        bench.replay("W 00 13 00");
+        bench.replay(write);
+        bench.replay("R 4A 2 -> 05 3C ; X 1000 ; W 00 43 00");
+        bench.replay(write);
+        bench.replay("R 4A 2 -> 05 3C");
+        bench.shows("dropped", "3");
+    }
+
+    #[test]
+    fn a_sealed_gauge_withholds_the_window() {
+        let bench = Bench::new("bq27441-g1");
+        bench.replay(
+            "W 3E 52 -> NACK ; W 3F 00 -> NACK ; W 60 00 -> NACK ; W 61 00 -> NACK ; W 40 00 -> NACK",
+        );
+        bench.replay("W 00 13 00 ; X 1200");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0);
+        bench.set("sealed_writes", "ignore");
+        bench.replay("W 3E 52 ; R 3E 1 -> 00");
+        // Standard commands stay.
+        bench.replay("R 3C 2 -> 3C 05 ; W 00 07 00 ; R 00 2 -> 13 00");
+    }
+
+    /// SLUUAC9A 2.4.3, 4.1.17 to 4.1.19.
+    #[test]
+    fn ways_out_of_config_update() {
+        for (code, itpor) in [("42", 0), ("43", 0), ("44", 0)] {
+            let bench = Bench::fresh("bq27441-g1");
+            assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR);
+            bench.replay(BEGIN);
+            assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR | CFGUPMODE);
+            bench.replay(&format!("W 00 {code} 00 ; X 1200"));
+            assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), itpor, "{code}");
+        }
+        // By itself after 240 s; then the host has loaded nothing.
+        let bench = Bench::fresh("bq27441-g1");
+        bench.replay("W 00 13 00 ; X 240000");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
+        bench.replay("X 2000");
+        assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR);
+    }
+
+    /// A way out that comes before the mode is for nothing.
+    #[test]
+    fn an_early_soft_reset_is_lost() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.replay("W 00 13 00 ; X 500 ; W 00 42 00 ; X 1500");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
+    }
+
+    /// SLUUAC9A 4.1.14, 6.4.2.3.2 and 6.4.5.1.1.
+    #[test]
+    fn a_gauge_that_was_sealed_seals_itself_and_takes_no_key_for_4_s() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.shows("seal", "unsealed");
+        bench.replay("W 00 20 00");
+        bench.shows("seal", "sealed");
+        bench.replay(UNSEAL);
+        bench.shows("seal", "unsealed");
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; R 42 1 -> 80");
+        bench.replay(BEGIN);
+        bench.replay("W 00 42 00 ; X 1000 ; R 06 2 -> ..");
+        bench.shows("seal", "sealed");
+        bench.replay("X 3000");
+        bench.replay(UNSEAL);
+        bench.shows("seal", "sealed");
+        // Those words began the 4 s anew; codes up to 0x001A do not.
+        bench.replay("X 2000 ; W 00 00 00 ; W 00 07 00 ; X 1900");
+        bench.replay(UNSEAL);
+        bench.shows("seal", "sealed");
+        bench.replay("X 2000 ; W 00 08 00 ; X 2100");
+        bench.replay(UNSEAL);
+        bench.shows("seal", "unsealed");
+        // Power brings UNSEALED back.
+        bench.replay("W 00 20 00");
+        bench.cycle();
+        bench.shows("seal", "unsealed");
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; R 42 1 -> 00");
+    }
+
+    #[test]
+    fn there_is_no_full_access() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.replay("W 00 FF FF ; W 00 FF FF");
+        bench.replay(UNSEAL);
+        bench.shows("seal", "unsealed");
+        // Nor another key: both words are in ROM.
+        bench.replay(BEGIN);
+        bench.replay(
+            "W 61 00 ; W 3E 70 ; W 3F 00 ; W 40 12 34 56 78 ; W 60 EB ; W 3F 00 ; R 40 4 -> 80 00 80 00",
+        );
+    }
+
+    #[test]
+    fn reset_and_power_take_data_memory_back_to_rom() {
+        let bench = Bench::fresh("bq27441-g1");
+        for lose in ["W 00 41 00 ; X 1000", "cycle"] {
+            bench.replay(BEGIN);
+            bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0 ; W 60 39");
+            bench.replay(END);
+            assert_eq!(bench.word(FLAGS) & ITPOR, 0);
+            bench.replay("R 3C 2 -> B0 04");
+            if lose == "cycle" {
+                bench.cycle();
+            } else {
+                bench.replay(lose);
+            }
+            bench.replay("R 3C 2 -> 3C 05");
+            assert_eq!(bench.word(FLAGS) & ITPOR, ITPOR, "{lose}");
+        }
+    }
+
+    /// SLUUAC9A 2.5.2: with OpConfig [BIE] at 0 the host tells of the battery.
+    #[test]
+    fn bat_insert() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.replay("W 00 0D 00");
+        assert_eq!(bench.word(FLAGS) & BAT_DET, BAT_DET);
+        assert_ne!(bench.word(0x1C), 0);
+        bench.replay(BEGIN);
+        bench.replay("W 61 00 ; W 3E 40 ; W 3F 00 ; R 60 1 -> 6A ; W 40 05 ; W 60 8A");
+        bench.replay(END);
+        assert_eq!((bench.word(FLAGS) & BAT_DET, bench.word(0x1C), bench.word(0x0C)), (0, 0, 0));
+        bench.replay("W 00 00 00 ; R 00 2 -> 18 00 ; W 00 0C 00 ; X 3000 ; W 00 00 00 ; R 00 2 -> 98 00");
+        assert_eq!((bench.word(FLAGS) & BAT_DET, bench.word(0x1C)), (BAT_DET, 60));
+    }
+
+    #[test]
+    fn the_state_file_keeps_ram_and_power_loses_it() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-sim2-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let options = Options { state: Some(folder.join("state")), ..Options::default() };
+        let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0";
+        {
+            let bench = Bench::with("bq27441-g1", &options);
+            bench.replay(UNSEAL);
+            bench.replay(BEGIN);
+            bench.replay(write);
+            bench.replay("W 60 B9");
+            bench.replay(END);
+        }
+        {
+            let bench = Bench::with("bq27441-g1", &options);
+            bench.shows("seal", "sealed");
+            bench.replay("R 3C 2 -> B0 04");
+            assert_eq!(bench.word(FLAGS) & ITPOR, 0);
+            bench.cycle();
+        }
+        let bench = Bench::with("bq27441-g1", &options);
+        bench.shows("seal", "unsealed");
+        bench.replay("R 3C 2 -> 3C 05");
+        assert_eq!(bench.word(FLAGS) & ITPOR, ITPOR);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn current_and_state_of_charge() {
+        let bench = Bench::fresh("bq27441-g1");
+        bench.set("load_ma", "300");
+        bench.replay("X 120000");
+        assert_eq!(bench.word(0x10) as i16, -300);
+        assert!((bench.word(0x18) as i16) < -1000);
+        assert_eq!(bench.word(FLAGS) & DSG, DSG);
+        assert_eq!(bench.word(0x0E), 1340);
+        assert_eq!(bench.word(0x0C), 804 - 10);
+        assert_eq!(bench.word(0x1C), 59);
+        bench.replay("R 20 2 -> 64 03");
+    }
+}
+
+mod bq27427 {
+    use super::*;
+
+    #[test]
+    fn identity_and_chemistry() {
+        let bench = Bench::fresh("bq27427");
+        bench.replay("W 00 01 00 ; R 00 2 -> 27 04 ; W 00 02 00 ; R 00 2 -> 02 02");
+        bench.replay("W 00 08 00 ; R 00 2 -> 30 32 ; W 00 31 00 ; W 00 08 00 ; R 00 2 -> 30 32");
+        bench.replay(BEGIN);
+        bench.replay("W 00 31 00");
+        bench.replay(END);
+        bench.replay("W 00 08 00 ; R 00 2 -> 02 12");
+        bench.replay(BEGIN);
+        bench.replay("W 00 32 00");
+        bench.replay(END);
+        bench.replay("W 00 08 00 ; R 00 2 -> 42 31");
+    }
+
+    /// A trace of a part, byte for byte, with the mistakes of its host: the gauge checks nothing.
+    #[test]
+    fn a_trace_of_the_state_block() {
+        let bench = Bench::fresh("bq27427");
+        bench.replay(UNSEAL);
+        bench.replay("W 00 13 00 ; X 1000");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0, "1100 ms");
+        bench.replay("X 101");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; R 60 1 -> FB ; R 46 1 -> 05 ; R 47 1 -> 3C");
+        bench.replay(
+            "R 55 1 -> 00 ; R 56 1 -> 64 ; R 40 6 -> 40 00 00 00 00 81 ; R 48 2 -> 13 60 ; R 4A 2 -> 0C 80",
+        );
+        bench.replay(
+            "W 46 64 ; W 47 00 ; W 55 0A ; W 56 00 ; W 40 05 ; W 41 00 ; W 42 0A ; W 43 00 ; W 44 04",
+        );
+        bench.replay("W 45 00 ; W 4A AC ; W 4B 0D ; W 48 23 ; W 49 00 ; W 60 03");
+        let after =
+            "05 00 0A 00 04 00 64 00 23 00 AC 0D 00 C8 00 32 00 14 03 E8 01 0A 00 00 0A FF CE FF CE 00 01";
+        assert_eq!(bench.block(0x52, 0), (after.into(), 0x03));
+        bench.replay("W 00 0C 00 ; W 00 42 00 ; X 1200");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0);
+    }
+
+    #[test]
+    fn whole_blocks() {
+        let bench = Bench::fresh("bq27427");
+        for (class, block, sum) in [
+            (0x02, 0, 0xA5),
+            (0x24, 0, 0x69),
+            (0x31, 0, 0xDF),
+            (0x40, 0, 0x06),
+            (0x44, 0, 0xF9),
+            (0x50, 0, 0xE4),
+            (0x50, 1, 0xDB),
+            (0x50, 2, 0x47),
+            (0x51, 0, 0x04),
+            (0x59, 0, 0x79),
+            (0x6D, 0, 0x81),
+            (0x70, 0, 0xFF),
+        ] {
+            assert_eq!(bench.block(class, block).1, sum, "{class:02X}/{block}");
+        }
+    }
+
+    /// Design Capacity 1200 and the checksum that follows.
+    #[test]
+    fn design_capacity() {
+        let bench = Bench::fresh("bq27427");
+        bench.replay(BEGIN);
+        bench.replay("W 61 00 ; W 3E 52 ; W 3F 00 ; W 46 04 ; W 47 B0 ; W 60 88 ; W 3F 00 ; R 46 2 -> 04 B0");
+        bench.replay(END);
+        assert_eq!(bench.word(0x0E), 1200);
+    }
+
+    /// The sign of CC Gain: wrong in ROM, put right in RAM by clearing one bit, wrong again with power.
+    #[test]
+    fn an_inverted_specimen() {
+        let bench = Bench::fresh("bq27427");
+        bench.set("load_ma", "300");
+        bench.replay("X 120000");
+        assert_eq!(bench.word(0x10) as i16, -300);
+        bench.set("cc_gain_inverted", "on");
+        bench.cycle();
+        let begun = bench.word(0x0C);
+        bench.replay("X 600000");
+        assert_eq!(bench.word(0x10) as i16, 300);
+        assert_eq!(bench.word(FLAGS) & DSG, 0);
+        assert!(bench.word(0x0C) > begun + 40, "it counts upwards");
+        bench.replay(BEGIN);
+        bench.replay("W 61 00 ; W 3E 69 ; W 3F 00 ; R 44 4 -> 7F AD 8E A8");
+        let sum = bench.block(0x69, 0).1;
+        bench.replay(&format!("W 45 2D ; W 60 {:02X}", sum ^ 0x80));
+        bench.replay(END);
+        bench.replay("X 120000");
+        assert_eq!(bench.word(0x10) as i16, -300);
+        bench.cycle();
+        bench.replay("X 120000");
+        assert_eq!(bench.word(0x10) as i16, 300);
+        bench.set("cc_gain_inverted", "off");
+        bench.cycle();
+        bench.replay("X 120000");
+        assert_eq!(bench.word(0x10) as i16, -300);
+    }
+}
+
+mod bq27520 {
+    use super::*;
+
+    const KEYS: &str = "W 00 14 04 ; W 00 72 36";
+
+    #[test]
+    fn identity() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay("W 00 01 00 ; R 00 2 -> 20 05 ; W 00 02 00 ; R 00 2 -> 24 03");
+        bench.replay("W 00 1F 00 ; R 00 2 -> 01 00 ; R 3C 2 -> E8 03");
+        bench.replay("R 6B 1 -> 00 ; R 6C 1 -> NACK");
+    }
+
+    #[test]
+    fn levels() {
+        let bench = Bench::new("bq27520-g3");
+        let level = || {
+            bench.replay("W 00 00 00");
+            bench.word(0x00) & 0x6000
+        };
+        assert_eq!(level(), 0x6000);
+        bench.replay(KEYS);
+        assert_eq!(level(), 0x4000);
+        bench.replay("W 00 FF FF ; W 00 FF FF");
+        assert_eq!(level(), 0x0000);
+        bench.replay("W 00 20 00");
+        assert_eq!(level(), 0x6000);
+    }
+
+    #[test]
+    fn whole_blocks() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay(KEYS);
+        for (class, bytes, sum) in [
+            (0x51, "00 3C 00 4B 00 28 00 3C 3C 01 80 80 01 90", 0x46),
+            (0x70, "36 72 04 14 FF FF FF FF", 0x43),
+            (0x02, "02 26 02 01 F4 02 58 02 02 26", 0x5C),
+            (0x20, "00 00 01 C2 00 32", 0x0A),
+        ] {
+            assert_eq!(bench.block(class, 0), (bytes.into(), sum), "{class:02X}");
+        }
+    }
+
+    /// A shipped driver's way to Terminate Voltage at 80/45.
+    #[test]
+    fn terminate_voltage() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay(KEYS);
+        bench.replay("W 61 00 ; W 3E 50 ; W 3F 01 ; X 50 ; R 4D 2 -> 0B B8 ; W 4D 0C ; W 4E 1C");
+        bench.replay("W 60 00 ; X 200 ; W 3F 01 ; R 4D 2 -> 0B B8");
+        let (_, sum) = bench.block(0x50, 1);
+        let new = sum.wrapping_add(0x0B).wrapping_add(0xB8).wrapping_sub(0x0C).wrapping_sub(0x1C);
+        bench.replay(&format!("W 4D 0C ; W 4E 1C ; W 60 {new:02X} ; X 200 ; W 3F 01 ; R 4D 2 -> 0C 1C"));
+        // Flash: power does not matter.
+        bench.cycle();
+        bench.replay(KEYS);
+        bench.replay("W 61 00 ; W 3E 50 ; W 3F 01 ; R 4D 2 -> 0C 1C");
+    }
+
+    #[test]
+    fn the_gate_compares_voltage_as_it_is() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay(KEYS);
+        bench.set("voltage_mv", "2799");
+        let write = "W 61 00 ; W 3E 39 ; W 3F 00 ; W 40 5A ; W 60 A5 ; X 200 ; W 3F 00";
+        bench.replay(write);
+        bench.replay("R 40 1 -> 00");
+        bench.set("voltage_mv", "2800");
+        bench.replay(write);
+        bench.replay("R 40 1 -> 5A ; W 00 20 00 ; W 3F 01 ; X 50 ; R 40 1 -> 5A");
+        bench.replay(
+            "W 40 00 ; W 60 FF ; X 200 ; W 3F 01 ; X 50 ; R 40 1 -> 5A ; W 3F 02 ; X 50 ; R 40 1 -> 00",
+        );
+    }
+
+    #[test]
+    fn the_code_of_config_update_is_sleep_plus() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay(
+            "W 00 13 00 ; X 2000 ; W 00 00 00 ; R 00 1 -> B3 ; W 00 14 00 ; W 00 00 00 ; R 00 1 -> 93",
+        );
+        bench.shows("mode", "normal");
+    }
+
+    #[test]
+    fn at_rate() {
+        let bench = Bench::new("bq27520-g3");
+        bench.replay("R 04 2 -> FF FF ; W 02 9C FF ; R 02 2 -> 9C FF");
+        assert_eq!(bench.word(0x04), 600 * 60 / 100);
+    }
+
+    #[test]
+    fn registers_of_the_map() {
+        let bench = Bench::new("bq27520-g3");
+        bench.set("load_ma", "300");
+        bench.replay("X 120000");
+        assert_eq!((bench.word(0x14) as i16, bench.word(0x30) as i16), (-300, -300));
+        assert_eq!((bench.word(0x2C), bench.word(0x10), bench.word(0x12)), (59, 590, 1000));
+        assert_eq!(bench.word(0x16), 118);
+        assert_eq!(bench.word(0x0A) & (BAT_DET | DSG), BAT_DET | DSG);
+    }
+}

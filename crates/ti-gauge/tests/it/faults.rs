@@ -1,0 +1,215 @@
+//! One fault at every transfer of a write: the field then holds the old or the new value, no other byte
+//! has changed, the seal is as found or the error says that it is not, and success is never false. What
+//! had to be left unknown is settled with the journal when the gauge is well again.
+
+use std::time::Duration;
+
+use gauge_bus::clock::Clock;
+use ti_gauge::chip::FLAT;
+use ti_gauge::dataflash::{DataFlash, Limits, Outcome};
+use ti_gauge::error::Cause;
+use ti_gauge::gauge::Seal;
+
+use crate::journal::Folder;
+use crate::rig::{Rig, cause};
+
+/// What a write of this kind does without a fault.
+struct Case {
+    chip: &'static str,
+    at: (u8, u16),
+    text: &'static str,
+    found: Seal,
+}
+
+const CASES: &[Case] = &[
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::Sealed },
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::Unsealed },
+    Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::FullAccess },
+    Case { chip: "bq34z100-g1", at: (48, 31), text: "Pack 7", found: Seal::Sealed },
+    Case { chip: "bq34z100-g1", at: (58, 3), text: "0x5a", found: Seal::Sealed },
+    Case { chip: "bq27520-g3", at: (48, 10), text: "1200", found: Seal::Sealed },
+    Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Sealed },
+    Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Unsealed },
+    Case { chip: "bq27427", at: (82, 6), text: "1200", found: Seal::Sealed },
+    // Design Capacity mAh, and Mfg Status Init, which needs a reset.
+    Case { chip: "bq34110", at: (FLAT, 0x41F5), text: "3100", found: Seal::Sealed },
+    Case { chip: "bq34110", at: (FLAT, 0x41F5), text: "3100", found: Seal::Unsealed },
+    Case { chip: "bq34110", at: (FLAT, 0x40D7), text: "0x000b", found: Seal::Sealed },
+    Case { chip: "bq34110", at: (FLAT, 0x40D7), text: "0x000b", found: Seal::FullAccess },
+    // Operation Config A, and Cell Design Capacity mAh.
+    Case { chip: "bq35100", at: (FLAT, 0x41B1), text: "0x82", found: Seal::Sealed },
+    Case { chip: "bq35100", at: (FLAT, 0x41B1), text: "0x82", found: Seal::FullAccess },
+    Case { chip: "bq35100", at: (FLAT, 0x41FE), text: "3100", found: Seal::Unsealed },
+];
+
+impl Case {
+    fn rig(&self) -> Rig {
+        Rig::found(self.chip, self.found)
+    }
+
+    fn run(&self, rig: &mut Rig) -> ti_gauge::error::Result<Outcome> {
+        rig.write(self.at.0, self.at.1, self.text)
+    }
+
+    /// Flash before and after a write without a fault, and its transfers.
+    fn model(&self) -> (Vec<u8>, Vec<u8>, u64) {
+        let mut rig = self.rig();
+        let old = rig.sim.flash();
+        let before = rig.cost().0;
+        self.run(&mut rig).expect("no fault");
+        (old, rig.sim.flash(), rig.cost().0 - before)
+    }
+
+    /// Which bytes a loss of power leaves as they were before: of RAM, those that ROM has as well.
+    fn kept(&self) -> Vec<bool> {
+        let rig = self.rig();
+        let old = rig.sim.flash();
+        rig.sim.set("power", "off").expect("a knob");
+        rig.sim.set("power", "on").expect("a knob");
+        old.iter().zip(rig.sim.flash()).map(|(old, new)| *old == new).collect()
+    }
+}
+
+/// The faults that are tried at a transfer `n`, whose first bytes are the most telling ones.
+fn faults(n: u64) -> Vec<String> {
+    let mut faults = vec![
+        format!("nack {n}"),
+        format!("short {n}"),
+        format!("lost {n}"),
+        format!("stuck {n}"),
+        format!("arbitration {n}"),
+        format!("stretch {n} 30"),
+        format!("power-cut {n} 300"),
+        format!("power-cut-after {n} 300"),
+        format!("power-cut {n}"),
+        format!("power-cut-after {n}"),
+    ];
+    for byte in 0..36 {
+        faults.push(format!("nack {n} {byte}"));
+        faults.push(format!("stuck {n} {byte}"));
+        for bit in [0, 3, 7] {
+            faults.push(format!("flip {n} {byte} {bit}"));
+        }
+    }
+    faults
+}
+
+#[test]
+fn one_fault_at_every_transfer_never_lies() {
+    let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown) = (0, 0, 0, 0, 0);
+    let folder = Folder::new("faults");
+    for case in CASES {
+        let (old, new, transfers) = case.model();
+        assert_ne!(old, new);
+        let kept = case.kept();
+        let commits = ["drop-commit", "corrupt-commit", "torn-commit 0", "torn-commit 1", "torn-commit 5"];
+        let faults = (1..=transfers).flat_map(faults).chain(commits.map(String::from));
+        for fault in faults {
+            let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.at, case.found);
+            let mut rig = case.rig();
+            rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+            // As at the start of a mount.
+            rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("nothing to settle");
+            rig.sim.set("fault", &fault).expect("a fault");
+            let asked = rig.clock.now();
+            let outcome = case.run(&mut rig);
+            let answered = rig.clock.now() - asked;
+            assert!(answered < Duration::from_secs(30), "{at}: answered after {answered:?}");
+            runs += 1;
+            let mut flash = rig.sim.flash();
+            if fault.starts_with("power") || fault.starts_with("torn") {
+                for at in (0..flash.len()).filter(|&at| !kept[at]) {
+                    flash[at] = old[at];
+                }
+            }
+            let certain = match &outcome {
+                Ok(_) => {
+                    succeeded += 1;
+                    assert!(flash == new, "{at}: success is false");
+                    true
+                }
+                Err(error) if cause(error) == "StateUnknown" => {
+                    unknown += 1;
+                    false
+                }
+                Err(error) => {
+                    match error.cause() {
+                        Cause::RolledBack(_) => rolled_back += 1,
+                        _ => refused += 1,
+                    }
+                    assert!(flash == old, "{at}: {error}, but data flash has changed");
+                    true
+                }
+            };
+            // Whatever was answered, the rest of the gauge is as it was.
+            if !fault.starts_with("torn") {
+                assert!(flash == old || flash == new || !certain, "{at}: neither old nor new");
+            }
+            rig.sim.set("fault", "none").expect("a knob");
+            rig.sim.set("power", "on").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(3));
+            if !certain {
+                rig.gauge.forget_refusal();
+                rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("the gauge is well again");
+                let flash = rig.sim.flash();
+                // A lost bit can make any command of another one, so only what was written is looked at; and
+                // of RAM nothing is left after a loss of power.
+                let is = |wanted: &[u8]| {
+                    (0..flash.len()).all(|at| old[at] == new[at] || !kept[at] || flash[at] == wanted[at])
+                };
+                assert!(is(&old) || is(&new), "{at}: {outcome:?}, settled to neither old nor new");
+                let seal = rig.seal();
+                assert!(seal == case.found || seal == Seal::Sealed || case.found == Seal::FullAccess, "{at}");
+            }
+            assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{at}: {outcome:?}");
+            if certain && !fault.starts_with("power") && !fault.starts_with("torn") {
+                assert_eq!(rig.seal(), case.found, "{at}: {outcome:?}");
+            }
+        }
+    }
+    println!(
+        "{runs} runs with a fault: {succeeded} succeeded, {refused} refused with nothing changed, \
+         {rolled_back} rolled back, {unknown} unknown and said so"
+    );
+}
+
+/// A challenge is answered rightly or not at all, nothing is programmed, and the seal stays.
+#[test]
+fn one_fault_at_every_transfer_of_a_challenge_makes_no_false_answer() {
+    use ti_gauge::authentication::{Order, answer, ask};
+
+    let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";
+    let challenge = *b"a challenge of 20 by";
+    for found in [Seal::Sealed, Seal::Unsealed, Seal::FullAccess] {
+        let rig = || Case { chip: "bq34z100-g1", at: (0, 0), text: "", found }.rig();
+        let mut plain = rig();
+        let before = plain.cost().0;
+        let genuine = ask(&mut plain.gauge, &challenge, Order::LsbFirst, Duration::ZERO).expect("no fault");
+        assert_eq!(genuine, answer(&key, &challenge));
+        let transfers = plain.cost().0 - before;
+        let old = plain.sim.flash();
+        let (mut right, mut wrong) = (0, Vec::new());
+        for fault in (1..=transfers).flat_map(faults) {
+            let mut rig = rig();
+            rig.sim.set("fault", &fault).expect("a fault");
+            let asked = rig.clock.now();
+            let outcome = ask(&mut rig.gauge, &challenge, Order::LsbFirst, Duration::ZERO);
+            assert!(rig.clock.now() - asked < Duration::from_secs(30), "`{fault}` takes too long");
+            match outcome {
+                Ok(digest) if digest == genuine => right += 1,
+                Ok(_) => wrong.push(fault.clone()),
+                Err(_) => {}
+            }
+            assert!(rig.sim.flash() == old, "`{fault}` found {found:?}: data flash has changed");
+            rig.sim.set("fault", "none").expect("a knob");
+            rig.sim.set("power", "on").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(3));
+            if !fault.starts_with("power") {
+                assert_eq!(rig.seal(), found, "`{fault}`");
+                rig.read(80, 53).expect("data flash can be read");
+            }
+        }
+        assert!(wrong.is_empty(), "found {found:?}, false answers after {wrong:?}");
+        println!("found {found:?}: {right} right answers, the others refused");
+    }
+}

@@ -1,0 +1,354 @@
+//! The host loses its power before or after each transfer of a write, and starts again: data flash then
+//! holds the old values or the new ones, no other byte has changed, the gauge is as open as it was found,
+//! and nothing is left to settle.
+
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
+use gauge_sim::Sim;
+use ti_gauge::chip::{Chip, FLAT};
+use ti_gauge::dataflash::{Change, DataFlash, Limits};
+use ti_gauge::error::Result;
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::journal::Journal;
+use ti_gauge::keys::Keys;
+
+use crate::rig::{Rig, cause};
+
+/// What is written in one transaction, and how the gauge is found.
+struct Case {
+    chip: &'static str,
+    values: &'static [((u8, u16), &'static str)],
+    found: Seal,
+}
+
+/// Each scheme, with and without a reset, one block and several, and the serial number, which is a part
+/// of whose journal it is.
+const CASES: &[Case] = &[
+    Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::Sealed },
+    Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::FullAccess },
+    Case { chip: "bq34z100-g1", values: &[((58, 3), "0x5a")], found: Seal::Unsealed },
+    Case { chip: "bq34z100-g1", values: &[((48, 4), "0x0007")], found: Seal::Sealed },
+    Case {
+        chip: "bq34z100-g1",
+        values: &[((48, 31), "Pack 7"), ((80, 53), "3100"), ((48, 11), "2200"), ((81, 0), "61")],
+        found: Seal::Sealed,
+    },
+    Case { chip: "bq27520-g3", values: &[((48, 10), "1200")], found: Seal::Sealed },
+    Case { chip: "bq27441-g1", values: &[((82, 10), "1200")], found: Seal::Sealed },
+    Case { chip: "bq27441-g1", values: &[((82, 10), "1200"), ((82, 16), "3100")], found: Seal::Unsealed },
+    Case { chip: "bq27427", values: &[((82, 6), "1200")], found: Seal::Sealed },
+    Case { chip: "bq34110", values: &[((FLAT, 0x41F5), "3100")], found: Seal::Sealed },
+    Case {
+        chip: "bq34110",
+        values: &[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")],
+        found: Seal::Sealed,
+    },
+    Case { chip: "bq35100", values: &[((FLAT, 0x41B1), "0x82")], found: Seal::Sealed },
+    Case { chip: "bq35100", values: &[((FLAT, 0x41FE), "3100")], found: Seal::Unsealed },
+];
+
+/// What the host does no more when it has lost its power.
+struct PowerCut;
+
+/// A bus whose host loses its power.
+struct Host<B> {
+    bus: B,
+    done: Arc<AtomicU64>,
+    /// At which transfer, and whether the gauge still gets that one.
+    cut: Option<(u64, bool)>,
+}
+
+impl<B: Bus> Bus for Host<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        let number = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        match self.cut {
+            Some((at, false)) if at == number => resume_unwind(Box::new(PowerCut)),
+            Some((at, true)) if at == number => {
+                let _ = self.bus.transfer(write, read);
+                resume_unwind(Box::new(PowerCut))
+            }
+            _ => self.bus.transfer(write, read),
+        }
+    }
+}
+
+/// A folder that is gone when the test is.
+pub(crate) struct Folder(PathBuf);
+
+impl Folder {
+    pub(crate) fn new(name: &str) -> Self {
+        // Where fsync costs nothing, if there is such a place: these tests do it many thousand times.
+        let memory = Path::new("/dev/shm");
+        let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
+        let path = parent.join(format!("gaugefs-journal-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        Self(path)
+    }
+
+    pub(crate) fn journal(&self) -> Journal {
+        Journal::new(self.0.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into())
+    }
+
+    fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(&self.0).into_iter().flatten();
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+impl Case {
+    fn rig(&self) -> Rig {
+        Rig::found(self.chip, self.found)
+    }
+
+    fn changes(&self, rig: &Rig) -> Vec<Change> {
+        self.values.iter().map(|((subclass, offset), text)| rig.change(*subclass, *offset, text)).collect()
+    }
+
+    /// Flash before and after.
+    fn model(&self) -> (Vec<u8>, Vec<u8>) {
+        let mut rig = self.rig();
+        let old = rig.sim.flash();
+        let changes = self.changes(&rig);
+        rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO).expect("no fault");
+        (old, rig.sim.flash())
+    }
+
+    fn name(&self) -> String {
+        format!("{} {:?} found {:?}", self.chip, self.values, self.found)
+    }
+}
+
+/// A host that starts on the gauge of that rig, to lose its power as told. Returns what the engine said,
+/// or `None` when it had no time to say anything, and the transfers there were.
+fn host<T>(
+    rig: &Rig,
+    folder: &Folder,
+    cut: Option<(u64, bool)>,
+    work: impl FnOnce(&mut DataFlash, &mut Gauge) -> Result<T>,
+) -> (Option<Result<T>>, u64) {
+    let done = Arc::new(AtomicU64::new(0));
+    let bus = Host { bus: rig.sim.bus(), done: done.clone(), cut };
+    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+    let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    let said = match catch_unwind(AssertUnwindSafe(|| work(&mut dataflash, &mut gauge))) {
+        Ok(said) => Some(said),
+        Err(cut) if cut.is::<PowerCut>() => None,
+        Err(panic) => resume_unwind(panic),
+    };
+    (said, done.load(Ordering::Relaxed))
+}
+
+/// The host starts again, and settles what there is.
+fn restart(rig: &Rig, folder: &Folder, cut: Option<(u64, bool)>) -> (Option<Option<String>>, u64) {
+    let (said, transfers) =
+        host(rig, folder, cut, |dataflash, gauge| dataflash.settle(gauge, Duration::ZERO));
+    (said.map(|said| said.expect("nothing stands in the way")), transfers)
+}
+
+/// Old or new, and nothing else; sealed if it was found so; nothing left to settle. Whether it is new.
+fn check(case: &Case, rig: &mut Rig, folder: &Folder, (old, new): &(Vec<u8>, Vec<u8>), at: &str) -> bool {
+    let flash = rig.sim.flash();
+    assert!(flash == *old || flash == *new, "{at}: neither old nor new");
+    rig.clock.sleep(Duration::from_secs(3));
+    assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{at}");
+    let seal = rig.seal();
+    // A reset closes a gauge, and what has closed is not opened further than it takes.
+    assert!(seal == case.found || seal == Seal::Sealed || case.found == Seal::FullAccess, "{at}: {seal:?}");
+    assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
+    flash == *new
+}
+
+#[test]
+fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
+    let (mut runs, mut nothing, mut undone, mut finished, mut again) = (0, 0, 0, 0, 0);
+    for case in CASES {
+        let model = case.model();
+        let folder = Folder::new("cuts");
+        let write = |rig: &Rig, cut| {
+            let changes = case.changes(rig);
+            host(rig, &folder, cut, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO))
+        };
+        let (said, transfers) = write(&case.rig(), None);
+        said.expect("no cut").expect("no fault");
+        assert_eq!(folder.files(), Vec::<String>::new());
+        for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+            let at = format!("{}, cut at {number} of {transfers}, after it: {after}", case.name());
+            let mut rig = case.rig();
+            let (said, _) = write(&rig, Some((number, after)));
+            assert!(said.is_none(), "{at}: {said:?}");
+            rig.clock.sleep(Duration::from_secs(if number % 2 == 0 { 5 } else { 300 }));
+            let before = rig.sim.flash();
+            let (told, settling) = restart(&rig, &folder, None);
+            runs += 1;
+            let is_new = check(case, &mut rig, &folder, &model, &at);
+            match told.expect("no cut") {
+                None => nothing += 1,
+                Some(_) if is_new => finished += 1,
+                Some(_) => undone += 1,
+            }
+            // Once more at some transfers of that second start, and this time it is left to end.
+            for second in (number % 7 + 1..=settling).step_by(7) {
+                let at = format!("{at}, and again at {second} of {settling}");
+                let mut rig = case.rig();
+                write(&rig, Some((number, after)));
+                rig.clock.sleep(Duration::from_secs(5));
+                assert!(rig.sim.flash() == before || number % 2 == 1, "{at}");
+                restart(&rig, &folder, Some((second, second % 2 == 0)));
+                rig.clock.sleep(Duration::from_secs(5));
+                restart(&rig, &folder, None);
+                check(case, &mut rig, &folder, &model, &at);
+                again += 1;
+            }
+        }
+    }
+    println!(
+        "{runs} power cuts of the host: {nothing} before there was anything to settle, {undone} settled to \
+         the old values, {finished} finished; {again} more with a second cut while that was done"
+    );
+}
+
+/// What cannot be settled now stays on record until it can be.
+#[test]
+fn regression_a_journal_outlives_a_settling_that_failed() {
+    let case = &CASES[0];
+    let (old, new) = case.model();
+    let folder = Folder::new("kept");
+    let mut rig = case.rig();
+    let changes = case.changes(&rig);
+    let write =
+        |dataflash: &mut DataFlash, gauge: &mut Gauge| dataflash.write(gauge, &changes, Duration::ZERO);
+    let (_, transfers) = host(&case.rig(), &folder, None, write);
+    host(&rig, &folder, Some((transfers * 2 / 3, true)), write);
+    // The gauge loses its power as well, and comes back sealed.
+    rig.sim.set("power", "off").expect("a knob");
+    rig.sim.set("power", "on").expect("a knob");
+    rig.clock.sleep(Duration::from_secs(5));
+    let kept = folder.files();
+    assert_eq!(kept.len(), 1, "{kept:?}");
+    // No key; then a gauge that does not answer; then a bus on which every transfer fails.
+    for fault in ["no key", "power", "noise"] {
+        let keys = Keys { no_default: fault == "no key", ..Keys::default() };
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        match fault {
+            "power" => rig.sim.set("power", "off").expect("a knob"),
+            "noise" => rig.sim.set("fault", "random 1000").expect("a knob"),
+            _ => {}
+        }
+        let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        let outcome = dataflash.settle(&mut gauge, Duration::ZERO);
+        rig.sim.set("power", "on").expect("a knob");
+        rig.sim.set("fault", "none").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(5));
+        outcome.expect_err(fault);
+        assert_eq!(folder.files(), kept, "{fault}");
+    }
+    assert!(restart(&rig, &folder, None).0.expect("no cut").is_some());
+    check(case, &mut rig, &folder, &(old, new), "settled at last");
+}
+
+/// A bus whose gauge's voltage sinks below the limit under which it stores nothing.
+struct Sinks<B> {
+    bus: B,
+    sim: Sim,
+    /// Transfers until then.
+    left: u64,
+}
+
+impl<B: Bus> Bus for Sinks<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 {
+            self.sim.set("voltage_mv", "2000").expect("a knob");
+        }
+        self.bus.transfer(write, read)
+    }
+}
+
+/// The gauge acknowledges everything and stores nothing from some transfer on, the way back included.
+#[test]
+fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
+    let (mut runs, mut done, mut refused, mut back, mut unknown) = (0, 0, 0, 0, 0);
+    for case in CASES.iter().filter(|case| Chip::by_name(case.chip).is_some_and(|chip| chip.gate.is_some())) {
+        let (old, new) = case.model();
+        let folder = Folder::new("voltage");
+        let (said, transfers) = {
+            let rig = case.rig();
+            let changes = case.changes(&rig);
+            host(&rig, &folder, None, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO))
+        };
+        said.expect("no cut").expect("no fault");
+        for left in 1..=transfers {
+            let at = format!("{}, sinks at {left} of {transfers}", case.name());
+            let mut rig = case.rig();
+            let changes = case.changes(&rig);
+            let bus = Sinks { bus: rig.sim.bus(), sim: rig.sim.clone(), left };
+            let mut gauge =
+                Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+            let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+            let outcome = dataflash.write(&mut gauge, &changes, Duration::ZERO);
+            runs += 1;
+            let flash = rig.sim.flash();
+            match outcome.map_err(|error| cause(&error)) {
+                Ok(_) => {
+                    done += 1;
+                    assert!(flash == new, "{at}: success is false");
+                }
+                Err("StateUnknown") => unknown += 1,
+                Err(cause) => {
+                    *(if cause == "RolledBack" { &mut back } else { &mut refused }) += 1;
+                    assert!(flash == old, "{at}: {cause}, but data flash has changed");
+                }
+            }
+            rig.sim.set("voltage_mv", "3900").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(5));
+            restart(&rig, &folder, None);
+            check(case, &mut rig, &folder, &(old.clone(), new.clone()), &at);
+        }
+    }
+    println!(
+        "{runs} times the voltage sank: {done} done before it did, {refused} refused with nothing changed, {back} \
+         with the old bytes there, {unknown} unknown, said so, and settled when it was back"
+    );
+}
+
+/// A gauge that loses its power while it programs a block, and comes back after the write was given up.
+#[test]
+fn what_a_write_had_to_leave_unknown_is_settled_at_the_next_start() {
+    for (torn, settled) in [("torn-commit 1", "3000"), ("torn-commit 5", "3000"), ("torn-commit 40", "3100")]
+    {
+        let folder = Folder::new("torn");
+        let mut rig = Rig::new("bq34z100-g1");
+        let change = rig.change(80, 53, "3100");
+        let expected = rig.change(80, 53, settled).bytes;
+        rig.sim.set("fault", torn).expect("a fault");
+        let write = |cut| {
+            host(&rig, &folder, cut, |dataflash, gauge| {
+                dataflash.write(gauge, std::slice::from_ref(&change), Duration::ZERO)
+            })
+        };
+        let (said, _) = write(None);
+        assert_eq!(cause(&said.expect("no cut").expect_err("a torn block")), "StateUnknown", "{torn}");
+        assert_eq!(folder.files().len(), 1, "{torn}: the journal stays");
+        rig.sim.set("fault", "none").expect("a knob");
+        rig.sim.set("power", "on").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(3));
+        let (told, _) = restart(&rig, &folder, None);
+        assert!(told.flatten().is_some(), "{torn}");
+        assert_eq!(rig.read(80, 53).expect("the default key"), expected, "{torn}");
+        assert_eq!(rig.seal(), Seal::Sealed);
+        assert_eq!(folder.files(), Vec::<String>::new());
+    }
+}

@@ -1,0 +1,12 @@
+//! The tables and the engine against simulated gauges.
+
+mod defaults;
+mod faults;
+mod gauge;
+mod journal;
+mod keychange;
+mod preflight;
+mod probe;
+mod rig;
+mod tables;
+mod write;

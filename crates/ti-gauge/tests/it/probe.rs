@@ -1,0 +1,152 @@
+//! Finding a gauge on a bus: what is asked of what, and what is left alone.
+
+use std::sync::{Arc, Mutex};
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
+use ti_gauge::chip::{CHIPS, Chip, SIBLINGS, Sibling};
+use ti_gauge::error::Cause;
+use ti_gauge::gauge::Gauge;
+use ti_gauge::keys::Keys;
+use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, check, find, identify};
+
+/// An EEPROM: a pointer, bytes, and no patience for writes.
+struct Eeprom(u8);
+
+impl Bus for Eeprom {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        assert!(write.len() <= 1, "the EEPROM was written to");
+        read.fill(self.0);
+        Ok(())
+    }
+}
+
+#[test]
+fn an_eeprom_is_read_and_left_alone() {
+    let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+    for byte in [0x00, 0x41, 0xff] {
+        let open = || Ok(Box::new(Eeprom(byte)) as Box<dyn Bus>);
+        assert!(candidates(&open, &clock).expect("it answers").is_empty());
+        find("here", &open, &clock).expect_err("not a gauge");
+        let bus = open().expect("it opens");
+        let mut gauge = Gauge::new(CHIPS[0], bus, clock.clone(), Keys::default(), false);
+        check(&mut gauge).expect_err("not a gauge");
+    }
+}
+
+#[test]
+fn each_simulated_gauge_is_found_by_asking_it() {
+    for chip in CHIPS {
+        let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+        let Ok(sim) = Sim::new(chip.name, &Options::default(), clock.clone()) else { continue };
+        clock.sleep(std::time::Duration::from_secs(1));
+        let open = || Ok(Box::new(sim.bus()) as Box<dyn Bus>);
+        assert_eq!(find("here", &open, &clock).expect("a gauge").name, chip.name);
+        let plausible = candidates(&open, &clock).expect("it answers");
+        assert!(plausible.iter().any(|reading| reading.chip.name == chip.name));
+    }
+}
+
+/// A gauge that answers as its sibling does, and takes down which questions were put to it.
+struct Sister {
+    inner: Box<dyn Bus>,
+    sibling: &'static Sibling,
+    code: u16,
+    asked: Arc<Mutex<Vec<u16>>>,
+}
+
+impl Bus for Sister {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        match write {
+            [] | [_] => {}
+            [register @ (0x00 | 0x3e), low, high] => {
+                self.code = if *register == 0 { u16::from_le_bytes([*low, *high]) } else { 0xffff };
+                self.asked.lock().expect("no panic").push(u16::from_le_bytes([*low, *high]));
+            }
+            other => panic!("{}: {other:02x?} was written", self.sibling.name),
+        }
+        self.inner.transfer(write, read)?;
+        let identity = &self.sibling.identity;
+        let answer = match (write, self.code) {
+            ([0x00], 0x0001) => Some(identity.device_type),
+            ([0x00], 0x0002) => identity.firmware.first().copied(),
+            ([0x00], 0x0004) => identity.dm_codes.first().copied(),
+            _ => None,
+        };
+        if let (Some(answer), [low, high]) = (answer, read) {
+            [*low, *high] = answer.to_le_bytes();
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn each_sibling_is_named_and_asked_for_its_name_only() {
+    for sibling in SIBLINGS {
+        // Those without a chip that they are like: what has the registers of their time.
+        let chip = match (sibling.like, sibling.identity.device_type) {
+            (Some(like), _) => like,
+            (None, 0x0520) => Chip::by_name("bq27520-g3").expect("a chip"),
+            (None, _) => Chip::by_name("bq27441-g1").expect("a chip"),
+        };
+        let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a gauge");
+        clock.sleep(std::time::Duration::from_secs(1));
+        let asked = Arc::new(Mutex::new(Vec::new()));
+        let open = || {
+            let (inner, asked) = (Box::new(sim.bus()), asked.clone());
+            Ok(Box::new(Sister { inner, sibling, code: 0xffff, asked }) as Box<dyn Bus>)
+        };
+        let plausible = candidates(&open, &clock).expect("it answers");
+        assert!(asked.lock().expect("no panic").is_empty(), "{}: reading asks nothing", sibling.name);
+        let who = identify(&plausible, &open, &clock).expect("it answers");
+        assert_eq!(who.sibling.map(|found| found.name), Some(sibling.name));
+        assert!(who.chips.is_empty(), "{}: {:?}", sibling.name, who.chips);
+        let found = find("here", &open, &clock);
+        match (sibling.like, found) {
+            (Some(like), found) => assert_eq!(found.expect("it is like a chip").name, like.name),
+            (None, found) => {
+                let error = found.expect_err("it has no table").to_string();
+                let says = format!("it is a {}, which gaugefs does not support", sibling.name);
+                assert!(error.contains(&says), "{error}");
+            }
+        }
+        let names = ["DEVICE_TYPE", "FW_VERSION", "HW_VERSION", "CHEM_ID", "DM_CODE"];
+        let may = |code: &u16| {
+            let mut known = CHIPS.iter().flat_map(|chip| chip.subcommands);
+            known.any(|known| known.code == *code && names.contains(&known.name))
+        };
+        let asked = asked.lock().expect("no panic");
+        assert!(!asked.is_empty() && asked.iter().all(may), "{}: {asked:04x?}", sibling.name);
+    }
+}
+
+#[test]
+fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
+    let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+    let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
+    clock.sleep(std::time::Duration::from_secs(1));
+    let mut rom = sim.bus_at(ROM_ADDRESS);
+    assert_eq!(answers_in_rom(&mut rom), Ok(false));
+    // FULL ACCESS with the manual's keys, then told to go there, as a flash programmer does.
+    for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
+        let [low, high] = word.to_le_bytes();
+        sim.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");
+        clock.sleep(std::time::Duration::from_millis(100));
+    }
+    assert_eq!(answers_in_rom(&mut rom), Ok(true));
+    let open = || Ok(Box::new(sim.bus()) as Box<dyn Bus>);
+    let error = candidates(&open, &clock).expect_err("it has left the other address");
+    assert_eq!(*error.cause(), Cause::Bus(BusError::NoAck));
+    assert_eq!(answers_in_rom(&mut Eeprom(0x41)), Ok(true));
+}
+
+#[test]
+fn an_empty_address_is_told_as_such() {
+    let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+    let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
+    let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);
+    let error = candidates(&open, &clock).expect_err("nobody is there");
+    assert_eq!(*error.cause(), Cause::Bus(BusError::NoAck));
+}

@@ -1,0 +1,112 @@
+//! A simulated gauge on a simulated clock, and the engine on its bus.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_sim::{Options, Sim};
+use ti_gauge::chip::{Chip, Parameter, Subclass};
+use ti_gauge::dataflash::{Change, DataFlash, Outcome};
+use ti_gauge::error::{Cause, Error, Result};
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::Keys;
+use ti_gauge::text;
+
+pub(crate) struct Rig {
+    pub(crate) clock: Arc<SimClock>,
+    pub(crate) sim: Sim,
+    pub(crate) gauge: Gauge,
+    pub(crate) dataflash: DataFlash,
+}
+
+impl Rig {
+    pub(crate) fn new(chip: &str) -> Self {
+        Self::with(chip, Keys::default(), false)
+    }
+
+    pub(crate) fn with(chip: &str, keys: Keys, byte_writes: bool) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
+        sim.keep_log(true);
+        let table = Chip::by_name(chip).expect("a chip in the tables");
+        let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
+        // A gauge answers some 250 ms after power-up.
+        clock.sleep(Duration::from_secs(1));
+        // As after the first poll.
+        gauge.seal().expect("the gauge answers");
+        Self { clock, sim, gauge, dataflash: DataFlash::default() }
+    }
+
+    /// One that is found in that seal state.
+    pub(crate) fn found(chip: &str, found: Seal) -> Self {
+        let mut rig = Self::new(chip);
+        if found != Seal::Sealed {
+            rig.dataflash.go_to(&mut rig.gauge, found, Duration::ZERO).expect("the default keys");
+        }
+        rig
+    }
+
+    /// A parameter and what it belongs to; with `FLAT` and an address on a part without subclasses.
+    fn find(&self, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
+        let mut alike = self.gauge.chip.subclasses.iter().filter(|row| row.id == subclass);
+        let found = alike.find_map(|row| Some((row, row.parameter(offset)?)));
+        found.expect("a parameter of the table")
+    }
+
+    /// A change as `echo text > df/subclass/offset` asks for it.
+    pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
+        let (subclass, parameter) = self.find(subclass, offset);
+        let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
+        Change::of_value((subclass, parameter), &value).expect("a value of the type")
+    }
+
+    pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
+        let change = self.change(subclass, offset, text);
+        self.dataflash.write(&mut self.gauge, &[change], Duration::ZERO)
+    }
+
+    /// The bytes of a parameter, read through the engine.
+    pub(crate) fn read(&mut self, subclass: u8, offset: u16) -> Result<Vec<u8>> {
+        let (row, parameter) = self.find(subclass, offset);
+        let bytes = self.dataflash.read(&mut self.gauge, &[row], Duration::ZERO)?.remove(0);
+        let at = usize::from(offset - row.start());
+        Ok(bytes[at..at + parameter.kind.size()].to_vec())
+    }
+
+    pub(crate) fn seal(&mut self) -> Seal {
+        self.gauge.seal().expect("the gauge answers")
+    }
+
+    /// Transfers and bytes since the last call, retries included.
+    pub(crate) fn cost(&self) -> (u64, u64) {
+        let list = self.gauge.statistics.list();
+        let find = |name| list.iter().find(|(found, _)| *found == name).map_or(0, |(_, value)| *value);
+        (find("transfers"), find("bytes"))
+    }
+
+    /// What has passed on the wire since the log was last cleared, a line each.
+    pub(crate) fn log(&self) -> Vec<String> {
+        self.sim.log().iter().map(ToString::to_string).collect()
+    }
+}
+
+/// The name of what went wrong.
+pub(crate) fn cause(error: &Error) -> &'static str {
+    match error.cause() {
+        Cause::Invalid(_) => "Invalid",
+        Cause::OutOfRange(_) => "OutOfRange",
+        Cause::NotPermitted(_) => "NotPermitted",
+        Cause::Busy(_) => "Busy",
+        Cause::NotNow(_) => "NotNow",
+        Cause::BadChecksum(_) => "BadChecksum",
+        Cause::Protocol(_) => "Protocol",
+        Cause::TimedOut(_) => "TimedOut",
+        Cause::RolledBack(_) => "RolledBack",
+        Cause::StateUnknown(_) => "StateUnknown",
+        Cause::Gone(_) => "Gone",
+        Cause::NoAnswer(_) => "NoAnswer",
+        Cause::Bus(_) => "Bus",
+        Cause::Adapter(..) => "Adapter",
+        Cause::Io(..) => "Io",
+    }
+}

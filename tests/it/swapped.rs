@@ -1,0 +1,88 @@
+//! A pack exchanged for another under the thread that owns the gauge.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
+use gaugefs::owner::{self, Request, Settings};
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::{Change, Outcome};
+use ti_gauge::error::Result;
+use ti_gauge::value::Value;
+
+use crate::rig::Rig;
+
+const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true });
+
+/// Two packs at one address, of which the switch chooses one.
+struct Swap([Box<dyn Bus>; 2], Arc<AtomicUsize>);
+
+impl Bus for Swap {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        self.0[self.1.load(Ordering::SeqCst)].transfer(write, read)
+    }
+}
+
+/// A pack is exchanged for another one with the same part, between a look at its values and a write, and
+/// back again between two polls.
+#[test]
+fn a_swapped_pack_is_noticed() {
+    let mut other = Rig::new("bq34z100-g1");
+    assert_eq!(other.write(48, 4, "0x0007"), WRITTEN);
+    let clock: Arc<SimClock> = other.clock.clone();
+    let first = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated chip");
+    clock.sleep(Duration::from_secs(1));
+    let at = Arc::new(AtomicUsize::new(0));
+    let bus = Swap([Box::new(first.bus()), Box::new(other.sim.bus())], at.clone());
+    let chip = Chip::by_name("bq34z100-g1").expect("a table");
+    let interval = Duration::from_secs(3600);
+    let settings = Settings { interval, ..Settings::default() };
+    let handle = owner::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
+    let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
+    let subclass = &chip.subclasses[index(80)];
+    let parameter = subclass.parameter(53).expect("a row");
+    let serial = || {
+        let (done, is_done) = mpsc::channel();
+        let done = Box::new(move |read| done.send(read).expect("somebody waits"));
+        handle.submit(Request::Read(vec![index(48)], done));
+        let read: Vec<Arc<[u8]>> = is_done.recv().expect("an answer").expect("it is read");
+        u16::from_be_bytes([read[0][4], read[0][5]])
+    };
+    let run =
+        |request: &dyn Fn(owner::Done<()>) -> Request| -> std::result::Result<(), gaugefs::error::Error> {
+            let (done, is_done) = mpsc::channel();
+            handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
+            is_done.recv().expect("an answer")
+        };
+    let write = |value: i64| {
+        let change = Change::of_value((subclass, parameter), &Value::Int(value)).expect("it fits");
+        run(&move |done| Request::WriteAll(vec![change.clone()], done))
+    };
+    assert_eq!(serial(), 1);
+    let before = (first.flash(), other.sim.flash());
+
+    at.store(1, Ordering::SeqCst);
+    let error = write(3100).expect_err("another pack");
+    assert_eq!(error.errno(), nix::errno::Errno::ENODEV, "{error}");
+    assert!((first.flash(), other.sim.flash()) == before);
+    assert!(handle.published().last_error.contains("another pack"), "{}", handle.published().last_error);
+    assert_eq!(serial(), 7, "what was kept is dropped");
+    run(&Request::Refresh).expect("it answers");
+    write(3100).expect("it is known now");
+    assert!(first.flash() == before.0);
+    assert!(other.sim.flash() != before.1);
+
+    assert_eq!(serial(), 7);
+    at.store(0, Ordering::SeqCst);
+    clock.sleep(interval);
+    // Whatever it is asked, the owner polls then.
+    run(&|done| Request::Interval(interval, done)).expect("it is set");
+    let tries = (0..1000).find(|_| {
+        std::thread::sleep(Duration::from_millis(10));
+        serial() == 1
+    });
+    assert!(tries.is_some(), "the poll did not notice");
+}
