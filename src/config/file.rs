@@ -83,9 +83,10 @@ impl File<'_> {
 
     /// An error about a key of the file.
     fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
-        // TOML's own errors may have several lines.
+        // One line: TOML's own errors may have several, and so may a key in quotes.
         let why = why.lines().collect::<Vec<_>>().join(", ");
-        Error::new(format!("{}: line {}: {key}", self.name, self.line(at)), Cause::Invalid(why))
+        let subject = format!("{}: line {}: {}", self.name, self.line(at), key.escape_debug());
+        Error::new(subject, Cause::Invalid(why))
     }
 
     fn place(&self, table: Table, key: &str) -> Option<&Place> {
