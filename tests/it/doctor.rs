@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::{Value, json};
 
 use super::cli::command;
@@ -291,9 +293,9 @@ fn units_are_told_as_systemd_has_them() {
     system.says("ok", "gaugefs@i2c\\x2d1.service", &["inactive (dead)", "systemctl start"]);
 }
 
-/// Here rather than in a folder: only a real mount can be dead.
+/// On this machine, because only a real mount can hang or be dead.
 #[test]
-fn this_machine_is_told_of_a_dead_mount() {
+fn mounts_that_hang_or_are_dead_are_found() {
     if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was looked at");
         return;
@@ -310,12 +312,17 @@ fn this_machine_is_told_of_a_dead_mount() {
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
     let alive = told();
+    let pid = Pid::from_raw(daemon.id() as i32);
+    kill(pid, Signal::SIGSTOP).expect("it runs");
+    let hung = told();
+    kill(pid, Signal::SIGCONT).expect("it runs");
     daemon.kill().expect("it runs");
     daemon.wait().expect("it ends");
     let dead = told();
     command(&["umount", at]).status().expect("gaugefs runs");
     let _ = fs::remove_dir(Path::new(at));
     assert!(alive.contains(&format!("ok       {at}: a gaugefs is mounted there\n")), "{alive}");
+    assert!(hung.contains(&format!("problem  {at}: a gaugefs whose process does not answer\n")), "{hung}");
     assert!(dead.contains(&format!("problem  {at}: a gaugefs whose process is gone\n")), "{dead}");
     assert!(dead.contains(&format!("gaugefs umount {at}\n")), "{dead}");
 }

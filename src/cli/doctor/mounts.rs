@@ -3,6 +3,8 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::Duration;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
@@ -11,6 +13,8 @@ use crate::lock::{Holder, holder};
 
 /// Where the service mounts.
 const PLACE: &str = "/run/gaugefs";
+/// How long a daemon may take to answer.
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Where root's daemons keep journals.
 const JOURNALS: &str = "/var/lib/gaugefs";
 
@@ -29,11 +33,18 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
         } else if let Some((_, kind, source)) = above {
             let says = format!("a gaugefs lies hidden below {kind} ({source})");
             findings.push(warning(&what, says, format!("Take away what is on top: umount {what}")));
-        } else if is_dead(&host.at(&what)) {
-            let remedy = format!("Take it away: gaugefs umount {what}");
-            findings.push(problem(&what, "a gaugefs whose process is gone", remedy));
         } else {
-            findings.push(ok(&what, "a gaugefs is mounted there"));
+            findings.push(match answer(host.at(&what)) {
+                Some(Answer::Alive) => ok(&what, "a gaugefs is mounted there"),
+                Some(Answer::Dead) => {
+                    let remedy = format!("Unmount it: gaugefs umount {what}");
+                    problem(&what, "a gaugefs whose process is gone", remedy)
+                }
+                None => {
+                    let says = "a gaugefs whose process does not answer";
+                    problem(&what, says, "Find out what stops the process, or kill it.")
+                }
+            });
         }
     }
     if !all.iter().any(|(_, kind, source)| ours(kind, source)) {
@@ -43,6 +54,18 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     findings.extend(locks(host, &mounted));
     findings.extend(journals(host));
     findings
+}
+
+enum Answer {
+    Alive,
+    Dead,
+}
+
+/// How the daemon of a mount answers, if it does. A thread asks: one that hangs would block doctor too.
+fn answer(path: PathBuf) -> Option<Answer> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || sender.send(if is_dead(&path) { Answer::Dead } else { Answer::Alive }));
+    receiver.recv_timeout(PATIENCE).ok()
 }
 
 /// Writes that are under way, or were cut short.
