@@ -31,7 +31,7 @@ Examples:
   cat /tmp/gauges/BAT0/voltage_now                its voltage in microvolts
   gaugefs umount /tmp/gauges
 
-  gaugefs probe --bus /dev/i2c-1                  what answers on a bus
+  gaugefs probe --bus /dev/i2c-1                  scan a bus for gauges
   gaugefs mount --bus /dev/i2c-1 /run/gauges      mount the gauge on it";
 
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
@@ -61,7 +61,7 @@ enum Command {
     Completions(completions::Completions),
     Man(manual::Man),
     Attach(Box<mount::Attach>),
-    /// Take away what services have left that have ended; a step of systemd's units
+    /// Remove the mounts of services that have ended; systemd's units run it as root
     #[command(hide = true)]
     Detach,
 }
@@ -111,7 +111,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     })
 }
 
-/// Prints to standard output; a reader that has seen enough is no failure.
+/// Prints to standard output. A closed pipe is not an error: the reader has what it wanted.
 fn print(text: &str) {
     use std::io::Write;
     let _ = std::io::stdout().write_all(text.as_bytes());
@@ -123,7 +123,7 @@ fn print_json(value: &impl Serialize) {
     print(&(json + "\n"));
 }
 
-/// Columns as wide as their widest cell, two spaces between.
+/// Pads every column to its widest cell, with two spaces between columns.
 fn align<const N: usize>(rows: &[[String; N]]) -> String {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let mut table = String::new();
@@ -136,11 +136,12 @@ fn align<const N: usize>(rows: &[[String; N]]) -> String {
     table
 }
 
+/// `1 parameter` or `N parameters`.
 fn counted(parameters: usize) -> String {
     if parameters == 1 { "1 parameter".into() } else { format!("{parameters} parameters") }
 }
 
-/// The name of a gauge's folder, however it was reached.
+/// The name of a gauge's folder, with symbolic links resolved.
 fn folder_name(gauge: &Path) -> String {
     let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
     whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
@@ -153,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_definition_is_sound() {
+    fn clap_accepts_the_definition() {
         Cli::command().debug_assert();
     }
 }

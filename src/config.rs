@@ -62,7 +62,7 @@ pub(crate) struct GaugeOptions {
         help_heading = "Gauge"
     )]
     pub(crate) byte_writes: Option<bool>,
-    /// Copy of df/index that is written again after a gauge without flash has lost power
+    /// Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power
     #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "config"], help_heading = "Gauge")]
     pub(crate) restore: Option<PathBuf>,
 

@@ -1,5 +1,5 @@
-//! The commands that show mounted gauges: `top`, `log` and `plot`. The cargo feature `screen` guards this
-//! module and nothing else.
+//! The commands that show and record mounted gauges: `top`, `log` and `plot`. The cargo feature `screen`
+//! guards this module and its place in the command line.
 
 use std::process::ExitCode;
 use std::time::Duration;

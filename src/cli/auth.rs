@@ -1,4 +1,4 @@
-//! `gaugefs auth`: whether the pack behind a mounted gauge knows the key.
+//! `gaugefs auth`: checks with a challenge whether a pack knows the authentication key.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,23 +13,23 @@ use crate::error::{Cause, Error, Result};
 use crate::key_file;
 
 const AUTH: &str = "\
-The key is the line `authentication = 32 hexadecimal digits` of the key file. It stays in this
-process: the gauge gets a random challenge and answers with a digest that only a gauge with the
-same key can compute. Exit code 0 says that it did, 1 that it did not or could not be asked.
+The key file needs a line `authentication = 32 hexadecimal digits`. The key never leaves this
+process: the gauge gets a random challenge, and only a gauge with the same key can compute the
+digest. Exit code 0: the pack is genuine, 1: it is not, or the gauge could not be asked.
 
 Example:
   gaugefs auth /run/gauges/BAT0 --key-file ~/pack.keys";
 
-/// Between two tries, so that somebody else's challenge to the same gauge does not make a pack a fake.
+/// A second try, in case another program sent a challenge to the gauge at the same time.
 const TRIES: u32 = 2;
 
-/// Ask a mounted gauge whether its pack is genuine
+/// Check whether the pack of a mounted gauge is genuine
 #[derive(Args, Debug)]
 #[command(after_help = AUTH)]
 pub(super) struct Auth {
-    /// The gauge's folder, such as /run/gauges/BAT0
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// File with the line `authentication = 32 hexadecimal digits`; nobody else may read it
+    /// Key file with the authentication key; must not be readable by others
     #[arg(long, value_name = "FILE")]
     key_file: PathBuf,
 }
@@ -40,7 +40,7 @@ impl Auth {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// What to print about a genuine pack; an error for any other.
+    /// The text for a genuine pack, or an error for any other.
     fn ask(&self) -> Result<String> {
         let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let Some(key) = &keys.authentication else {
@@ -53,7 +53,7 @@ impl Auth {
             getrandom::fill(&mut challenge)
                 .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
             let text = exchange(&self.gauge, &to_hex(&challenge))?;
-            let digest = from_hex(text.as_bytes()).map_err(|_| self.wrong("answers with no digest"))?;
+            let digest = from_hex(text.as_bytes()).map_err(|_| self.wrong("the answer is not a digest"))?;
             match fits(key, &challenge, &digest, asked) {
                 Some(order) if order == asked => {
                     return Ok(format!("genuine, byte order {}\n", order.as_str()));
@@ -61,13 +61,13 @@ impl Auth {
                 Some(order) => {
                     let (order, asked) = (order.as_str(), asked.as_str());
                     return Ok(format!(
-                        "genuine, byte order {order}; it is mounted with {asked}: mount it with --auth-order {order}\n"
+                        "genuine, byte order {order}; it is mounted with {asked}; mount it with --auth-order {order}\n"
                     ));
                 }
                 None => {}
             }
         }
-        Err(self.wrong("not genuine: its answer is not that of a gauge with this key, in either byte order"))
+        Err(self.wrong("not genuine: its digest does not match this key, in either byte order"))
     }
 
     fn wrong(&self, why: &str) -> Error {
@@ -75,17 +75,17 @@ impl Auth {
     }
 }
 
-/// The order of bytes that the gauge is mounted with.
+/// The byte order that the gauge is mounted with.
 fn order(gauge: &Path) -> Result<Order> {
     let path = gauge.join("gauge/auth_order");
     let name = gauge.display().to_string();
     match std::fs::read_to_string(&path) {
         Ok(word) => Order::by_name(word.trim()).ok_or_else(|| {
-            Error::new(path.display().to_string(), Cause::Protocol("holds no order of bytes".into()))
+            Error::new(path.display().to_string(), Cause::Protocol("is not a byte order".into()))
         }),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             let why = if gauge.join("gauge/seal").exists() {
-                "this part has no authentication that gaugefs knows"
+                "gaugefs knows no authentication for this part"
             } else {
                 "not a mounted gauge; give a folder such as /run/gauges/BAT0"
             };

@@ -10,7 +10,7 @@ use super::{align, print, print_json};
 use crate::chip::{CHIPS, Chip, Evidence, Scheme};
 use crate::error::Result;
 
-/// List the supported gauges, and how far each has been proven
+/// List the supported gauges and what each table is based on
 #[derive(Args, Debug)]
 pub(super) struct Chips {
     /// Print JSON
@@ -18,7 +18,7 @@ pub(super) struct Chips {
     json: bool,
 }
 
-/// A row of the table.
+/// One chip, as a line of the table or an object of JSON.
 #[derive(Serialize)]
 struct Row {
     name: &'static str,
@@ -75,7 +75,7 @@ fn parameters(chip: &Chip) -> usize {
     chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum()
 }
 
-/// Parameters that are read-only because their address or range is not sure.
+/// Parameters that are read-only because their address or range is uncertain.
 fn unproven(chip: &Chip) -> usize {
     let rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
     rows.filter(|parameter| parameter.unproven).count()

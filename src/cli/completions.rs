@@ -9,16 +9,16 @@ use super::{Cli, print};
 use crate::error::Result;
 
 const COMPLETIONS: &str = "\
-The Debian package installs those of bash, zsh and fish.
+The Debian package installs the completions for bash, zsh and fish.
 
 Example:
   gaugefs completions bash > ~/.local/share/bash-completion/completions/gaugefs";
 
-/// Print what makes a shell complete gaugefs's command line
+/// Generate shell completions
 #[derive(Args, Debug)]
 #[command(after_help = COMPLETIONS)]
 pub(super) struct Completions {
-    /// The shell
+    /// Shell to generate them for
     shell: Shell,
 }
 

@@ -13,9 +13,8 @@ use crate::error::Result;
 use crate::mounted;
 
 const DIFF: &str = "\
-Files are TOML, gg.csv or FlashStream, told apart by what is in them. A file need not hold
-all parameters: those that both have are compared. Exit code 0: no difference, 1: some,
-2: they could not be compared.
+Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
+sides have are compared. Exit code 0: no difference, 1: differences, 2: they could not be compared.
 
 Examples:
   gaugefs diff pack.toml /run/gauges/BAT0
@@ -25,11 +24,11 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = DIFF)]
 pub(super) struct Diff {
-    /// A mounted gauge's folder, or a file of any format
+    /// Folder of a mounted gauge, or a configuration file
     a: PathBuf,
-    /// Another
+    /// The folder or file to compare it with
     b: PathBuf,
-    /// What a file is for that does not tell
+    /// Chip to assume if a file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
     /// Print JSON
@@ -47,7 +46,7 @@ struct Row<'a> {
 }
 
 impl Diff {
-    /// As diff(1): whoever asks for a difference has to tell "none" from "cannot say".
+    /// Exit codes as diff(1) has them: a script must be able to distinguish a difference from a failure.
     pub(super) fn run(self) -> Result<ExitCode> {
         self.compare().or_else(|error| {
             eprintln!("gaugefs: {error}");
@@ -56,13 +55,13 @@ impl Diff {
     }
 
     fn compare(self) -> Result<ExitCode> {
-        let told = self.chip.as_deref().and_then(Chip::by_name);
-        // A gauge tells what a file beside it is for.
+        let named = self.chip.as_deref().and_then(Chip::by_name);
+        // A mounted gauge says which chip a file without a name is for.
         let first = if self.a.is_dir() { Some(mounted::open(&self.a, None)?) } else { None };
-        let b = mounted::open(&self.b, told.or(first.as_ref().map(|image| image.chip)))?;
+        let b = mounted::open(&self.b, named.or(first.as_ref().map(|image| image.chip)))?;
         let a = match first {
             Some(image) => image,
-            None => mounted::open(&self.a, told.or(Some(b.chip)))?,
+            None => mounted::open(&self.a, named.or(Some(b.chip)))?,
         };
         let comparison = a.compare(&b)?;
         let differences = &comparison.differences;
@@ -80,7 +79,7 @@ impl Diff {
         for (count, name) in [(comparison.only_first, &self.a), (comparison.only_second, &self.b)] {
             if count > 0 {
                 let count = counted(count);
-                eprintln!("gaugefs: {}: {count} that the other does not have", name.display());
+                eprintln!("gaugefs: {}: {count} that the other side lacks", name.display());
             }
         }
         Ok(if differences.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })

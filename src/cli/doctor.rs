@@ -1,7 +1,7 @@
-//! `gaugefs doctor`: what stands in the way on this machine, and what to do about it.
+//! `gaugefs doctor`: checks this machine for problems and shows remedies.
 //!
-//! It only looks: at files below one root folder, which a test fills as it likes, at what systemctl
-//! says, and at what an adapter answers about itself. No bus is touched.
+//! It only reads: files below one root folder, which a test fills as it likes, the output of systemctl,
+//! and what an adapter reports about itself. It sends nothing on a bus.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -23,23 +23,22 @@ mod service;
 use host::Host;
 
 const DOCTOR: &str = "\
-It looks at files, and asks adapters what they can; nothing goes out on a bus. A problem keeps
-gaugefs from something, a warning is worth knowing. Exit code 0 says that there is no problem,
-1 that there is one.";
+It reads files and asks adapters for their capabilities; it sends nothing on a bus. A problem
+prevents some use of gaugefs, a warning is worth knowing. Exit code 0: no problem, 1: at least one.";
 
-/// Tell what stands in the way on this machine, and what to do about it
+/// Check this machine for problems, and show how to fix them
 #[derive(Args, Debug)]
 #[command(after_help = DOCTOR)]
 pub(super) struct Doctor {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// The system to look at
+    /// Root folder of the system to check
     #[arg(long, value_name = "FOLDER", default_value = "/", hide = true)]
     root: PathBuf,
 }
 
-/// How bad it is.
+/// How serious a finding is.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
@@ -64,7 +63,7 @@ struct Report {
     findings: Vec<Finding>,
 }
 
-/// What was looked at, how it is, and what to do.
+/// What was checked, its state, and the remedy.
 #[derive(Serialize)]
 struct Finding {
     state: State,
@@ -89,11 +88,11 @@ impl Doctor {
     pub(super) fn run(self) -> Result<ExitCode> {
         let host = Host::new(self.root);
         let configured = config::buses(&host);
-        let mut findings = fuse::look(&host);
-        findings.extend(bus::look(&host, &configured));
-        findings.extend(mounts::look(&host));
-        findings.extend(config::look(&host));
-        findings.extend(service::look(&host, &configured));
+        let mut findings = fuse::check(&host);
+        findings.extend(bus::check(&host, &configured));
+        findings.extend(mounts::check(&host));
+        findings.extend(config::check(&host));
+        findings.extend(service::check(&host, &configured));
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
         if self.json {
             print_json(&Report { findings });
@@ -116,8 +115,8 @@ fn text(findings: &[Finding]) -> String {
     let count = |wanted| findings.iter().filter(|finding| finding.state == wanted).count();
     let (problems, warnings) = (count(State::Problem), count(State::Warning));
     let _ = match (problems, warnings) {
-        (0, 0) => writeln!(text, "\nNothing stands in the way."),
-        (0, _) => writeln!(text, "\nNothing stands in the way; warnings: {warnings}."),
+        (0, 0) => writeln!(text, "\nNo problems."),
+        (0, _) => writeln!(text, "\nNo problems, warnings: {warnings}."),
         _ => writeln!(text, "\nProblems: {problems}, warnings: {warnings}."),
     };
     text

@@ -11,8 +11,8 @@ use crate::image::Format;
 use crate::mounted;
 
 const EXPORT: &str = "\
-Keys are in no file. toml is made for git; gg.csv is bqStudio's; flashstream is what TI's
-tools send to a gauge.
+toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send to
+a gauge. Keys are never exported.
 
 Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml
@@ -22,7 +22,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = EXPORT)]
 pub(super) struct Export {
-    /// A mounted gauge's folder, such as /run/gauges/BAT0
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
     /// Format of the file
     #[arg(long, value_enum, default_value = "toml")]
@@ -32,7 +32,7 @@ pub(super) struct Export {
     output: Option<PathBuf>,
 }
 
-/// The formats on the command line.
+/// The names of the formats on the command line.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FormatName {
     Toml,
@@ -48,7 +48,7 @@ impl Export {
         match self.output {
             None => print(&text),
             Some(file) => std::fs::write(&file, text)
-                .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
+                .map_err(|error| Error::io(file.display().to_string(), "cannot write it", &error))?,
         }
         Ok(ExitCode::SUCCESS)
     }

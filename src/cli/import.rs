@@ -13,41 +13,41 @@ use crate::mounted;
 mod progress;
 
 const IMPORT: &str = "\
-What differs is written through df/transaction and shown. Keys are left out, and so are rows
-whose address or range is not sure. Where a FlashStream has other bytes than the gauge and no
-manual documents them it is refused, but for --raw or --exclude undocumented.
+It writes the differences through df/transaction and prints them. It never writes keys, nor
+parameters whose address or range is uncertain. A FlashStream that would change undocumented
+bytes is refused, unless --raw writes them or --exclude undocumented skips them.
 
 Examples:
   gaugefs import --dry-run /run/gauges/BAT0 pack.toml
   gaugefs import --exclude calibration,serial /run/gauges/BAT0 golden.gm.fs";
 
-/// Give a mounted gauge the configuration of a file, all of it or nothing
+/// Write a configuration file to a mounted gauge, all of it or nothing
 #[derive(Args, Debug)]
 #[command(after_help = IMPORT)]
 pub(super) struct Import {
-    /// A mounted gauge's folder, such as /run/gauges/BAT0
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// A file of any format
+    /// Configuration file in any format that export writes
     file: PathBuf,
-    /// Only show what would change
+    /// Show what would change, and write nothing
     #[arg(long)]
     dry_run: bool,
-    /// Leave these as they are
+    /// Do not write these groups of parameters
     #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUPS")]
     exclude: Vec<GroupName>,
-    /// Write bytes too that no manual documents
+    /// Also write bytes that no manual documents
     #[arg(long)]
     raw: bool,
 }
 
-/// The groups of parameters that an import can leave alone.
+/// The groups of parameters that an import can skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum GroupName {
-    /// The classes Calibration: measured for each circuit
+    /// The class Calibration: values measured for each circuit
     Calibration,
-    /// Serial number, date and lots
+    /// Serial number, date and lot codes
     Serial,
-    /// What the gauge has learned of its pack
+    /// Values that the gauge has learned about its pack
     Learned,
     /// Bytes that no manual documents
     Undocumented,

@@ -1,4 +1,4 @@
-//! `gaugefs keys change`: another key for a mounted gauge. Keys come from files that nobody else may read or
+//! `gaugefs keys change`: changes a key of a mounted gauge. Keys come from files that nobody else may read or
 //! from the terminal, never from the command line, and leave this process in one write(2) to `gauge/keys`.
 
 use std::fs::File;
@@ -19,17 +19,18 @@ use crate::key_file;
 use crate::keys::{Name, Secret};
 
 const CHANGE: &str = "\
-A gauge whose key nobody knows is lost for ever: write the new key down before you begin.
-Without a file a key is asked for at the terminal, the new one twice, and is not shown.
-The old key is tried first. The new one is in the gauge when this returns 0: it has been
-sealed and opened with it, or has answered a challenge. The mount uses it from then on; its
-key file is yours to change.
+Write the new key down before you begin: without its key, a gauge can never be unsealed again.
+Without key files, the terminal asks for the keys, twice for the new one, and does not show them.
+
+The old key is tried first. Exit code 0 means that the new key is in the gauge and was tested: it
+has unsealed the gauge, or the gauge has answered a challenge with it. The mount uses the new key
+from then on, but its key file is not changed.
 
 Examples:
   gaugefs keys change /run/gauges/BAT0 unseal
   gaugefs keys change /run/gauges/BAT0 unseal --key-file old.keys --new-key-file new.keys";
 
-/// Longest line that is taken from the terminal.
+/// Longest line that is accepted from the terminal.
 const LINE: usize = 256;
 /// Ctrl-C, as a character.
 const INTERRUPT: u8 = 3;
@@ -39,44 +40,44 @@ const INTERRUPT: u8 = 3;
 #[command(arg_required_else_help = true)]
 pub(super) struct Command {
     #[command(subcommand)]
-    command: What,
+    command: Action,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Action {
     Change(Change),
 }
 
-/// Give a mounted gauge another key
+/// Change a key of a mounted gauge
 #[derive(Args, Debug)]
 #[command(after_help = CHANGE)]
 struct Change {
-    /// The gauge's folder, such as /run/gauges/BAT0
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// unseal, full-access or authentication
+    /// Which key: unseal, full-access or authentication
     #[arg(value_name = "KEY", value_parser = PossibleValuesParser::new(Name::ALL.map(Name::as_str)), hide_possible_values = true)]
     key: String,
-    /// Key file with the old key; nobody else may read it [default: it is asked for]
+    /// Key file with the old key; must not be readable by others [default: ask for it]
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
-    /// Key file with the new key; nobody else may read it [default: it is asked for, twice]
+    /// Key file with the new key; must not be readable by others [default: ask for it twice]
     #[arg(long, value_name = "FILE")]
     new_key_file: Option<PathBuf>,
 }
 
 impl Command {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let What::Change(change) = self.command;
+        let Action::Change(change) = self.command;
         print(&change.run()?);
         Ok(ExitCode::SUCCESS)
     }
 }
 
 impl Change {
-    /// What to print when it is done.
+    /// The text for a changed key.
     fn run(&self) -> Result<String> {
         let name = Name::ALL.into_iter().find(|name| name.as_str() == self.key);
-        let name = name.expect("clap took only names of keys");
+        let name = name.expect("clap accepts only names of keys");
         let path = self.gauge.join("gauge/keys");
         let subject = self.gauge.display().to_string();
         if !path.exists() {
@@ -85,7 +86,7 @@ impl Change {
         }
         let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
-        // Reserved at once: growing would leave copies behind that nobody wipes.
+        // Reserved at once: a string that grows leaves copies behind that are not wiped.
         let mut line = Zeroizing::new(String::with_capacity(LINE));
         for part in [word, " ", &old, " ", &new, "\n"] {
             line.push_str(part);
@@ -94,18 +95,18 @@ impl Change {
         let mut file = File::options()
             .write(true)
             .open(&path)
-            .map_err(|error| Error::io(path.display().to_string(), "cannot be written", &error))?;
+            .map_err(|error| Error::io(path.display().to_string(), "cannot write it", &error))?;
         let written = file.write(line.as_bytes());
-        // The daemon reads the next request into the same buffer, over the keys. It is a courtesy: where it
-        // fails nothing else does.
+        // The daemon reads its next request into the same buffer, so this overwrites the keys there. Its
+        // failure is harmless.
         let _ = file.write(" ".repeat(line.len()).as_bytes());
         match written {
             Ok(_) => Ok(format!(
-                "The {word} key is changed and was tried. The mount uses it now; before the next mount put the new\n\
-                 key into the key file, as the line `{} = ...`.\n",
+                "The {word} key is changed and was tested. The mount uses it now; before the next mount, put the\n\
+                 new key into the key file, as the line `{} = ...`.\n",
                 name.line()
             )),
-            // The daemon's own words, which say more than the errno does.
+            // last_error says more than the errno.
             Err(error) => match std::fs::read_to_string(self.gauge.join("gauge/last_error")) {
                 Ok(why) if !why.trim().is_empty() => Err(Error::host(subject, Errno::EIO, why.trim())),
                 _ => Err(Error::io(subject, "the key was not changed", &error)),
@@ -115,7 +116,7 @@ impl Change {
 
     /// The old key and the new one.
     fn keys(&self, name: Name, gauge: &str) -> Result<(Secret, Secret)> {
-        // A file that is refused is refused before anybody types.
+        // Both files are checked before anybody types a key.
         let of_file =
             |file: &Option<PathBuf>| file.as_deref().map(|file| of_file(file, name, gauge)).transpose();
         match (of_file(&self.key_file)?, of_file(&self.new_key_file)?) {
@@ -137,7 +138,7 @@ fn of_file(file: &Path, name: Name, gauge: &str) -> Result<Secret> {
     })
 }
 
-/// The terminal, which does not show what is typed while this is there.
+/// The terminal, without echo until this is dropped.
 struct Terminal {
     file: File,
     before: Termios,
@@ -146,7 +147,7 @@ struct Terminal {
 impl Terminal {
     fn open() -> Result<Self> {
         let failed = |error: std::io::Error| {
-            let what = "there is no terminal to ask for the key; give --key-file and --new-key-file";
+            let what = "there is no terminal to ask for the key; pass --key-file and --new-key-file";
             Error::io("/dev/tty", what, &error)
         };
         let mut options = File::options();
@@ -156,7 +157,7 @@ impl Terminal {
         let mut silent = before.clone();
         silent.local_flags.remove(LocalFlags::ECHO | LocalFlags::ISIG);
         silent.local_flags.insert(LocalFlags::ICANON | LocalFlags::ECHONL);
-        // Ctrl-C would leave the terminal silent. Here it ends a line instead, and the line tells.
+        // Ctrl-C would end the process and leave the echo off. It ends the line instead, and is found there.
         silent.control_chars[SpecialCharacterIndices::VEOL as usize] = INTERRUPT;
         tcsetattr(&file, SetArg::TCSAFLUSH, &silent).map_err(|errno| failed(errno.into()))?;
         Ok(Self { file, before })
@@ -172,7 +173,7 @@ impl Terminal {
         let length = self.file.read(&mut *line).map_err(failed)?;
         let line = &line[..length];
         if line.is_empty() || line.contains(&INTERRUPT) {
-            return Err(refuse("not given; nothing was changed"));
+            return Err(refuse("no key was typed; nothing was changed"));
         }
         let text = std::str::from_utf8(line).map_err(|_| refuse(name.form()))?;
         Secret::parse(name, text.trim()).ok_or_else(|| refuse(name.form()))
@@ -180,17 +181,17 @@ impl Terminal {
 
     fn ask_twice(&mut self, name: Name) -> Result<Secret> {
         let first = self.ask(name, "new")?;
-        if self.ask(name, "once more the new")? == first {
+        if self.ask(name, "repeat the new")? == first {
             return Ok(first);
         }
-        let why = "two different ones were typed; nothing was changed";
+        let why = "two different keys were typed; nothing was changed";
         Err(Error::new(format!("new {} key", name.as_str()), Cause::Invalid(why.into())))
     }
 }
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // A terminal that is gone needs no echo.
+        // If the terminal is gone, there is nothing to restore.
         let _ = tcsetattr(&self.file, SetArg::TCSAFLUSH, &self.before);
     }
 }

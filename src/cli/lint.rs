@@ -14,23 +14,23 @@ use crate::image::Image;
 use crate::mounted;
 
 const LINT: &str = "\
-No gauge is needed. A FlashStream is read as a gauge would; what writes firmware or anything
-else that is no documented parameter is refused with its line.
+No gauge is needed. A FlashStream is interpreted as a gauge would do it. A line that writes
+firmware, or anything else that is not a documented parameter, is reported as an error.
 
 Examples:
   gaugefs lint golden.gm.fs
   gaugefs lint --chip bq27441-g1 golden.gm.fs";
 
-/// Show what a configuration file would set, and what is wrong with it
+/// Check a configuration file and show what it would set
 #[derive(Args, Debug)]
 #[command(after_help = LINT)]
 pub(super) struct Lint {
-    /// A file of any format
+    /// Configuration file in any format that export writes
     file: PathBuf,
-    /// What it is for, where it does not tell
+    /// Chip to assume if the file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
-    /// Take bytes too that no manual documents
+    /// Also accept bytes that no manual documents
     #[arg(long)]
     raw: bool,
     /// Print JSON

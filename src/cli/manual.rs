@@ -1,7 +1,7 @@
 //! `gaugefs man`: the manual page that a package installs.
 //!
-//! The page is written by hand in `docs/gaugefs.1.in`; its commands and options are put in from the
-//! definitions that parse them.
+//! The page is written by hand in `docs/gaugefs.1.in`, except for the commands and options: they are
+//! generated from the definitions of the parser.
 
 use std::process::ExitCode;
 
@@ -26,10 +26,7 @@ impl Man {
     }
 }
 
-/// The manual page.
-///
-/// Its date is that of SOURCE_DATE_EPOCH, which whoever packages it sets, so that the page is the same
-/// each time.
+/// The page, dated by SOURCE_DATE_EPOCH, so that a package builds reproducibly.
 fn page(mut gaugefs: Command) -> String {
     gaugefs.build();
     let (mut synopsis, mut commands) = (Roff::new(), Roff::new());
@@ -47,7 +44,7 @@ fn page(mut gaugefs: Command) -> String {
         .replace("@COMMANDS@\n", &commands.to_roff())
 }
 
-/// A command's line of the synopsis, and its section.
+/// Adds a command to the synopsis and its section to the page.
 fn describe(command: &mut Command, synopsis: &mut Roff, section: &mut Roff) {
     let usage = command.render_usage().to_string();
     let usage = usage.strip_prefix("Usage: ").unwrap_or(&usage);
@@ -108,7 +105,7 @@ fn term(argument: &Arg) -> Vec<Inline> {
     term
 }
 
-/// What `--help` says, with the values there are and the default.
+/// The help text of an argument, with its possible values and default.
 fn explain(argument: &Arg) -> String {
     let mut text = argument.get_help().map(ToString::to_string).unwrap_or_default();
     let values = argument.get_possible_values();
@@ -124,7 +121,7 @@ fn explain(argument: &Arg) -> String {
     text
 }
 
-/// Paragraphs; indented lines are examples and stay as they are.
+/// Paragraphs. Indented lines are examples, which keep their line breaks.
 fn prose(text: &str, section: &mut Roff) {
     let is_example = |line: &&str| line.starts_with("  ");
     for paragraph in text.split("\n\n") {

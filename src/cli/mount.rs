@@ -1,4 +1,4 @@
-//! `gaugefs mount`, and `gaugefs attach`, which systemd's units run beside it.
+//! `gaugefs mount`, and `gaugefs attach`, which systemd's units run after it.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,20 +16,20 @@ Examples:
   gaugefs mount --sim bq34z100-g1 /tmp/gauges
   gaugefs mount --bus /dev/i2c-1 /run/gauges
   gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys /run/gauges
-  gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     beside the kernel's own supplies
+  gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     together with the kernel's supplies
   gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
 
-A gauge appears in MOUNTPOINT as the kernel shows a power supply: BAT0/voltage_now,
-BAT0/capacity and so on; its data flash in BAT0/df, all else in BAT0/gauge.";
+Each gauge is a folder in MOUNTPOINT with the files of a kernel power supply: BAT0/voltage_now,
+BAT0/capacity and so on. Its data flash is in BAT0/df, everything else in BAT0/gauge.";
 
-/// Mount gauges; returns once they are mounted and have been read
+/// Mount gauges; returns after the first poll
 #[derive(Args, Debug)]
 #[command(after_help = MOUNT, group = ArgGroup::new("gauges").required(true).multiple(true).args(["sim", "bus", "replay", "config"]))]
 pub(super) struct Mount {
-    /// Any number of gauges, as this file in TOML names them; with --bus, where those are that name none
+    /// TOML file that lists the gauges to mount; --bus applies to gauges that name none
     #[arg(long, value_name = "FILE", help_heading = "Gauge")]
     config: Option<PathBuf>,
-    /// Only read the configuration and say what it would mount
+    /// Check the configuration and print what it would mount, without mounting
     #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     check: bool,
     #[command(flatten)]
@@ -39,16 +39,16 @@ pub(super) struct Mount {
     /// Stay in the foreground and log to standard error
     #[arg(short, long, help_heading = "Running")]
     foreground: bool,
-    /// Leave the mounting to `gaugefs attach`, which systemd's unit runs as root
+    /// Leave mounting to `gaugefs attach`, which systemd's unit runs as root
     #[arg(long, hide = true, requires = "foreground")]
     service: bool,
 }
 
-/// Mount what a service serves; a step of systemd's units, with what the service is told
+/// Mount for a service; systemd's units run it as root, with the service's own options
 #[derive(Args, Debug)]
 #[command(hide = true)]
 pub(super) struct Attach {
-    /// The service's process
+    /// Process ID of the service
     #[arg(long)]
     pid: i32,
     #[command(flatten)]

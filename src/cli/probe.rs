@@ -1,4 +1,4 @@
-//! `gaugefs probe`: what answers on a bus.
+//! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`crate::probe`].
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Args;
+use nix::errno::Errno;
 use serde::Serialize;
 
 use super::{align, print, print_json};
@@ -18,22 +19,22 @@ use crate::error::{Error, Result};
 use crate::probe::{self, ROM_ADDRESS, Reading};
 
 const PROBE: &str = "\
-Without --address only registers are read, at 0x55 and for a gauge in ROM mode at 0x0b;
-that harms no other device. With --address, what reads like a gauge is asked who it is.
-An address that a kernel driver has is not touched.
+Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
+That is harmless to other devices. With --address, a device that reads like a gauge is also asked
+for its type. An address that a kernel driver uses is not touched.
 
 Examples:
   gaugefs probe --bus /dev/i2c-1
   gaugefs probe --bus /dev/i2c-1 --address 0x55";
 
-/// Look what answers on a bus, without harm to what is no gauge
+/// Scan a bus for gauges without disturbing other devices
 #[derive(Args, Debug)]
 #[command(after_help = PROBE)]
 pub(super) struct Probe {
     /// The I2C bus, such as /dev/i2c-1
     #[arg(long, value_name = "DEVICE")]
     bus: PathBuf,
-    /// Ask what is at this 7-bit address who it is
+    /// Identify the gauge at this 7-bit address
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
     address: Option<u8>,
     /// Print JSON
@@ -54,19 +55,19 @@ struct Found {
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
-    /// A gauge that has said which part it is, or may be one of a few parts.
+    /// A supported gauge, identified.
     Gauge,
-    /// It reads like a gauge and was not asked which.
+    /// Its registers read like a gauge's; it was not asked for its type.
     Maybe,
-    /// It may be a gauge in ROM mode.
+    /// Perhaps a gauge in ROM mode.
     Rom,
     /// A kernel driver is bound to the address.
     Driver,
-    /// Another process of gaugefs uses the gauge.
+    /// Another gaugefs uses it.
     Busy,
-    /// Not a gauge that gaugefs knows.
+    /// Any other device.
     Other,
-    /// No answer.
+    /// The address is not acknowledged.
     Nothing,
 }
 
@@ -82,8 +83,8 @@ impl Probe {
     pub(super) fn run(self) -> Result<ExitCode> {
         let adapter = Adapter::find(&self.bus)?;
         let found = match self.address {
-            Some(address) => vec![look(&adapter, address, true)?],
-            None => vec![look(&adapter, GAUGE_ADDRESS, false)?, look_for_rom(&adapter)?],
+            Some(address) => vec![examine(&adapter, address, true)?],
+            None => vec![examine(&adapter, GAUGE_ADDRESS, false)?, examine_rom(&adapter)?],
         };
         let any = found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing));
         if self.json {
@@ -96,33 +97,32 @@ impl Probe {
     }
 
     fn table(&self, adapter: &Adapter, found: &[Found]) -> String {
-        let mut rows = vec![["ADDRESS", "ANSWERS", "DETAILS"].map(String::from)];
+        let mut rows = vec![["ADDRESS", "DEVICE", "DETAILS"].map(String::from)];
         for found in found {
             let who = match found.state {
-                State::Nothing => "no".to_string(),
+                State::Nothing => "none".to_string(),
                 State::Gauge => found.chips.join(" or "),
                 State::Maybe => format!("maybe {}", found.chips.join(" or ")),
-                State::Rom => "a gauge in ROM mode?".to_string(),
-                State::Driver => "the kernel's".to_string(),
+                State::Rom => "maybe a gauge in ROM mode".to_string(),
+                State::Driver => "kernel driver".to_string(),
                 State::Busy => "in use".to_string(),
-                State::Other => "something else".to_string(),
+                State::Other => "other device".to_string(),
             };
             rows.push([format!("0x{:02x}", found.address), who, found.details.clone()]);
         }
         let mut table = align(&rows);
         if self.address.is_none() && found.iter().any(|found| found.state == State::Maybe) {
             // Writing to a String does not fail.
-            let _ = writeln!(table, "To ask it who it is: gaugefs probe --bus {adapter} --address 0x55");
+            let _ = writeln!(table, "To identify it: gaugefs probe --bus {adapter} --address 0x55");
         }
         table
     }
 }
 
-/// What is at an address; asked who it is only where the user has named it.
-fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
+/// What is at an address. Only one that the user has named is asked for its type.
+fn examine(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
-    if let Some(driver) = adapter.driver(address) {
-        let details = format!("driver {} ({}) has it; not touched", driver.name, driver.device);
+    if let Some(details) = driver(adapter, address) {
         return found(State::Driver, Vec::new(), details);
     }
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
@@ -133,19 +133,14 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     let plausible = match probe::candidates(&open, &clock).map_err(Error::from) {
         Ok(plausible) => plausible,
         Err(error) => match error.errno() {
-            nix::errno::Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
-            nix::errno::Errno::EBUSY => {
-                return found(State::Busy, Vec::new(), "another gaugefs has it".into());
-            }
+            Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
+            Errno::EBUSY => return found(State::Busy, Vec::new(), "another gaugefs uses it".into()),
             _ => return Err(error),
         },
     };
     let Some(first) = plausible.first() else {
-        return found(
-            State::Other,
-            Vec::new(),
-            "does not read like a gauge; nothing was written to it".into(),
-        );
+        let details = "its registers do not read like a gauge's; nothing was written to it";
+        return found(State::Other, Vec::new(), details.into());
     };
     let reads = reads(first);
     if !named {
@@ -154,46 +149,49 @@ fn look(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
     }
     let who = probe::identify(&plausible, &open, &clock)?;
     let answers = who.answers;
-    let told = format!(
+    let versions = format!(
         "device type 0x{:04x}, firmware 0x{:04x}, hardware 0x{:04x}",
         answers.device_type, answers.firmware_version, answers.hardware_version
     );
     let chips = who.chips.iter().map(|chip| chip.name).collect::<Vec<_>>();
     match who.sibling {
-        _ if !chips.is_empty() => found(State::Gauge, chips, format!("{told}; {reads}")),
+        _ if !chips.is_empty() => found(State::Gauge, chips, format!("{versions}; {reads}")),
         Some(sibling) => {
             let what = match sibling.like {
-                Some(like) => format!("mounts as a {}, without data flash", like.name),
+                Some(like) => format!("can be mounted as {}, without data flash", like.name),
                 None => "not supported".to_string(),
             };
-            found(State::Other, chips, format!("{told}: a {}; {what}", sibling.name))
+            found(State::Other, chips, format!("{versions}: {}; {what}", sibling.name))
         }
-        None => found(State::Other, chips, format!("{told}: no part that gaugefs knows")),
+        None => found(State::Other, chips, format!("{versions}: unknown part")),
     }
 }
 
-/// A gauge in ROM mode answers at an address of its own.
-fn look_for_rom(adapter: &Adapter) -> Result<Found> {
+/// A gauge in ROM mode answers at another address.
+fn examine_rom(adapter: &Adapter) -> Result<Found> {
     let address = ROM_ADDRESS;
-    let found =
-        |state, details: &str| Ok(Found { address, state, chips: Vec::new(), details: details.into() });
-    if let Some(driver) = adapter.driver(address) {
-        return found(
-            State::Driver,
-            &format!("driver {} ({}) has it; not touched", driver.name, driver.device),
-        );
+    let found = |state, details| Ok(Found { address, state, chips: Vec::new(), details });
+    if let Some(details) = driver(adapter, address) {
+        return found(State::Driver, details);
     }
     let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
     match probe::answers_in_rom(&mut bus) {
         Ok(true) => {
-            found(State::Rom, "a gauge whose flash was being programmed, unless another device lives there")
+            let details = "either a gauge whose firmware update was interrupted, or another device";
+            found(State::Rom, details.into())
         }
-        Ok(false) => found(State::Nothing, ""),
+        Ok(false) => found(State::Nothing, String::new()),
         Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}")).into()),
     }
 }
 
-/// What a person recognises a pack by.
+/// Names the kernel driver that is bound to an address.
+fn driver(adapter: &Adapter, address: u8) -> Option<String> {
+    let driver = adapter.driver(address)?;
+    Some(format!("the driver {} ({}) uses it; not touched", driver.name, driver.device))
+}
+
+/// The measurements by which a person recognises a pack.
 fn reads(reading: &Reading) -> String {
     let mut parts = Vec::new();
     let mut add = |role, show: &dyn Fn(f64) -> String| {

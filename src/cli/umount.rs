@@ -8,13 +8,13 @@ use clap::Args;
 use crate::daemon::mountpoint;
 use crate::error::Result;
 
-const UMOUNT: &str = "A mount whose daemon has died is taken away too.";
+const UMOUNT: &str = "It also removes a mount whose daemon has died.";
 
-/// Unmount; the gauge is let go
+/// Unmount and release the gauge
 #[derive(Args, Debug)]
 #[command(after_help = UMOUNT)]
 pub(super) struct Umount {
-    /// Folder that it is mounted at
+    /// Folder where gaugefs is mounted
     mountpoint: PathBuf,
 }
 

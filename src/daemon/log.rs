@@ -1,7 +1,7 @@
 //! Where log lines go: standard error, a file, or syslog.
 //!
-//! syslog is a datagram to `/dev/log` a line, with nothing kept open: it may be restarted at any time,
-//! and where there is none the line is lost.
+//! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart
+//! at any time. Without a syslog the line is lost.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -15,23 +15,23 @@ use log::{Level, Record};
 
 use crate::error::{Error, Result};
 
-/// RUST_LOG's default: gaugefs in brief, and its FUSE library only where something is wrong.
+/// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library.
 const FILTER: &str = "info,fuser=warn";
-/// syslog's number for daemons, times eight.
+/// syslog's facility `daemon`, in the upper bits of a priority.
 const DAEMON: u8 = 3 << 3;
 
-/// Where to.
+/// Where log lines go.
 #[derive(Clone, Copy, Debug)]
 pub enum Destination<'a> {
     /// Standard error, where systemd or a person adds the time.
     Stderr,
-    /// A file, each line with its time.
+    /// A file; every line begins with the time.
     File(&'a Path),
-    /// The system's log.
+    /// syslog.
     Syslog,
 }
 
-/// From now on log lines go there. What RUST_LOG names is logged, else all from info up.
+/// Starts to log. RUST_LOG selects what is logged; the default is everything from level info up.
 pub fn start(to: Destination<'_>) -> Result<()> {
     let mut builder = Builder::from_env(Env::default().default_filter_or(FILTER));
     match to {
@@ -55,11 +55,11 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             });
         }
     }
-    // A second logger in one process would be a mistake of gaugefs's own.
+    // It fails only if the process has a logger already.
     builder.try_init().map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
 }
 
-/// What stands before a line that is not just information.
+/// The prefix of a line: its level, unless that is info.
 fn word(record: &Record<'_>) -> &'static str {
     match record.level() {
         Level::Error => "error: ",
@@ -85,7 +85,7 @@ struct Syslog;
 impl Write for Syslog {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         let sent = UnixDatagram::unbound().and_then(|socket| {
-            // A syslog that does not read must not stop a gauge.
+            // A syslog that does not read must not block the daemon.
             socket.set_nonblocking(true)?;
             socket.send_to(line, "/dev/log")
         });

@@ -1,4 +1,4 @@
-//! `gaugefs log`: a gauge's history as CSV, a row for each poll.
+//! `gaugefs log`: records a gauge's history as CSV, one row per poll.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -15,35 +15,35 @@ use super::watch::{Seen, Watch};
 use crate::error::{Cause, Error, Result};
 
 const LOG: &str = "\
-A row is a poll of the gauge: looking more often gives no more rows, and costs the gauge nothing.
-An existing file is continued. While the gauge is away there is one row with empty fields.
-`gaugefs plot` draws the file.
+Each row is a poll that gaugefs makes anyway; logging causes no bus traffic. An existing file is
+continued. While the gauge is absent there is one row with empty fields. `gaugefs plot` draws the
+file.
 
 Examples:
   gaugefs log /run/gauges/BAT0 -o history.csv
   gaugefs log --interval 60 --count 1440 /run/gauges > day.csv";
 
-/// A row that is due so soon is written: the next poll may be far away.
+/// A row may be this early, because the next poll may be a long time away.
 const EARLY: Duration = Duration::from_millis(250);
 
-/// Write a mounted gauge's history as CSV
+/// Record the history of mounted gauges as CSV
 #[derive(Args, Debug)]
 #[command(after_help = LOG)]
 pub(crate) struct Log {
-    /// A mount point, or a mounted gauge's folder, such as /run/gauges/BAT0
+    /// Mount point, or folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// Least time between two rows [default: every poll]
+    /// Minimum time between two rows [default: every poll]
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     interval: Option<Duration>,
     /// File to write or to continue [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// End after so many rows
+    /// Stop after this many rows
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
 }
 
-/// What stands in a column: its name and unit, and its text for a gauge that is there.
+/// A column: its name and unit, and its text for a gauge that is present.
 type Column = (&'static str, fn(&Sample) -> Option<String>);
 
 const COLUMNS: [Column; 13] = [
@@ -76,7 +76,7 @@ fn plain(sample: &Sample, name: &str) -> Option<String> {
     sample.number(name).map(|value| value.to_string())
 }
 
-/// The first line: the moment of a poll in UTC, the gauge, and [`COLUMNS`].
+/// The first line: the time of the poll in UTC, the gauge, and [`COLUMNS`].
 fn header() -> Vec<&'static str> {
     ["time (UTC)", "gauge"].into_iter().chain(COLUMNS.iter().map(|(name, _)| *name)).collect()
 }
@@ -91,7 +91,7 @@ fn name(gauge: &Path) -> String {
     gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// What was written last of a gauge.
+/// The last row of a gauge.
 struct Last {
     gauge: PathBuf,
     moment: Option<Moment>,
@@ -104,21 +104,21 @@ impl Log {
         let watch = Watch::start(Some(&self.gauge), None)?;
         let mut known: Vec<Last> = Vec::new();
         let mut left = self.count.unwrap_or(u64::MAX);
-        let mut said = String::new();
+        let mut reported = String::new();
         for report in &watch.reports {
             match report.seen {
                 Seen::Sample(sample) => {
-                    said.clear();
+                    reported.clear();
                     left -= u64::from(self.sample(&mut out, &mut known, report.gauge, &sample)?);
                 }
-                // What was never there is a mistake; what has gone may come back.
+                // A gauge that has gone may come back; one that was never there is an error.
                 Seen::Trouble(why) if known.is_empty() => {
                     return Err(Error::host(self.gauge.display().to_string(), Errno::ENOENT, why));
                 }
                 Seen::Trouble(why) => {
-                    if said != why {
-                        eprintln!("gaugefs: {}: {why}; waiting for it", report.gauge.display());
-                        said = why;
+                    if reported != why {
+                        eprintln!("gaugefs: {}: {why}; waiting", report.gauge.display());
+                        reported = why;
                     }
                     for gone in known.iter_mut().filter(|last| last.moment.is_some()) {
                         gone.moment = None;
@@ -134,20 +134,20 @@ impl Log {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// Writes a row where there is something new to write; whether it did.
+    /// Writes a row if the sample is new; returns whether it did.
     fn sample(&self, out: &mut Out, known: &mut Vec<Last>, gauge: PathBuf, sample: &Sample) -> Result<bool> {
         let found = known.iter().position(|last| last.gauge == gauge);
         let writes = match found.map(|at| &known[at]) {
-            // It may have been written before the file was continued.
+            // A continued file may have this poll already.
             None => !out.has(&gauge, sample.time),
             Some(last) => {
-                let news = match (last.moment, sample.moment) {
-                    (Some(before), Some(now)) => !before.is(now),
+                let is_new = match (last.moment, sample.moment) {
+                    (Some(before), Some(now)) => !before.is_same_poll(now),
                     (before, now) => before.is_some() != now.is_some(),
                 };
                 let due = self.interval.is_none_or(|least| last.written.elapsed() + EARLY >= least);
-                // How long it was away is worth a row at any time.
-                news && (due || sample.moment.is_none() || last.moment.is_none())
+                // An absence is recorded regardless of the interval.
+                is_new && (due || sample.moment.is_none() || last.moment.is_none())
             }
         };
         if writes {
@@ -164,41 +164,41 @@ impl Log {
     }
 }
 
-/// Where rows go.
+/// The output.
 struct Out {
     name: String,
     to: Box<dyn Write>,
-    /// The reader has seen enough.
+    /// The reader has closed the pipe.
     closed: bool,
-    /// The header is still to be written, with the first row.
-    untitled: bool,
-    /// Gauge and time of the rows that were there before.
+    /// The header is written before the first row.
+    needs_header: bool,
+    /// Gauge and time of the last rows of a continued file.
     before: Vec<(String, Timestamp)>,
 }
 
 impl Out {
-    /// A new file gets a header; one with rows has to have the same.
+    /// Opens the output. An existing file must have the same header.
     fn open(path: Option<&PathBuf>) -> Result<Self> {
         let Some(path) = path else {
             let name = "standard output".to_string();
             let to = Box::new(io::stdout());
-            return Ok(Self { name, to, closed: false, before: Vec::new(), untitled: true });
+            return Ok(Self { name, to, closed: false, before: Vec::new(), needs_header: true });
         };
         let name = path.display().to_string();
         let file = File::options().read(true).append(true).create(true).open(path);
         let file = file.map_err(|error| Error::io(&name, "cannot write it", &error))?;
         let wrong = |why: &str| {
-            let why = format!("{why}; name another file, or move it away");
+            let why = format!("{why}; choose another file, or move this one away");
             Err(Error::new(&name, Cause::Invalid(why)))
         };
         let empty = file.metadata().is_ok_and(|status| status.len() == 0);
-        let (mut cut, mut before) = (false, Vec::new());
+        let (mut truncated, mut before) = (false, Vec::new());
         if !empty {
             let text = std::fs::read(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
             let mut reader = csv::Reader::from_reader(text.as_slice());
             match reader.headers() {
                 Ok(found) if found.iter().eq(header()) => {}
-                _ => return wrong("has other columns than these rows"),
+                _ => return wrong("its columns are not those that gaugefs log writes"),
             }
             before.extend(
                 reader
@@ -206,26 +206,26 @@ impl Out {
                     .flatten()
                     .filter_map(|row| Some((row.get(1)?.to_string(), row.get(0)?.parse().ok()?))),
             );
-            // Only the last poll can still be the present one.
+            // Only the last rows can be of the present poll.
             before.drain(..before.len().saturating_sub(100));
-            cut = text.last() != Some(&b'\n');
+            truncated = text.last() != Some(&b'\n');
         }
-        let mut out = Self { name, to: Box::new(file), closed: false, before, untitled: empty };
-        // A full disk or a lost power has cut the last row short.
-        if cut {
+        let mut out = Self { name, to: Box::new(file), closed: false, before, needs_header: empty };
+        // A full disk or a power cut has truncated the last row.
+        if truncated {
             out.line("\r\n".as_bytes())?;
         }
         Ok(out)
     }
 
-    /// Whether a poll is in the file that is continued.
+    /// Whether a continued file has this poll already.
     fn has(&self, gauge: &Path, time: Timestamp) -> bool {
         let same = |other: Timestamp| time.duration_since(other).abs() < SignedDuration::from_millis(250);
         self.before.iter().any(|(found, at)| *found == name(gauge) && same(*at))
     }
 
     fn write<T: AsRef<[u8]>>(&mut self, fields: &[T]) -> Result<()> {
-        if std::mem::take(&mut self.untitled) {
+        if std::mem::take(&mut self.needs_header) {
             self.write(&header())?;
         }
         let failed = |error: io::Error| Error::io(&self.name, "cannot write it", &error);
@@ -235,7 +235,7 @@ impl Out {
         self.line(&line)
     }
 
-    /// A whole row in one write, so that a file that is read meanwhile holds whole rows.
+    /// Writes a whole row at once, so that a reader of the file never sees half a row.
     fn line(&mut self, line: &[u8]) -> Result<()> {
         match self.to.write_all(line).and_then(|()| self.to.flush()) {
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => self.closed = true,

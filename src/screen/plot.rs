@@ -1,4 +1,4 @@
-//! `gaugefs plot`: draws what `gaugefs log` has written.
+//! `gaugefs plot`: draws a history that `gaugefs log` has recorded.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,31 +14,31 @@ mod table;
 mod ticks;
 
 const PLOT: &str = "\
-Columns with the same unit share a panel, and all panels share the time axis. Where the gauge was
-away the line has a gap.
+Columns with the same unit share a panel, and all panels share the time axis. A line has a gap
+where the gauge was absent.
 
 Examples:
   gaugefs plot history.csv -o history.svg
   gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.svg
   rsvg-convert history.svg -o history.png";
 
-/// Draw a history that `gaugefs log` has written
+/// Draw a history that `gaugefs log` has recorded, as SVG
 #[derive(Args, Debug)]
 #[command(after_help = PLOT)]
 pub(crate) struct Plot {
-    /// The CSV file
+    /// CSV file to draw
     file: PathBuf,
     /// SVG file to write [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// What to draw, by the names in the file's first line [default: voltage, current, capacity and
-    /// temperature, as far as they were logged]
+    /// Columns to draw, by their names in the first line of the file [default: voltage, current,
+    /// capacity and temperature, if they were recorded]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     columns: Vec<String>,
     /// Width in pixels
     #[arg(long, value_name = "PIXELS", default_value = "960", value_parser = clap::value_parser!(u16).range(320..=8000))]
     width: u16,
-    /// Height in pixels [default: by the number of panels]
+    /// Height in pixels [default: depends on the number of panels]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(160..=8000))]
     height: Option<u16>,
 }
@@ -53,15 +53,15 @@ impl Plot {
         let svg = svg::render(&scene);
         match self.output {
             Some(file) => std::fs::write(&file, svg)
-                .map_err(|error| Error::io(file.display().to_string(), "cannot be written", &error))?,
-            // A reader that has seen enough is no failure.
+                .map_err(|error| Error::io(file.display().to_string(), "cannot write it", &error))?,
+            // A closed pipe is not an error.
             None => drop(std::io::stdout().write_all(svg.as_bytes())),
         }
         Ok(ExitCode::SUCCESS)
     }
 }
 
-/// Refuses a file name that promises another format than SVG.
+/// Refuses a file name with the extension of another format.
 fn check_extension(file: &Path) -> Result<()> {
     let extension = file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let why = match extension.as_str() {

@@ -1,6 +1,6 @@
-//! One look at a mounted gauge: what the files of its folder say, all from one poll.
+//! One sample of a mounted gauge: the contents of its files, all from one poll.
 //!
-//! Only files are read that cost no transfer; data flash is not among them.
+//! It reads only files that cause no transfer, so no data flash.
 
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -12,37 +12,38 @@ use nix::errno::Errno;
 
 use crate::clock::{Clock, RealClock};
 
-/// The kernel's copies of the attributes follow a poll by a moment. Polls are at least 0.5 s apart.
+/// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
+/// apart.
 const SETTLED: Duration = Duration::from_millis(200);
-/// How often a poll may come in between before a look is taken as it is.
+/// Attempts to read all files between two polls before a mixed sample is accepted.
 const TRIES: u32 = 3;
-/// Less than what lies between two polls, more than what rounding an age to milliseconds takes.
+/// Less than the time between two polls, more than the rounding of an age to milliseconds.
 const SLACK: Duration = Duration::from_millis(100);
 
-/// What the files said.
+/// The values of one poll.
 #[derive(Clone, Debug)]
 pub(super) struct Sample {
-    /// When the poll was that all this is from; of a gauge that is gone, when it was looked at.
+    /// The time of the poll; for a gauge that is gone, the time of the sample.
     pub(super) time: Timestamp,
-    /// The same for telling polls apart; `None` while the gauge is gone.
+    /// The same time on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
     pub(super) moment: Option<Moment>,
     /// `gauge/age_ms`.
     pub(super) age: Option<Duration>,
     /// The attributes of `uevent`, by their file names.
     pub(super) attributes: Vec<(String, String)>,
-    /// Words of bits that the gauge itself sets, and the names of those that are set.
+    /// Status registers, and the names of the bits that are set in each.
     pub(super) words: Vec<(String, String)>,
-    /// `gauge/registers`, words of bits left out.
+    /// `gauge/registers`, except those in `words`.
     pub(super) registers: Vec<(String, i64)>,
-    /// `gauge/seal`, for who may read it.
+    /// `gauge/seal`, if the user may read it.
     pub(super) seal: Option<String>,
-    /// `gauge/poll_interval`, for who may read it.
+    /// `gauge/poll_interval`, if the user may read it.
     pub(super) interval: Option<Duration>,
     /// `gauge/last_error`.
     pub(super) last_error: String,
 }
 
-/// When a poll was, as closely as its age tells.
+/// The time of a poll, as exactly as its age gives it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
     earliest: Instant,
@@ -50,12 +51,12 @@ pub(super) struct Moment {
 }
 
 impl Moment {
-    /// Whether both are perhaps the same poll.
-    pub(super) fn is(self, other: Self) -> bool {
+    /// Whether both may be the same poll.
+    pub(super) fn is_same_poll(self, other: Self) -> bool {
         self.earliest <= other.latest + SLACK && other.earliest <= self.latest + SLACK
     }
 
-    /// A poll so many seconds after this one.
+    /// A poll this many seconds later.
     #[cfg(test)]
     pub(super) fn later(self, seconds: u32) -> Self {
         let time = Duration::from_secs(seconds.into());
@@ -64,7 +65,7 @@ impl Moment {
 }
 
 impl Sample {
-    /// Looks at a gauge's folder. Waits for a fraction of a second where a poll has just been.
+    /// Reads a gauge's folder. If there was a poll just now, it waits a fraction of a second first.
     pub(super) fn read(folder: &Path) -> io::Result<Self> {
         let mut tries = 0;
         loop {
@@ -76,7 +77,7 @@ impl Sample {
             let sample = Self::once(folder, before)?;
             let after = age(folder)?;
             let same = match (before, after) {
-                (Some((_, before)), Some((_, after))) => before.is(after),
+                (Some((_, before)), Some((_, after))) => before.is_same_poll(after),
                 (before, after) => before.is_none() && after.is_none(),
             };
             if same || tries == TRIES {
@@ -92,13 +93,13 @@ impl Sample {
         let uevent = fs::read_to_string(folder.join("uevent"))?;
         let attributes = uevent.lines().filter_map(|line| {
             let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
-            // A name may have a `_` of its own; in all else uevent has it for a space.
+            // uevent writes a space as `_`, but a name may contain a real one.
             let value = if name == "NAME" { value.to_string() } else { value.replace('_', " ") };
             Some((name.to_lowercase(), value))
         });
         let gauge = folder.join("gauge");
         let names = |folder: &Path| -> io::Result<Vec<String>> {
-            let Some(entries) = there(fs::read_dir(folder))? else { return Ok(Vec::new()) };
+            let Some(entries) = if_readable(fs::read_dir(folder))? else { return Ok(Vec::new()) };
             let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
             let mut names: Vec<_> = names.collect();
             names.sort();
@@ -107,7 +108,7 @@ impl Sample {
         let (mut words, mut registers) = (Vec::new(), Vec::new());
         let (files, all) = (names(&gauge)?, names(&gauge.join("registers"))?);
         for name in files.iter().filter(|name| *name == "control_status" || all.contains(name)) {
-            // What a person has configured is not news.
+            // Configuration bits do not change by themselves.
             if name.ends_with("config") || name.ends_with("configuration") {
                 continue;
             }
@@ -131,7 +132,7 @@ impl Sample {
         })
     }
 
-    /// What there is to say of a gauge whose mount has ended.
+    /// The sample of a gauge whose mount has ended.
     pub(super) fn absent() -> Self {
         Self {
             time: Timestamp::now(),
@@ -156,17 +157,17 @@ impl Sample {
         self.attribute(name)?.parse().ok()
     }
 
-    /// When the next poll can be looked at, where the gauge tells how often it is polled.
+    /// Time until the next poll can be read, if the poll interval is known.
     pub(super) fn next_poll(&self) -> Option<Duration> {
         Some(self.interval?.saturating_sub(self.age?) + SETTLED)
     }
 
-    /// Whether the gauge is there.
+    /// Whether the gauge is present.
     pub(super) fn present(&self) -> bool {
         self.attribute("present") == Some("1") && self.moment.is_some()
     }
 
-    /// `Status` as a person reads it.
+    /// `status`, or `absent`.
     pub(super) fn status(&self) -> String {
         match self.attribute("status") {
             Some(status) if self.present() => status.into(),
@@ -175,7 +176,7 @@ impl Sample {
     }
 }
 
-/// Age of the values now shown, and when their poll was.
+/// The age of the values, and the time of their poll.
 fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     let before = Instant::now();
     let Some(age) = text(&folder.join("gauge/age_ms"))?.and_then(|text| text.parse().ok()) else {
@@ -187,12 +188,13 @@ fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     Ok(moment.map(|(earliest, latest)| (age, Moment { earliest, latest })))
 }
 
-/// A file's one line; `None` where the value is not there now, or not for this user.
+/// A file's one line; `None` if the file does not exist now, or this user may not read it.
 fn text(path: &Path) -> io::Result<Option<String>> {
-    Ok(there(fs::read_to_string(path))?.map(|text| text.trim_end().to_string()))
+    Ok(if_readable(fs::read_to_string(path))?.map(|text| text.trim_end().to_string()))
 }
 
-fn there<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+/// `None` for a file that does not exist now, or that this user may not read.
+fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(value) => Ok(Some(value)),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => Ok(None),
@@ -201,7 +203,7 @@ fn there<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
-/// Millionths and tenths as decimals, exact, with at least so many places.
+/// An integer in units of 10^-`places` as an exact decimal with at least `least` places.
 pub(super) fn decimal(value: i64, places: usize, least: usize) -> String {
     let digits = format!("{:0width$}", value.unsigned_abs(), width = places + 1);
     let (whole, fraction) = digits.split_at(digits.len() - places);
@@ -226,13 +228,13 @@ mod tests {
     }
 
     #[test]
-    fn two_looks_at_one_poll_are_one_poll() {
+    fn two_samples_of_one_poll_are_recognised() {
         let now = Instant::now();
         let at = |ms: u64| Moment {
             earliest: now + Duration::from_millis(ms),
             latest: now + Duration::from_millis(ms + 3),
         };
-        assert!(at(10).is(at(12)) && at(12).is(at(10)));
-        assert!(!at(0).is(at(500)) && !at(500).is(at(0)));
+        assert!(at(10).is_same_poll(at(12)) && at(12).is_same_poll(at(10)));
+        assert!(!at(0).is_same_poll(at(500)) && !at(500).is_same_poll(at(0)));
     }
 }

@@ -1,10 +1,10 @@
-//! Fewer points where a picture cannot show them all.
+//! Reduces a line to the points that a picture can show.
 
 /// A time and a value.
 pub(super) type Point = (f64, f64);
 
-/// A line with at most three points in each of so many columns: least, largest and last, so that no peak
-/// is lost.
+/// Keeps at most three points in each column: the smallest, the largest and the last, so that no peak is
+/// lost.
 pub(super) fn thin(line: &[Point], from: f64, span: f64, columns: usize) -> Vec<Point> {
     let mut thinned = Vec::new();
     let mut column: Option<Column> = None;
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_too_fine_keeps_its_peaks() {
+    fn a_dense_line_keeps_its_peaks() {
         let line: Vec<_> =
             (0..10_000).map(|at| (f64::from(at), if at == 5000 { 9.0 } else { f64::from(at % 2) })).collect();
         let thinned = thin(&line, 0.0, 10_000.0, 100);
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_coarse_stays_as_it_is() {
+    fn a_sparse_line_is_unchanged() {
         let line = [(0.0, 1.0), (3.0, 2.0), (7.0, 1.5)];
         assert_eq!(thin(&line, 0.0, 10.0, 100), line);
     }

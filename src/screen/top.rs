@@ -1,7 +1,7 @@
-//! `gaugefs top`: a screen of all gauges that are mounted, or the same as JSON, a line each.
+//! `gaugefs top`: a live screen of all mounted gauges, or the same as JSON lines.
 //!
-//! Only files are read that cost no transfer. Data flash is read when a key asks for it, and while the
-//! gauge is found unsealed and what it has learned is on the screen, once a minute.
+//! It reads only files that cause no transfer. It reads data flash when a key asks for it, and once a minute
+//! while the gauge is unsealed anyway and the screen shows the learned values.
 
 use std::collections::BTreeMap;
 use std::io::{self, IsTerminal, Write};
@@ -29,28 +29,30 @@ mod tests;
 
 const TOP: &str = "\
 Keys: q quit, arrows or tab select a gauge, v i c t quantity, + - time span, l learning,
-p pause, r poll now, ? help. Looking costs the gauge nothing: only files are read that come
-from polls. Data flash is read when d is pressed, which unseals a sealed gauge and seals it
-again, and by itself only while the gauge is found unsealed and l shows it.
+p pause, r poll now, d read data flash, ? help.
+
+Watching causes no bus traffic: the values come from the polls of the mount. Only the learned
+values are read from data flash: when d is pressed, which unseals a sealed gauge and seals it
+again, and once a minute while l shows them and the gauge is unsealed anyway.
 
 Examples:
   gaugefs top
   gaugefs top /run/gauges/BAT0
   gaugefs top --json --interval 10 --count 6";
 
-/// Show all mounted gauges and their history
+/// Show mounted gauges and their history on a live screen
 #[derive(Args, Debug)]
 #[command(after_help = TOP)]
 pub(crate) struct Top {
-    /// A mount point, or a mounted gauge's folder [default: all that gaugefs has mounted]
+    /// Mount point, or folder of a mounted gauge [default: all mounted gauges]
     gauge: Option<PathBuf>,
-    /// Print JSON instead, an object a line for each gauge and look
+    /// Print JSON instead, one object per line for each gauge and interval
     #[arg(long)]
     json: bool,
-    /// Time between two looks
+    /// Time between two updates
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = super::seconds)]
     interval: Duration,
-    /// End after so many objects of each gauge
+    /// Stop after this many objects for each gauge
     #[arg(long, value_name = "N", requires = "json", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
 }
@@ -59,7 +61,7 @@ impl Top {
     pub(super) fn run(self) -> Result<ExitCode> {
         let terminal = io::stdout().is_terminal() && io::stdin().is_terminal();
         if !(self.json || terminal) {
-            let why = "not a terminal; for a program there is --json";
+            let why = "not a terminal; use --json in a program";
             return Err(Error::host("standard output", Errno::ENOTTY, why));
         }
         let watch = Watch::start(self.gauge.as_deref(), Some(self.interval))?;
@@ -72,15 +74,15 @@ impl Top {
 
     fn stream(&self, mut watch: Watch) -> Result<ExitCode> {
         let mut printed: Vec<(PathBuf, u64)> = Vec::new();
-        let mut looked = Instant::now();
+        let mut searched = Instant::now();
         loop {
             let Ok(report) = watch.reports.recv_timeout(self.interval) else {
-                watch.look_for_mounts()?;
+                watch.find_mounts()?;
                 continue;
             };
-            if looked.elapsed() >= self.interval {
-                looked = Instant::now();
-                watch.look_for_mounts()?;
+            if searched.elapsed() >= self.interval {
+                searched = Instant::now();
+                watch.find_mounts()?;
             }
             let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
             let path = report.gauge.display().to_string();
@@ -104,14 +106,14 @@ impl Top {
             let mut out = io::stdout().lock();
             match writeln!(out, "{line}").and_then(|()| out.flush()) {
                 Ok(()) => {}
-                // The reader has seen enough.
+                // The reader has closed the pipe.
                 Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(ExitCode::SUCCESS),
                 Err(error) => return Err(Error::io("standard output", "cannot write to it", &error)),
             }
-            // Every mount has been heard of, and every gauge often enough.
-            let heard = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));
+            // Every mount has reported, and every gauge often enough.
+            let has_reported = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));
             let enough = self.count.is_some_and(|count| printed.iter().all(|(_, done)| *done >= count));
-            if enough && watch.roots.iter().all(heard) {
+            if enough && watch.roots.iter().all(has_reported) {
                 return Ok(ExitCode::SUCCESS);
             }
         }

@@ -1,7 +1,7 @@
-//! Looks at mounted gauges again and again, from a thread for each mount.
+//! Samples mounted gauges repeatedly, in one thread per mount.
 //!
-//! A file of a mount whose daemon hangs blocks who reads it, perhaps for ever. So nobody else touches
-//! them: who watches sees that a mount has not been heard of.
+//! If a daemon hangs, a read of its files blocks, perhaps for ever. So only these threads read them; their
+//! owner notices that a mount has stopped reporting.
 
 use std::fs;
 use std::io::{self, ErrorKind, Write};
@@ -16,36 +16,36 @@ use crate::chip::{CHIPS, Parameter, Subclass, kebab_case};
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 
-/// Where Impedance Track and its relatives keep what they have learned, in TI's words.
+/// TI's name for the subclass with the values that a gauge has learned.
 const STATE: &str = "State";
-/// How often it is looked whether there was a poll, where the gauge does not say when the next is due.
-const LOOK: Duration = Duration::from_secs(1);
+/// Time between two samples if the time of the next poll is not known.
+const INTERVAL: Duration = Duration::from_secs(1);
 
-/// What a thread is asked to do besides looking.
+/// What a thread can be asked to do.
 pub(super) enum Order {
     /// Poll this gauge now, through `gauge/refresh`.
     Refresh(PathBuf),
-    /// Read what this gauge has learned from data flash.
+    /// Read the learned values of this gauge from data flash.
     ReadLearned(PathBuf),
 }
 
-/// What a thread has seen.
+/// What a thread reports.
 pub(super) struct Report {
-    /// Where it looks, as an index of [`Watch::roots`].
+    /// The mount, as an index of [`Watch::roots`].
     pub(super) root: usize,
-    /// A gauge's folder; the root itself where there was none to be seen.
+    /// A gauge's folder; the root itself if there is no gauge in it.
     pub(super) gauge: PathBuf,
     pub(super) seen: Seen,
 }
 
-/// What there was to be seen.
+/// The contents of a report.
 pub(super) enum Seen {
     Sample(Box<Sample>),
-    /// Nothing, for this reason.
+    /// There is no sample, for this reason.
     Trouble(String),
     /// The outcome of [`Order::ReadLearned`].
     Learned(Result<Vec<Learned>, String>),
-    /// An order that could not be followed.
+    /// Why an order failed.
     Refused(String),
 }
 
@@ -57,12 +57,12 @@ pub(super) struct Learned {
     pub(super) unit: &'static str,
 }
 
-/// The threads.
+/// The threads and the channels to them.
 pub(super) struct Watch {
-    /// What is looked at: mount points, or what the user named.
+    /// What is watched: mount points, or the folder that the user named.
     pub(super) roots: Vec<PathBuf>,
     orders: Vec<Sender<Order>>,
-    /// What they have seen.
+    /// Where the reports of all threads arrive.
     pub(super) reports: Receiver<Report>,
     sender: Sender<Report>,
     every: Option<Duration>,
@@ -70,26 +70,26 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Looks at a mount point or a gauge's folder, or at whatever gaugefs is mounted; so often, or else once
-    /// after each poll.
+    /// Watches a mount point or a gauge's folder, or else every gaugefs that is mounted. Without an interval,
+    /// it takes one sample after each poll.
     pub(super) fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
         let (roots, orders) = (Vec::new(), Vec::new());
         let mut watch = Self { roots, orders, reports, sender, every, named: named.is_some() };
         match named {
-            // Not asked for what is at its end: that may hang.
+            // Symbolic links are not resolved: that may hang.
             Some(path) => watch.add(std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf()))?,
-            None => watch.look_for_mounts()?,
+            None => watch.find_mounts()?,
         }
         if watch.roots.is_empty() {
-            let why = "no gaugefs is mounted; mount one: gaugefs mount --help";
+            let why = "no gaugefs is mounted; to mount one, see: gaugefs mount --help";
             return Err(Error::host("", Errno::ENOENT, why));
         }
         Ok(watch)
     }
 
-    /// Mounts that have come since, unless the user named one.
-    pub(super) fn look_for_mounts(&mut self) -> Result<()> {
+    /// Adds new mounts, unless the user named one.
+    pub(super) fn find_mounts(&mut self) -> Result<()> {
         if self.named {
             return Ok(());
         }
@@ -107,32 +107,32 @@ impl Watch {
         let thread = path.clone();
         std::thread::Builder::new()
             .stack_size(256 * 1024)
-            .spawn(move || attend(root, &thread, every, &received, &reports))
+            .spawn(move || watch(root, &thread, every, &received, &reports))
             .map_err(|error| Error::io("", "cannot start a thread", &error))?;
         self.roots.push(path);
         self.orders.push(orders);
         Ok(())
     }
 
-    /// Asks for something; what comes of it is a report.
+    /// Gives an order. Its result is a report.
     pub(super) fn order(&self, root: usize, order: Order) {
-        // A thread ends only with the watch.
+        // It cannot fail: the threads end only with the watch.
         let _ = self.orders[root].send(order);
     }
 }
 
-/// Looks, follows orders, looks again, until nobody listens any more.
-fn attend(
+/// Takes samples and follows orders until the reports have no receiver.
+fn watch(
     root: usize,
     path: &Path,
     every: Option<Duration>,
     orders: &Receiver<Order>,
     reports: &Sender<Report>,
 ) {
-    let tell = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
+    let report = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
     loop {
-        let mut next = LOOK;
-        let heard = match gauges(path) {
+        let mut next = INTERVAL;
+        let listening = match gauges(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
                 let seen = match Sample::read(gauge) {
                     Ok(sample) => {
@@ -143,21 +143,23 @@ fn attend(
                     }
                     Err(error) => Seen::Trouble(trouble(path, &error)),
                 };
-                tell(gauge, seen)
+                report(gauge, seen)
             }),
-            Err(error) => tell(path, Seen::Trouble(trouble(path, &error))),
+            Err(error) => report(path, Seen::Trouble(trouble(path, &error))),
         };
-        let heard = heard
+        let listening = listening
             && match orders.recv_timeout(every.unwrap_or(next)) {
                 Ok(Order::Refresh(gauge)) => match refresh(&gauge) {
                     Ok(()) => true,
-                    Err(error) => tell(&gauge, Seen::Refused(format!("refresh: {}", said(&gauge, &error)))),
+                    Err(error) => {
+                        report(&gauge, Seen::Refused(format!("refresh: {}", refusal(&gauge, &error))))
+                    }
                 },
-                Ok(Order::ReadLearned(gauge)) => tell(&gauge, Seen::Learned(learned(&gauge))),
+                Ok(Order::ReadLearned(gauge)) => report(&gauge, Seen::Learned(learned(&gauge))),
                 Err(RecvTimeoutError::Timeout) => true,
                 Err(RecvTimeoutError::Disconnected) => false,
             };
-        if !heard {
+        if !listening {
             return;
         }
     }
@@ -179,7 +181,7 @@ fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
 fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
-            format!("its daemon is gone; take it away with: gaugefs umount {}", root.display())
+            format!("its daemon has died; remove the mount with: gaugefs umount {}", root.display())
         }
         None | Some(Errno::ENOENT) => "not mounted".into(),
         Some(errno) => errno.desc().to_string(),
@@ -190,10 +192,10 @@ fn refresh(gauge: &Path) -> io::Result<()> {
     fs::File::options().write(true).open(gauge.join("gauge/refresh"))?.write_all(b"1\n")
 }
 
-/// What a write was refused for.
-fn said(gauge: &Path, error: &io::Error) -> String {
+/// Why a write was refused.
+fn refusal(gauge: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::EACCES) => "only the mount's owner may".into(),
+        Some(Errno::EACCES) => "only the owner of the mount may do this".into(),
         Some(Errno::EROFS) => "mounted read-only".into(),
         errno => {
             let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
@@ -203,9 +205,9 @@ fn said(gauge: &Path, error: &io::Error) -> String {
     }
 }
 
-/// The parameters of a part in which the state of learning shows: what it rewrites itself of TI's
-/// subclass State. Rows whose address is not sure would show a wrong number.
-pub(super) fn state_of_learning(model: &str) -> Vec<(&'static Subclass, &'static Parameter, PathBuf)> {
+/// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
+/// Parameters whose address is uncertain are left out.
+pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, PathBuf)> {
     let Some(chip) = CHIPS.iter().find(|chip| chip.model == model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
     let rows = states.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
@@ -217,22 +219,22 @@ pub(super) fn state_of_learning(model: &str) -> Vec<(&'static Subclass, &'static
         .collect()
 }
 
-/// Reads them. They are of one subclass: one visit to the gauge, which unseals it where it is sealed.
+/// Reads the learned parameters. They are in one subclass, so a sealed gauge is unsealed only once.
 fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
     let uevent = fs::read_to_string(gauge.join("uevent")).unwrap_or_default();
     let model =
         uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME=")).unwrap_or_default();
-    let rows = state_of_learning(model);
+    let rows = learned_parameters(model);
     if rows.is_empty() {
-        return Err("no parameter of this part is known to show it".into());
+        return Err("no learned parameter of this part is known".into());
     }
     let mut values = Vec::new();
     for (_, row, place) in rows {
         let value = fs::read_to_string(gauge.join(place)).map_err(|error| {
             match error.raw_os_error().map(Errno::from_raw) {
                 Some(Errno::EPERM) => "sealed: no key".into(),
-                Some(Errno::EACCES) => "only the mount's owner may read data flash".into(),
-                _ => said(gauge, &error),
+                Some(Errno::EACCES) => "only the owner of the mount may read data flash".into(),
+                _ => refusal(gauge, &error),
             }
         })?;
         values.push(Learned { name: row.name, value: value.trim_end().to_string(), unit: row.unit });
@@ -245,9 +247,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_that_learns_shows_it() {
+    fn parts_that_learn_have_learned_parameters() {
         let names = |model| {
-            let rows = state_of_learning(model);
+            let rows = learned_parameters(model);
             rows.iter().map(|(_, row, _)| row.name).collect::<Vec<_>>()
         };
         for model in ["bq34z100-G1", "bq27441-G1", "BQ27427"] {
@@ -256,9 +258,9 @@ mod tests {
         }
         assert_eq!(names("bq34110"), ["Learned Full Charge Capacity"]);
         assert!(names("unheard-of").is_empty());
-        // One visit to the gauge reads them all.
+        // All are in one subclass, so that one unsealing is enough.
         for chip in CHIPS {
-            let rows = state_of_learning(chip.model);
+            let rows = learned_parameters(chip.model);
             assert!(rows.iter().all(|(subclass, ..)| std::ptr::eq(*subclass, rows[0].0)), "{}", chip.name);
         }
     }

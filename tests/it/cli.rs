@@ -1,7 +1,7 @@
-//! The command line as its users meet it: what it prints, its exit codes, and the life of a mount.
+//! The command line: what it prints, its exit codes, and the life of a mount.
 //!
-//! What is printed is compared with the files in `golden/`. After a change that is meant, run the tests
-//! once with GAUGEFS_GOLDEN=write and look at the difference before it is committed.
+//! The output is compared with the files in `golden/`. After an intended change, run the tests once with
+//! GAUGEFS_GOLDEN=write and read the difference before you commit it.
 
 use std::fmt::Write as _;
 use std::fs::{self, Permissions};
@@ -20,7 +20,7 @@ mod watching;
 
 pub(crate) const CHIP: &str = "bq34z100-g1";
 
-/// A run that has ended.
+/// The result of a run.
 pub(crate) struct Ran {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
@@ -52,7 +52,7 @@ impl Ran {
         self.out
     }
 
-    /// Failed with exit code 1 and one line that begins with `gaugefs: ` and says all of `words`.
+    /// Checks for exit code 1 and one line that begins with `gaugefs: ` and contains all of `words`.
     #[track_caller]
     pub(crate) fn failed(self, words: &[&str]) {
         assert_eq!(self.code, Some(1), "{}{}", self.out, self.err);
@@ -65,7 +65,7 @@ impl Ran {
     }
 }
 
-/// Compares what the command lines print, and their exit codes, with a file of `golden/`.
+/// Compares the output and exit codes of command lines with a file of `golden/`.
 #[track_caller]
 fn golden(name: &str, lines: &[&str]) {
     let mut now = String::new();
@@ -80,13 +80,13 @@ fn golden(name: &str, lines: &[&str]) {
     let then = fs::read_to_string(&path).unwrap_or_default();
     assert!(
         now == then,
-        "{}: other output; where it is meant, GAUGEFS_GOLDEN=write cargo test\n{now}",
+        "{}: the output differs; if that is intended, GAUGEFS_GOLDEN=write cargo test\n{now}",
         path.display()
     );
 }
 
 #[test]
-fn help_is_for_people() {
+fn help_texts() {
     golden(
         "help",
         &[
@@ -96,6 +96,7 @@ fn help_is_for_people() {
             "probe --help",
             "chips --help",
             "export --help",
+            "import --help",
             "diff --help",
             "lint --help",
             "auth --help",
@@ -116,7 +117,7 @@ fn chips_are_listed() {
 }
 
 #[test]
-fn misuse_is_told_apart() {
+fn misuse_has_exit_code_2() {
     golden(
         "misuse",
         &[
@@ -166,7 +167,7 @@ fn misuse_is_told_apart() {
 }
 
 #[test]
-fn what_cannot_be_done_is_said_with_its_remedy() {
+fn failures_say_what_to_do() {
     gaugefs(&["probe", "--bus", "/dev/i2c-999"]).failed(&["/dev/i2c-999: no such bus"]);
     gaugefs(&["probe", "--bus", "/dev/null"]).failed(&["/dev/null: not an I2C bus"]);
     gaugefs(&["mount", "--bus", "/dev/i2c-999", "/tmp/x"]).failed(&["no such bus"]);
@@ -178,11 +179,11 @@ fn what_cannot_be_done_is_said_with_its_remedy() {
 }
 
 #[test]
-fn a_bus_without_permission_is_refused_with_the_group_that_has_it() {
+fn a_bus_without_permission_names_the_group_to_join() {
     use std::os::unix::process::CommandExt;
     let folder = Folder::new();
     let (node, program) = (folder.file("i2c-250"), folder.file("gaugefs"));
-    // An adapter that no machine has: the mode is judged before anybody misses it.
+    // An adapter that no machine has: the mode is checked before the adapter is opened.
     let device = nix::sys::stat::makedev(89, 250);
     let mode = nix::sys::stat::Mode::from_bits_truncate(0o660);
     let made = nix::sys::stat::mknod(node.as_str(), nix::sys::stat::SFlag::S_IFCHR, mode, device);
@@ -190,7 +191,7 @@ fn a_bus_without_permission_is_refused_with_the_group_that_has_it() {
         eprintln!("SKIPPED: no device node can be made without root; no forbidden bus was probed");
         return;
     }
-    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that anybody may run");
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that any user may run");
     for (gid, says) in [(0, "no permission; run gaugefs as root"), (1, "join the group daemon")] {
         std::os::unix::fs::chown(&node, Some(0), Some(gid)).expect("its group");
         for arguments in [&["probe", "--bus", &node][..], &["mount", "--bus", &node, &folder.file("m")]] {
@@ -205,8 +206,8 @@ fn a_bus_without_permission_is_refused_with_the_group_that_has_it() {
 }
 
 #[test]
-fn what_a_file_would_set_is_shown() {
-    // The golden file names the samples as they are named from the package's folder.
+fn lint_and_diff_of_files() {
+    // The golden file has the paths of the samples relative to the folder of the package.
     golden(
         "images",
         &[
@@ -232,7 +233,7 @@ fn what_a_file_would_set_is_shown() {
 }
 
 #[test]
-fn an_export_shows_no_difference_to_its_gauge() {
+fn an_export_equals_its_gauge() {
     if !can_mount() {
         return;
     }
@@ -263,7 +264,7 @@ fn an_export_shows_no_difference_to_its_gauge() {
 }
 
 #[test]
-fn a_difference_to_a_gauge_is_told() {
+fn diff_shows_what_a_gauge_has_changed() {
     if !can_mount() {
         return;
     }
@@ -279,7 +280,7 @@ fn a_difference_to_a_gauge_is_told() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Gives some proven rows, of many classes, values that are neither defaults nor limits.
+/// Changes some parameters of many classes to values that are neither defaults nor limits.
 fn change_some(gauge: &str, chip: &'static Chip) {
     let mut lines = String::from("begin\n");
     for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
@@ -299,13 +300,13 @@ fn change_some(gauge: &str, chip: &'static Chip) {
     wrote.unwrap_or_else(|error| panic!("{}: {error}: {why:?}", chip.name));
 }
 
-/// All bytes of data flash that may be read, as text.
+/// All parameters that can be read, as text.
 fn all_of(gauge: &str) -> String {
     fs::read_to_string(format!("{gauge}/df/index")).expect("df/index")
 }
 
 #[test]
-fn an_import_makes_one_gauge_like_another() {
+fn an_import_makes_one_gauge_equal_to_another() {
     if !can_mount() {
         return;
     }
@@ -338,7 +339,7 @@ fn an_import_makes_one_gauge_like_another() {
 }
 
 #[test]
-fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
+fn an_import_excludes_groups_and_is_all_or_nothing() {
     if !can_mount() {
         return;
     }
@@ -358,7 +359,7 @@ fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
     assert_eq!(some, all);
     write("[it-cfg]\ncell-terminate-voltage = 3100\nra-filter = 2000\n");
     gaugefs(&["import", &gauge, &file]).failed(&[&file, "line "]);
-    // The reserved bits are known to the gauge's owner only.
+    // Only the daemon knows which reserved bits the gauge has set.
     write("[it-cfg]\ncell-terminate-voltage = 3100\n[registers]\npack-configuration = 0xffff\n");
     gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "Pack Configuration"]);
     gaugefs(&["import", &gauge, "tests/it/images/pack.toml"]).failed(&["pack.toml", "bq27441-G1"]);
@@ -371,15 +372,15 @@ fn an_import_leaves_out_what_it_is_told_and_refuses_as_a_whole() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Who looks at the file while somebody else's commit is in it sees the blocks counted, and waits for nothing.
+/// Another process that reads the file during a commit sees the progress, without waiting.
 #[test]
-fn a_commit_shows_how_far_it_is() {
+fn a_commit_shows_its_progress() {
     if !can_mount() {
         return;
     }
     let folder = Folder::new();
     let at = folder.file("m");
-    // It programs a block in a third of a second.
+    // It takes a third of a second to program a block.
     let chip = Chip::by_name("bq27520-g3").expect("a chip");
     gaugefs(&["mount", "--sim", chip.name, "--allow-unproven", &at]).done();
     let gauge = format!("{at}/BAT0");
@@ -400,8 +401,8 @@ fn a_commit_shows_how_far_it_is() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Bytes between the parameters: the registers of a bq27427 have some, and are exported as they are. A
-/// checksum of the file is that of the whole block.
+/// The registers of a bq27427 have bytes that belong to no parameter, and these are exported unchanged. The
+/// checksum in the file is that of the whole block.
 #[test]
 fn bytes_without_a_parameter_are_imported_on_request() {
     if !can_mount() {
@@ -435,7 +436,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
     gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: a BQ27427 has no subclass 83", "--raw"]);
     let shown = gaugefs(&["import", "--raw", "--dry-run", &gauge, chemistry]).done();
     assert!(shown.starts_with("raw 83/0: - -> 2011"), "{shown}");
-    // The mode that writes firmware is refused whatever is asked for.
+    // The mode that writes firmware is always refused.
     fs::write(&file, text + "W: AA 00 00 0F\n").expect("a file");
     for command in [&["import", "--raw", &gauge, &file][..], &["lint", "--raw", &file]] {
         gaugefs(command).failed(&["Control(ROM_MODE)"]);
@@ -460,7 +461,7 @@ fn a_key_file_that_others_may_read_is_refused() {
     assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
 }
 
-/// A temporary folder; mounts in it end with it.
+/// A temporary folder. Dropping it unmounts what is mounted in it.
 pub(crate) struct Folder(pub(crate) PathBuf);
 
 impl Folder {
@@ -562,14 +563,14 @@ fn mount_makes_the_folder_and_returns_when_the_gauge_can_be_read() {
 }
 
 #[test]
-fn nothing_of_the_caller_is_kept_in_the_background() {
+fn the_daemon_keeps_no_descriptor_of_the_caller() {
     if !can_mount() {
         return;
     }
     let folder = Folder::new();
     let at = folder.file("m");
-    // `output` in `gaugefs` returns only when nobody holds the pipes any more; so does `cat` here, with
-    // a pipe that the daemon was never told of.
+    // `output` in `gaugefs` returns only when no process has the pipes open any more. So does `cat` here, with
+    // a pipe on a descriptor that the daemon does not know.
     let script = format!("{} mount --sim {CHIP} '{at}' 7>&1 | cat", env!("CARGO_BIN_EXE_gaugefs"));
     let status = Command::new("timeout").args(["10", "sh", "-c", &script]).status().expect("a shell");
     assert!(status.success());
@@ -577,7 +578,7 @@ fn nothing_of_the_caller_is_kept_in_the_background() {
 }
 
 #[test]
-fn signals_and_an_unmount_from_outside_end_the_daemon() {
+fn signals_and_an_unmount_end_the_daemon() {
     if !can_mount() {
         return;
     }
@@ -595,7 +596,7 @@ fn signals_and_an_unmount_from_outside_end_the_daemon() {
 }
 
 #[test]
-fn a_mount_in_use_is_not_torn_away_but_a_signal_ends_it() {
+fn a_mount_in_use_is_not_unmounted_but_a_signal_ends_it() {
     if !can_mount() {
         return;
     }
@@ -612,7 +613,7 @@ fn a_mount_in_use_is_not_torn_away_but_a_signal_ends_it() {
 }
 
 #[test]
-fn what_a_killed_daemon_leaves_behind_is_cleared_away() {
+fn the_mount_of_a_killed_daemon_is_removed() {
     if !can_mount() {
         return;
     }
@@ -633,9 +634,9 @@ fn what_a_killed_daemon_leaves_behind_is_cleared_away() {
     gaugefs(&["umount", &at]).failed(&["no gaugefs is mounted there"]);
 }
 
-/// The daemon of a mount that was taken away used to unmount the path once more on its way out.
+/// A daemon whose mount was removed must not unmount the path again when it ends.
 #[test]
-fn regression_an_ending_daemon_leaves_the_next_mount_alone() {
+fn regression_an_ending_daemon_does_not_unmount_the_next_mount() {
     if !can_mount() {
         return;
     }
@@ -643,7 +644,7 @@ fn regression_an_ending_daemon_leaves_the_next_mount_alone() {
     let at = folder.file("m");
     let mut first = Foreground::new(&at, &[]);
     first.send(Signal::SIGSTOP);
-    // Not by gaugefs, which asks the daemon whether it is alive.
+    // Not with gaugefs, which waits for an answer of the daemon.
     let unmounted = Command::new("fusermount3").args(["-u", &at]).status().expect("fusermount3 runs");
     assert!(unmounted.success());
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
@@ -692,13 +693,13 @@ fn a_mains_supply_follows_the_gauge() {
     gaugefs(&["umount", &at]).done();
     gaugefs(&["mount", "--sim", CHIP, "--name", "AC", "--ac", &at]).failed(&["AC", "--name", "--ac"]);
     gaugefs(&["mount", "--sim", "bq35100", "--ac=ADP1", &at]).done();
-    // A primary cell tells nothing of the mains.
+    // A primary cell says nothing about the mains.
     assert_eq!(read(&at, "ADP1/uevent"), "POWER_SUPPLY_NAME=ADP1\nPOWER_SUPPLY_TYPE=Mains");
     gaugefs(&["umount", &at]).done();
 }
 
 #[test]
-fn one_state_file_has_one_daemon_and_outlives_it() {
+fn a_state_file_has_one_daemon_and_outlives_it() {
     if !can_mount() {
         return;
     }
@@ -714,13 +715,13 @@ fn one_state_file_has_one_daemon_and_outlives_it() {
         &at,
     ]);
     gaugefs(&["umount", &at]).done();
-    // The first is perhaps still about to end; that is waited for.
+    // The first daemon may still be ending; the second waits for that.
     gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).done();
     assert_eq!(read(&other, "BAT0/df/48/11"), "3400");
 }
 
 #[test]
-fn log_and_trace_hold_what_they_should() {
+fn log_and_trace_are_written() {
     if !can_mount() {
         return;
     }
@@ -742,9 +743,9 @@ fn log_and_trace_hold_what_they_should() {
     assert!(!trace.contains("W: AA 00 14 04"), "a key word is in the trace");
 }
 
-/// What is in the log, the trace and `gauge/last_error` of a session in which every key was used.
+/// Uses every key, and looks for them in the log, the trace and `gauge/last_error`.
 #[test]
-fn a_genuine_pack_is_told_and_its_keys_appear_nowhere() {
+fn a_genuine_pack_is_recognised_and_its_keys_appear_nowhere() {
     if !can_mount() {
         return;
     }
@@ -766,17 +767,17 @@ fn a_genuine_pack_is_told_and_its_keys_appear_nowhere() {
     fs::write(Path::new(&gauge).join("sim/auth_order"), "as-sent").expect("a knob");
     assert_eq!(
         auth().done(),
-        "genuine, byte order as-sent; it is mounted with lsb-first: mount it with --auth-order as-sent\n"
+        "genuine, byte order as-sent; it is mounted with lsb-first; mount it with --auth-order as-sent\n"
     );
     fs::write(Path::new(&gauge).join("gauge/seal"), "full-access").expect("a state");
     assert!(auth().done().starts_with("genuine"));
     assert_eq!(read(&gauge, "gauge/seal"), "full-access");
     fs::write(Path::new(&gauge).join("df/80/53"), "3100").expect("a write");
-    // A key that stands where a subcommand or a challenge should is not repeated either.
+    // A key written in place of a subcommand or a challenge is not repeated either.
     for (file, text) in [("control", "8d3e"), ("control", "b7c5"), ("authenticate", default)] {
         fs::write(Path::new(&gauge).join("gauge").join(file), text).expect_err("a refusal");
-        let told = read(&gauge, "gauge/last_error");
-        assert!(!told.to_lowercase().contains(&text.to_lowercase()), "{told}");
+        let last_error = read(&gauge, "gauge/last_error");
+        assert!(!last_error.to_lowercase().contains(&text.to_lowercase()), "{last_error}");
     }
 
     write_keys("authentication = 0123456789ABCDEFFEDCBA9876543211\n");
@@ -790,15 +791,15 @@ fn a_genuine_pack_is_told_and_its_keys_appear_nowhere() {
     write_keys(&format!("authentication = {default}\n"));
     gaugefs(&["auth", &at, "--key-file", &keys]).failed(&["not a mounted gauge"]);
 
-    let told = read(&gauge, "gauge/last_error");
+    let last_error = read(&gauge, "gauge/last_error");
     gaugefs(&["umount", &at]).done();
     within(Duration::from_secs(5), "the end is logged", || {
         fs::read_to_string(&log).expect("the log").contains("unmounted")
     });
-    for text in [told, fs::read_to_string(&log).expect("it"), fs::read_to_string(&trace).expect("it")] {
+    for text in [last_error, fs::read_to_string(&log).expect("it"), fs::read_to_string(&trace).expect("it")] {
         let tight: String = text.to_lowercase().split_whitespace().collect();
-        // As it is written, and as it goes over the wire; only the parts of a key that stand for nothing
-        // else by chance.
+        // As a person writes it, and as it is sent on the bus. Parts of a key that other data may contain by
+        // chance are left out.
         for key in ["8d3eb7c5", "3e8dc5b7", "aa003e8d", "aa00c5b7", "aa00ffff"] {
             assert!(!tight.contains(key), "{key} in {text}");
         }
@@ -828,7 +829,7 @@ fn the_byte_order_is_chosen_with_the_mount() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Every file of a gauge's folder that does not count or measure the session itself.
+/// Every file of a gauge's folder that does not depend on this test's own accesses.
 fn shown(gauge: &str) -> Vec<(String, String)> {
     let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
     let mut files = Vec::new();
@@ -837,7 +838,7 @@ fn shown(gauge: &str) -> Vec<(String, String)> {
             let entry = entry.expect("an entry");
             let name = entry.file_name().into_string().expect("a name");
             if entry.file_type().expect("a kind").is_file() && !own.contains(&name.as_str()) {
-                // What has not been read yet is listed and not there.
+                // A value that is not known yet is listed, but cannot be read.
                 let text = fs::read_to_string(entry.path()).unwrap_or_default();
                 files.push((format!("{folder}/{name}"), text));
             }
@@ -848,7 +849,7 @@ fn shown(gauge: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn a_recorded_gauge_is_mounted_as_it_was() {
+fn a_recorded_gauge_can_be_mounted() {
     if !can_mount() {
         return;
     }
@@ -863,7 +864,7 @@ fn a_recorded_gauge_is_mounted_as_it_was() {
         let value = read(&gauge, parameter);
         fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
         within(Duration::from_secs(10), "the load is seen", || read(&gauge, "current_now") != first);
-        // From now on every poll is like the next.
+        // From now on all polls are equal.
         fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
         let polls = number("gauge/statistics/polls") + 2;
         within(Duration::from_secs(10), "two polls", || number("gauge/statistics/polls") >= polls);
@@ -881,7 +882,7 @@ fn a_recorded_gauge_is_mounted_as_it_was() {
         assert_eq!(read(&gauge, parameter), value, "{chip}");
         within(Duration::from_secs(20), "all polls", || shown(&gauge) == recorded);
         assert_eq!(read(&gauge, "gauge/last_error"), "", "{chip}");
-        // What was never read cannot be read now, and leaves everything else as it is.
+        // A value that was not recorded cannot be read, and the failure changes nothing else.
         fs::read(Path::new(&gauge).join("df/index")).expect_err("most of data flash was not recorded");
         assert_eq!(read(&gauge, "gauge/seal"), "sealed", "{chip}");
         assert!(shown(&gauge) == recorded, "{chip} stays as it ended");
@@ -890,7 +891,7 @@ fn a_recorded_gauge_is_mounted_as_it_was() {
 }
 
 #[test]
-fn what_is_no_recording_is_not_mounted() {
+fn a_file_that_is_not_a_recording_is_refused() {
     let folder = Folder::new();
     let (at, file) = (folder.file("m"), folder.file("trace"));
     let replay = || gaugefs(&["mount", "--replay", &file, &at]);
@@ -905,7 +906,7 @@ fn what_is_no_recording_is_not_mounted() {
 }
 
 #[test]
-fn a_write_that_a_killed_daemon_has_begun_is_settled_by_the_next() {
+fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     if !can_mount() {
         return;
     }
@@ -924,9 +925,9 @@ fn a_write_that_a_killed_daemon_has_begun_is_settled_by_the_next() {
     daemon.send(Signal::SIGKILL);
     daemon.ends();
     write.join().expect("the thread ends").expect_err("the daemon was killed");
-    // What the kernel has kept of a dead mount would be taken for the next one.
+    // Otherwise the kernel's cache of the dead mount would be taken for the next one.
     gaugefs(&["umount", &at]).done();
-    // Another pack's journal, at the same place.
+    // A journal of another pack at the same address.
     let path = files().next().expect("the journal");
     let name = path.file_name().expect("a name").to_string_lossy().into_owned();
     let foreign = name.replace("-0001.journal", "-0002.journal");
@@ -934,8 +935,8 @@ fn a_write_that_a_killed_daemon_has_begun_is_settled_by_the_next() {
     fs::copy(&path, path.with_file_name(&foreign)).expect("a copy");
     let log = folder.file("log");
     let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
-    let told = read(&at, "BAT0/gauge/last_error");
-    assert!(told.contains("a write was cut off"), "{told}");
+    let last_error = read(&at, "BAT0/gauge/last_error");
+    assert!(last_error.contains("a write was cut off"), "{last_error}");
     let log = fs::read_to_string(log).expect("the log");
     assert!(log.contains("a write was cut off"), "{log}");
     assert!(log.contains(&foreign) && log.contains("journal of another gauge"), "{log}");
@@ -948,7 +949,7 @@ fn a_write_that_a_killed_daemon_has_begun_is_settled_by_the_next() {
 }
 
 #[test]
-fn without_room_for_the_journal_the_gauge_is_not_touched() {
+fn without_space_for_the_journal_nothing_is_written() {
     use nix::mount::{MsFlags, mount, umount};
 
     if !can_mount() {
@@ -959,7 +960,7 @@ fn without_room_for_the_journal_the_gauge_is_not_touched() {
     fs::create_dir(&journal).expect("a folder");
     let options = Some("size=4k");
     if let Err(errno) = mount(Some("full"), &*journal, Some("tmpfs"), MsFlags::empty(), options) {
-        eprintln!("SKIPPED: no small file system can be mounted here ({errno}); a full disk was not tried");
+        eprintln!("SKIPPED: no small file system can be mounted here ({errno}); a full disk was not tested");
         return;
     }
     let full = fs::write(Path::new(&journal).join("filler"), [0; 4096]);
@@ -967,7 +968,7 @@ fn without_room_for_the_journal_the_gauge_is_not_touched() {
     let parameter = Path::new(&at).join("BAT0/df/80/53");
     let commits = || read(&at, "BAT0/gauge/statistics/flash_writes");
     let refused = fs::write(&parameter, "3100\n").map_err(|error| error.raw_os_error());
-    let told = read(&at, "BAT0/gauge/last_error");
+    let last_error = read(&at, "BAT0/gauge/last_error");
     let flags = MsFlags::MS_REMOUNT | MsFlags::MS_RDONLY;
     let remounted = mount(None::<&str>, &*journal, None::<&str>, flags, None::<&str>);
     let read_only = fs::write(&parameter, "3100\n").map_err(|error| error.raw_os_error());
@@ -976,8 +977,8 @@ fn without_room_for_the_journal_the_gauge_is_not_touched() {
     let ended = gaugefs(&["umount", &at]);
     umount(&*journal).expect("it is unmounted");
     full.and(remounted.map_err(Into::into)).expect("the disk is full, then read-only");
-    assert_eq!(refused, Err(Some(nix::libc::ENOSPC)), "{told}");
-    assert!(told.contains(&journal) && told.contains("--state-dir"), "{told}");
+    assert_eq!(refused, Err(Some(nix::libc::ENOSPC)), "{last_error}");
+    assert!(last_error.contains(&journal) && last_error.contains("--state-dir"), "{last_error}");
     assert_eq!(read_only, Err(Some(nix::libc::EROFS)));
     assert_eq!((&*written, &*value), ("0", "3000"));
     ended.done();

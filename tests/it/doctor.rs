@@ -1,4 +1,4 @@
-//! `gaugefs doctor` in front of systems that are only folders, and once in front of this one.
+//! `gaugefs doctor` on systems that are only folders, and once on this machine.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::{Value, json};
 
 use super::cli::command;
@@ -14,7 +16,7 @@ use super::cli::command;
 struct System(PathBuf);
 
 impl System {
-    /// All is well on it: a user of the group i2c, one bus, FUSE, nothing mounted.
+    /// A system without problems: a user in the group i2c, one bus, FUSE, nothing mounted.
     fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -64,7 +66,7 @@ impl System {
         symlink(format!("../../drivers/{driver}"), link).expect("a link");
     }
 
-    /// What systemctl lists on it.
+    /// Installs a `systemctl` that prints these lines.
     fn units(&self, lines: &str) {
         self.write("run/systemd/system/x", "");
         self.write("usr/lib/systemd/system/gaugefs@.service", "");
@@ -80,7 +82,7 @@ impl System {
         command.output().expect("gaugefs runs")
     }
 
-    /// The line that begins with a state and a subject, with its remedy.
+    /// Checks that the finding with this state and subject has all of `words`, in its line or its remedy.
     #[track_caller]
     fn says(&self, state: &str, what: &str, words: &[&str]) {
         let output = self.doctor(&[]);
@@ -104,7 +106,7 @@ impl Drop for System {
 }
 
 #[test]
-fn a_system_that_is_well_has_no_problem() {
+fn a_good_system_has_no_problem() {
     let system = System::new();
     let output = system.doctor(&[]);
     let text = String::from_utf8(output.stdout).expect("text");
@@ -134,14 +136,14 @@ fn json_has_the_same_findings() {
     let missing = json!({
         "state": "problem",
         "what": "fusermount3",
-        "says": "is not there",
+        "says": "not installed",
         "remedy": "Install it: sudo apt-get install fuse3",
     });
     assert!(findings.contains(&missing), "{report}");
 }
 
 #[test]
-fn what_fuse_lacks_is_told() {
+fn problems_with_fuse_are_found() {
     let system = System::new();
     system.mode("usr/bin/fusermount3", 0o755);
     system.says("problem", "fusermount3", &["not setuid", "chmod u+s /usr/bin/fusermount3"]);
@@ -152,7 +154,7 @@ fn what_fuse_lacks_is_told() {
     system.mode("dev/fuse", 0o600);
     system.says("problem", "/dev/fuse", &["no permission"]);
     system.remove("dev/fuse");
-    system.says("problem", "/dev/fuse", &["is not there", "modprobe fuse"]);
+    system.says("problem", "/dev/fuse", &["does not exist", "modprobe fuse"]);
     system.write("proc/sys/kernel/osrelease", "4.19.0\n");
     system.says("warning", "Linux", &["older than 5.1"]);
     system.write("proc/self/status", "Uid:\t0\t0\t0\t0\n");
@@ -161,14 +163,14 @@ fn what_fuse_lacks_is_told() {
 }
 
 #[test]
-fn what_buses_lack_is_told() {
+fn problems_with_buses_are_found() {
     let system = System::new();
     system.says("warning", "/dev/i2c-1 (bcm2835 (i2c@7e804000))", &["not a device", "17 kHz"]);
     system.write("sys/bus/i2c/devices/i2c-1/of_node/clock-frequency", "\0\u{1}\u{6}\u{20}");
     system.says("warning", "i2c-1 (bcm2835", &["stretches the clock", "i2c-gpio", "baudrate=50000"]);
     system.bus(4, "SMBus I801");
     system.says("ok", "i2c-dev", &["2 buses"]);
-    // Whoever runs the tests owns the node, and its group is theirs.
+    // The node belongs to the user who runs the tests, and to their group.
     system.mode("dev/i2c-1", 0o660);
     let gid = fs::metadata(system.0.join("dev/i2c-1")).expect("a node").gid();
     system.says("problem", "/dev/i2c-1", &["no permission"]);
@@ -179,7 +181,7 @@ fn what_buses_lack_is_told() {
     system.write("proc/self/status", &format!("Uid:\t4711\t4711\nGid:\t50\t50\nGroups:\t50 {gid}\n"));
     system.says("warning", "/dev/i2c-1", &["not a device"]);
     system.remove("dev/i2c-1");
-    system.says("problem", "/dev/i2c-1", &["the node is not there"]);
+    system.says("problem", "/dev/i2c-1", &["the device node is missing"]);
     system.remove("sys/class/i2c-dev");
     system.says("problem", "i2c-dev", &["not loaded", "modprobe i2c-dev"]);
     system.write("sys/module/i2c_dev/x", "");
@@ -187,7 +189,7 @@ fn what_buses_lack_is_told() {
 }
 
 #[test]
-fn a_membership_that_is_not_in_force_is_told() {
+fn a_membership_that_needs_a_new_session_is_found() {
     let system = System::new();
     system.write("proc/self/status", "Uid:\t4711\t4711\nGid:\t50\t50\nGroups:\t50\n");
     system.says("warning", "group i2c", &["not yet in this session", "newgrp i2c"]);
@@ -196,7 +198,7 @@ fn a_membership_that_is_not_in_force_is_told() {
 }
 
 #[test]
-fn kernel_drivers_on_gauges_are_told() {
+fn kernel_drivers_on_gauges_are_found() {
     let system = System::new();
     system.driver("1-0055", "bq34z100", "bq27xxx-battery");
     system.driver("1-0036", "max17048", "max17040");
@@ -217,7 +219,7 @@ fn kernel_drivers_on_gauges_are_told() {
 }
 
 #[test]
-fn mounts_and_locks_are_told() {
+fn mounts_and_locks_are_listed() {
     let system = System::new();
     system.write(
         "proc/self/mountinfo",
@@ -241,22 +243,22 @@ fn mounts_and_locks_are_told() {
     lock("i2c-3-55", "44 /run/gaugefs/i2c-3");
     system.write("proc/locks", &(one + &two));
     system.says("ok", "lock i2c-1-55", &["process 42, mounted at /run/gaugefs/i2c-1"]);
-    system.says("warning", "lock i2c-2-55", &["process 43, and nothing is mounted at", "kill 43"]);
+    system.says("warning", "lock i2c-2-55", &["process 43, but nothing is mounted at", "kill 43"]);
     system.says("ok", "locks", &["1 left over"]);
 }
 
 #[test]
-fn journals_are_told() {
+fn journals_are_listed() {
     let system = System::new();
     system.write("var/lib/gaugefs/i2c-1-55-0001.journal", "");
     system.write("home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", "");
-    let says = ["under way, or was cut short", "Mount the gauge"];
+    let says = ["in progress, or was interrupted", "Mount the gauge"];
     system.says("warning", "/var/lib/gaugefs/i2c-1-55-0001.journal", &says);
     system.says("warning", "/home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", &says);
 }
 
 #[test]
-fn what_the_administrator_wrote_is_parsed() {
+fn configurations_and_key_files_are_checked() {
     let system = System::new();
     let text = "# a pack\n[defaults]\nkey-file = \"pack.keys\"\n[[gauge]]\nname = \"PACK\"\n";
     system.write("etc/gaugefs/i2c-1.toml", text);
@@ -272,7 +274,7 @@ fn what_the_administrator_wrote_is_parsed() {
     system.write("etc/gaugefs/i2c-1.toml", "poll = 10\n[[gauge]]\n");
     system.says("problem", "/etc/gaugefs/i2c-1.toml", &["line 1: poll", "[defaults]"]);
     system.write("etc/gaugefs/i2c-7.toml", "[[gauge]]\n");
-    system.says("warning", "/etc/gaugefs/i2c-7.toml", &["/dev/i2c-7 is not there"]);
+    system.says("warning", "/etc/gaugefs/i2c-7.toml", &["/dev/i2c-7 does not exist"]);
     system.write("etc/gaugefs/gaugefs.toml", "[[gauge]]\nbus = \"/dev/i2c-1\"\n");
     system.says("problem", "/etc/gaugefs/gaugefs.toml", &["mount point"]);
     system.write("etc/gaugefs/gaugefs.toml", "[[gauge]\n");
@@ -280,7 +282,7 @@ fn what_the_administrator_wrote_is_parsed() {
 }
 
 #[test]
-fn units_are_told_as_systemd_has_them() {
+fn units_are_listed_with_their_state() {
     let system = System::new();
     system.write("etc/gaugefs/i2c-1.toml", "[[gauge]]\n");
     system.units("");
@@ -293,16 +295,16 @@ fn units_are_told_as_systemd_has_them() {
     system.says("ok", "gaugefs@i2c\\x2d1.service", &["inactive (dead)", "systemctl start"]);
 }
 
-/// Here rather than in a folder: only a real mount can be dead.
+/// On this machine, because only a real mount can hang or be dead.
 #[test]
-fn this_machine_is_told_of_a_dead_mount() {
+fn mounts_that_hang_or_are_dead_are_found() {
     if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
-        eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was looked at");
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was checked");
         return;
     }
     let place = std::env::temp_dir().join(format!("gaugefs-dead-{}", std::process::id()));
     let at = place.to_str().expect("a path in UTF-8");
-    let told =
+    let doctor =
         || String::from_utf8(command(&["doctor"]).output().expect("gaugefs runs").stdout).expect("text");
     let mut daemon =
         command(&["mount", "--foreground", "--sim", "bq34z100-g1", at]).spawn().expect("gaugefs runs");
@@ -311,13 +313,18 @@ fn this_machine_is_told_of_a_dead_mount() {
         assert!(start.elapsed().as_secs() < 60, "not mounted");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    let alive = told();
+    let alive = doctor();
+    let pid = Pid::from_raw(daemon.id() as i32);
+    kill(pid, Signal::SIGSTOP).expect("it runs");
+    let hung = doctor();
+    kill(pid, Signal::SIGCONT).expect("it runs");
     daemon.kill().expect("it runs");
     daemon.wait().expect("it ends");
-    let dead = told();
+    let dead = doctor();
     command(&["umount", at]).status().expect("gaugefs runs");
     let _ = fs::remove_dir(Path::new(at));
     assert!(alive.contains(&format!("ok       {at}: a gaugefs is mounted there\n")), "{alive}");
+    assert!(hung.contains(&format!("problem  {at}: a gaugefs whose process does not answer\n")), "{hung}");
     assert!(dead.contains(&format!("problem  {at}: a gaugefs whose process is gone\n")), "{dead}");
     assert!(dead.contains(&format!("gaugefs umount {at}\n")), "{dead}");
 }

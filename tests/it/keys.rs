@@ -156,14 +156,14 @@ fn keys_are_typed_without_being_shown() {
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
     let gauge = format!("{at}/BAT0");
     let ask = |answers: &[(&str, &str)]| typed(&["keys", "change", &gauge, "unseal"], answers);
-    let (old, new, again) = ("old unseal key: ", "new unseal key: ", "once more the new unseal key: ");
+    let (old, new, again) = ("old unseal key: ", "new unseal key: ", "repeat the new unseal key: ");
     let ran = ask(&[(old, "0414 3672\n"), (new, "6fa1 92d4\n"), (again, "6fa1 92d5\n")]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
-    assert!(ran.out.contains("two different ones were typed"), "{}", ran.out);
+    assert!(ran.out.contains("two different keys were typed"), "{}", ran.out);
     // Ctrl-C, without Enter.
     let ran = ask(&[(old, "0414 3672\n"), (new, "6fa1\x03")]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
-    assert!(ran.out.contains("not given; nothing was changed"), "{}", ran.out);
+    assert!(ran.out.contains("no key was typed; nothing was changed"), "{}", ran.out);
     assert!(opens(&at, "BAT0"));
     let ran = ask(&[(old, "0414 3672\n"), (new, "6fa1 92d4\n"), (again, "6FA192D4\n")]);
     assert!(ran.out.contains("expected two words"), "{}", ran.out);

@@ -1,4 +1,4 @@
-//! The manual pages and the completions, judged by the programs that read them.
+//! The manual pages and the completions, checked by the programs that read them.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -11,19 +11,19 @@ fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
 }
 
-/// gaugefs(1) as a package has it.
+/// gaugefs(1), as a package installs it.
 fn page() -> String {
     let output = command(&["man"]).env("SOURCE_DATE_EPOCH", "1700000000").output().expect("gaugefs runs");
     assert!(output.status.success());
     String::from_utf8(output.stdout).expect("a page in UTF-8")
 }
 
-/// As it is read, without the dashes and quotes that roff wants escaped.
+/// The text without the markup of roff for dashes and fonts.
 fn plain(page: &str) -> String {
     page.replace("\\-", "-").replace("\\fB", "").replace("\\fI", "").replace("\\fR", "")
 }
 
-/// What a program says about a file; `None`, said loudly, where it is not installed.
+/// What a program prints about a file; `None`, with a message, if it is not installed.
 fn said(program: &str, arguments: &[&str], file: &str) -> Option<String> {
     let mut command = Command::new(program);
     command.args(arguments).arg(file).envs([("LC_ALL", "C.UTF-8"), ("MANWIDTH", "80")]);
@@ -34,14 +34,14 @@ fn said(program: &str, arguments: &[&str], file: &str) -> Option<String> {
             Some(format!("{out}{err}"))
         }
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            eprintln!("SKIPPED in part: {program} is missing, so it did not judge {file}");
+            eprintln!("SKIPPED in part: {program} is missing, so it did not check {file}");
             None
         }
         Err(error) => panic!("{program}: {error}"),
     }
 }
 
-/// A temporary file that is gone with the test.
+/// A temporary file, removed after the test.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -76,7 +76,7 @@ fn the_pages_render_without_a_warning() {
         if let Some(lint) = said("mandoc", &["-T", "lint", "-W", "warning"], file.path()) {
             assert_eq!(lint, "", "{name}");
         }
-        // groff's warnings go where the page does not.
+        // Only the warnings of groff, without the page.
         let warnings = ["-c", r#"man --warnings=w -l "$0" 2>&1 >/dev/null"#];
         if said("man", &["--version"], "").is_some()
             && let Some(warnings) = said("sh", &warnings, file.path())
@@ -87,7 +87,7 @@ fn the_pages_render_without_a_warning() {
 }
 
 #[test]
-fn the_page_has_every_command_with_its_options() {
+fn the_page_lists_every_command_with_its_options() {
     let page = plain(&page());
     assert!(page.contains(r#".TH GAUGEFS 1 "2023-11-14" "gaugefs "#), "{}", &page[..300]);
     for place in ["@DATE@", "@VERSION@", "@SYNOPSIS@", "@COMMANDS@"] {
@@ -117,9 +117,9 @@ fn the_page_has_every_command_with_its_options() {
     }
 }
 
-/// A configuration file has the options of the command line, but for those of the command line itself.
+/// A configuration file has the options of the command line, except those that only make sense there.
 #[test]
-fn the_configurations_page_has_every_option() {
+fn the_page_of_the_configuration_lists_every_option() {
     let page = plain(&fs::read_to_string(docs().join("gaugefs.toml.5")).expect("the page"));
     let terms = page.lines().filter(|line| line.starts_with(".BR ") && line.ends_with(")\""));
     let words = terms.flat_map(|line| line[4..].split(['"', ',', ' ']));
@@ -127,19 +127,19 @@ fn the_configurations_page_has_every_option() {
         |word: &&str| !word.is_empty() && !word.starts_with('(') && !word.ends_with(')') && *word != "or";
     let keys: BTreeSet<String> = words.filter(is_key).map(String::from).collect();
     let help = gaugefs(&["mount", "--help"]).done();
-    // Explanations stand further in, and may begin a line with an option.
+    // Explanations are indented further, and may begin a line with an option.
     let options = help.lines().filter_map(|line| line.strip_prefix("      --"));
     let name = |line: &str| line.split([' ', '[']).next().unwrap_or(line).to_string();
     let mut options: BTreeSet<String> = options.map(name).collect();
-    for of_the_command_line in ["config", "check"] {
-        options.remove(of_the_command_line);
+    for only_there in ["config", "check"] {
+        options.remove(only_there);
     }
     options.insert("mountpoint".into());
     assert_eq!(keys, options);
 }
 
 #[test]
-fn the_pages_errors_are_those_of_the_semantics() {
+fn the_errors_of_the_page_are_those_of_semantics_md() {
     let page = page();
     let (_, errors) = page.split_once(".SH ERRORS").expect("ERRORS");
     let (errors, _) = errors.split_once(".SH").expect("an end");

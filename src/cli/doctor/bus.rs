@@ -1,4 +1,4 @@
-//! I2C adapters: whether there are any, who may use them, what they can, and who has a gauge on them.
+//! I2C adapters: whether there are any, who may use them, what they support, and which drivers use a gauge.
 
 use std::fs;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
@@ -8,12 +8,12 @@ use super::{Finding, ok, problem, warning};
 use crate::bus::GAUGE_ADDRESS;
 use crate::bus::linux::{Adapter, adapters, clock_hz, driver};
 
-/// The clock up to which the controller below gets along with a gauge that stretches it.
+/// The fastest clock at which the controller below tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
-/// A controller that cuts bits short when a target stretches its clock, as the kernel calls it.
+/// The kernel's name for a controller that shortens bits when a target stretches the clock.
 const NO_STRETCHING: &str = "bcm2835";
 
-pub(super) fn look(host: &Host, configured: &[String]) -> Vec<Finding> {
+pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
     let adapters = adapters(host.root());
     let mut findings = vec![module(host, adapters.len())];
     findings.extend(group(host));
@@ -31,9 +31,9 @@ fn module(host: &Host, count: usize) -> Finding {
     let loaded = host.has("/sys/module/i2c_dev") || host.has("/sys/class/i2c-dev");
     match count {
         0 if loaded => {
-            let remedy = "Switch a bus on in the device tree (on a Raspberry Pi: dtparam=i2c_arm=on) or in \
+            let remedy = "Enable a bus in the device tree (on a Raspberry Pi: dtparam=i2c_arm=on) or in \
                           the firmware, or plug in an adapter.";
-            problem(what, "is loaded, and the machine has no I2C bus", remedy)
+            problem(what, "is loaded, but the machine has no I2C bus", remedy)
         }
         0 => {
             let remedy = "Load it as root: modprobe i2c-dev; at each boot: \
@@ -61,19 +61,19 @@ fn group(host: &Host) -> Option<Finding> {
             warning(what, says, "Log in again, or for this shell only: newgrp i2c")
         }
         (false, false) => {
-            let remedy = format!("Where its buses are to be used: sudo usermod -aG i2c {}", host.user());
+            let remedy = format!("To use its buses: sudo usermod -aG i2c {}", host.user());
             warning(what, format!("{} is not in it", host.user()), remedy + ", and log in again.")
         }
     })
 }
 
-/// The node: whether it can be used, and what the adapter behind it can.
+/// The device node: whether it can be used, and what its adapter supports.
 fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
     let node = format!("/dev/i2c-{number}");
     let what = format!("{node} ({name})");
     let Ok(status) = fs::metadata(host.at(&node)) else {
-        let remedy = "Let udev make it, as root: udevadm trigger --subsystem-match=i2c-dev";
-        return problem(what, "the node is not there", remedy);
+        let remedy = "Let udev create it, as root: udevadm trigger --subsystem-match=i2c-dev";
+        return problem(what, "the device node is missing", remedy);
     };
     if !host.may_use(&node, &status) {
         return problem(what, "no permission", forbidden(host, &status));
@@ -81,27 +81,32 @@ fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
     let clock = clock_hz(host.root(), number);
     let clock = clock.map_or_else(|| "clock unknown".into(), |hz| format!("{} kHz", hz / 1000));
     if !status.file_type().is_char_device() {
-        return warning(what, format!("not a device, {clock}"), "Let udev make the node again.");
+        return warning(what, format!("not a device, {clock}"), "Let udev create the node again.");
     }
     match Adapter::find(&host.at(&node)).and_then(|adapter| adapter.speaks_i2c()) {
-        Ok(true) => ok(what, format!("can be used, plain I2C, {clock}")),
-        Ok(false) if wanted => {
-            problem(what, "speaks only SMBus, and a gauge is configured on it", "Connect it to another bus.")
-        }
-        Ok(false) => ok(what, "speaks only SMBus: not for gauges"),
-        Err(error) => problem(what, error.text, "Make sure that the adapter is there."),
+        Ok(true) => ok(what, format!("usable, plain I2C, {clock}")),
+        Ok(false) if wanted => problem(
+            what,
+            "supports only SMBus, but a gauge is configured on it",
+            "Connect the gauge to another bus.",
+        ),
+        Ok(false) => ok(what, "supports only SMBus: not usable for gauges"),
+        Err(error) => problem(what, error.text, "Check that the adapter is connected."),
     }
 }
 
 fn forbidden(host: &Host, status: &fs::Metadata) -> String {
     match host.group(status.gid()).filter(|_| status.gid() != 0 && status.mode() & 0o060 == 0o060) {
         Some((group, true)) => {
-            format!("The group {group} may use it, and you are in it: log in again, or newgrp {group}")
+            format!(
+                "You are in its group {group}, but not yet in this session: log in again, or: newgrp {group}"
+            )
         }
         Some((group, false)) => {
             format!("Join its group and log in again: sudo usermod -aG {group} {}", host.user())
         }
-        None => "Run gaugefs as root, or give the node a group: Debian's i2c-tools comes with a rule.".into(),
+        None => "Run gaugefs as root, or give the node a group; Debian's i2c-tools has a udev rule for that."
+            .into(),
     }
 }
 
@@ -111,13 +116,13 @@ fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
     if !name.contains(NO_STRETCHING) || slow {
         return None;
     }
-    let says = "this controller cuts bits short when a gauge stretches the clock, as gauges do";
-    let remedy = "In config.txt, a bus in software: dtoverlay=i2c-gpio,bus=3,i2c_gpio_sda=2,i2c_gpio_scl=3 \
-                  with dtparam=i2c_arm=off; or slower: dtparam=i2c_arm_baudrate=50000";
+    let says = "this controller shortens bits when a gauge stretches the clock, as gauges do";
+    let remedy = "In config.txt, use a bus in software: dtoverlay=i2c-gpio,bus=3,i2c_gpio_sda=2,i2c_gpio_scl=3 \
+                  and dtparam=i2c_arm=off; or a slower clock: dtparam=i2c_arm_baudrate=50000";
     Some(warning(format!("i2c-{number} ({name})"), says, remedy))
 }
 
-/// Kernel drivers on addresses of gauges.
+/// Kernel drivers that are bound to gauges.
 fn drivers(host: &Host, number: u64) -> Vec<Finding> {
     let bound = host.names("/sys/bus/i2c/devices").into_iter().filter_map(|device| {
         let (bus, address) = device.split_once('-')?;
@@ -128,8 +133,8 @@ fn drivers(host: &Host, number: u64) -> Vec<Finding> {
     let gauges = bound.filter_map(|(address, driver)| {
         let gauge = driver.name.starts_with("bq27xxx");
         let what = format!("i2c-{number} address 0x{address:02x}");
-        let says = format!("the kernel's driver {} ({}) has it", driver.name, driver.device);
-        let remedy = format!("To let gaugefs have it, as root: {}", driver.remedy(number, address));
+        let says = format!("the kernel driver {} ({}) uses it", driver.name, driver.device);
+        let remedy = format!("To release it for gaugefs, as root: {}", driver.remedy(number, address));
         match gauge {
             true => Some(problem(what, says, remedy)),
             false if address == GAUGE_ADDRESS => Some(warning(what, says, remedy)),

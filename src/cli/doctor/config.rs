@@ -1,4 +1,4 @@
-//! `/etc/gaugefs`: whether the configurations and key files in it can be used.
+//! The configurations and key files in `/etc/gaugefs`.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use super::{Finding, ok, problem, warning};
 use crate::config::{MountOptions, Setup};
 
 const FOLDER: &str = "/etc/gaugefs";
-/// The name of gaugefs.service's configuration, which has to set its mount point.
+/// The configuration of gaugefs.service, which names its own mount point.
 const MANY: &str = "gaugefs";
 
 /// The buses that the udev rule starts a service for: `i2c-1` for `i2c-1.toml`.
@@ -23,7 +23,7 @@ fn is_bus(name: &str) -> bool {
     name.strip_prefix("i2c-").is_some_and(|number| number.parse::<u32>().is_ok())
 }
 
-pub(super) fn look(host: &Host) -> Vec<Finding> {
+pub(super) fn check(host: &Host) -> Vec<Finding> {
     let (mut findings, mut key_files) = (Vec::new(), Vec::new());
     for name in host.names(FOLDER) {
         let path = format!("{FOLDER}/{name}");
@@ -39,10 +39,10 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// A configuration, read as its service reads it.
+/// Reads a configuration as its service does.
 fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBuf>) -> Finding {
     let device = is_bus(name).then(|| format!("/dev/{name}"));
-    // Any other is for `gaugefs mount --config`, or for a udev rule of the administrator.
+    // Any other is for `gaugefs mount --config`, or for the administrator's own rule.
     let place = (name != MANY).then(|| format!("/run/gaugefs/{name}").into());
     let mount = MountOptions { mountpoint: place, ..MountOptions::default() };
     let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));
@@ -61,7 +61,7 @@ fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBu
     }));
     match device.filter(|device| !host.has(device)) {
         Some(device) => {
-            warning(path, format!("{device} is not there"), "Its service starts when the bus appears.")
+            warning(path, format!("{device} does not exist"), "Its service starts when the bus appears.")
         }
         None if gauges.len() == 1 => ok(path, "one gauge"),
         None => ok(path, format!("{} gauges", gauges.len())),
@@ -71,7 +71,11 @@ fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBu
 fn keys(host: &Host, path: &Path) -> Finding {
     let what = path.display().to_string();
     let Ok(status) = fs::metadata(host.at(&what)) else {
-        return problem(what, "this key file does not exist", "Create it, or remove key-file.");
+        return problem(
+            what,
+            "this key file does not exist",
+            "Create it, or remove key-file from the configuration.",
+        );
     };
     let mode = status.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {

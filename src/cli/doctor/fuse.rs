@@ -6,10 +6,10 @@ use std::os::unix::fs::PermissionsExt;
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 
-/// The first kernel that keeps listings without asking for each.
+/// The first kernel that caches directory listings.
 const KERNEL: (u32, u32) = (5, 1);
 
-pub(super) fn look(host: &Host) -> Vec<Finding> {
+pub(super) fn check(host: &Host) -> Vec<Finding> {
     vec![kernel(host), device(host), fusermount(host), others(host)]
 }
 
@@ -19,9 +19,11 @@ fn kernel(host: &Host) -> Finding {
     let mut numbers = release.split(['.', '-']).map_while(|number| number.parse().ok());
     match (numbers.next(), numbers.next()) {
         (Some(major), Some(minor)) if (major, minor) < KERNEL => {
-            let says =
-                format!("{release} is older than {}.{}; every listing asks gaugefs", KERNEL.0, KERNEL.1);
-            warning("Linux", says, "Use a newer kernel where reads have to be cheap.")
+            let says = format!(
+                "{release} is older than {}.{}; it does not cache directory listings",
+                KERNEL.0, KERNEL.1
+            );
+            warning("Linux", says, "Use a newer kernel if listings have to be cheap.")
         }
         (Some(_), Some(_)) => ok("Linux", release),
         _ => warning("Linux", "its version cannot be read", "Mount /proc."),
@@ -32,7 +34,7 @@ fn device(host: &Host) -> Finding {
     let what = "/dev/fuse";
     let status = match fs::metadata(host.at(what)) {
         Ok(status) => status,
-        Err(_) => return problem(what, "is not there", "Load the module as root: modprobe fuse"),
+        Err(_) => return problem(what, "does not exist", "Load the module as root: modprobe fuse"),
     };
     if !host.may_use(what, &status) {
         return problem(what, "no permission", "As root: chmod 666 /dev/fuse");
@@ -40,7 +42,7 @@ fn device(host: &Host) -> Finding {
     match File::options().read(true).write(true).open(host.at(what)) {
         Ok(_) => ok(what, "can be opened"),
         Err(error) => {
-            let remedy = "Load the module as root: modprobe fuse. A container has to be given the device.";
+            let remedy = "Load the module as root: modprobe fuse. A container needs access to the device.";
             problem(what, format!("cannot be opened: {error}"), remedy)
         }
     }
@@ -51,10 +53,10 @@ fn fusermount(host: &Host) -> Finding {
     let places = ["/usr/local/bin", "/usr/bin", "/bin"].map(|folder| format!("{folder}/{what}"));
     let found = places.iter().find_map(|path| Some((path, fs::metadata(host.at(path)).ok()?)));
     match found {
-        None if host.is_root() => ok(what, "is not there; root does not need it"),
-        None => problem(what, "is not there", "Install it: sudo apt-get install fuse3"),
+        None if host.is_root() => ok(what, "not installed; root does not need it"),
+        None => problem(what, "not installed", "Install it: sudo apt-get install fuse3"),
         Some((path, status)) if status.permissions().mode() & 0o4000 == 0 && !host.is_root() => {
-            let remedy = format!("Give it back its right to mount: sudo chmod u+s {path}");
+            let remedy = format!("Restore its setuid bit: sudo chmod u+s {path}");
             problem(what, format!("{path} is not setuid, so only root can mount"), remedy)
         }
         Some((path, _)) => ok(what, path),
@@ -64,6 +66,7 @@ fn fusermount(host: &Host) -> Finding {
 fn others(host: &Host) -> Finding {
     let set = host.text("/etc/fuse.conf").lines().any(|line| line.trim() == "user_allow_other");
     let is = if set { "is set" } else { "is not set" };
-    let means = "gaugefs does not need it: root's mounts are open to all, a user's are the user's own";
+    let means =
+        "gaugefs does not need it: root's mounts are open to all users, another user's only to that user";
     ok("user_allow_other", format!("{is}; {means}"))
 }

@@ -1,4 +1,4 @@
-//! The system that is looked at: a root folder, and the user who asks.
+//! The system to check: a root folder, and the user who runs doctor.
 
 use std::fs::{self, Metadata};
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ pub(super) struct Host {
     root: PathBuf,
     /// The effective user.
     pub(super) uid: u32,
-    /// All groups that are in force for the user's processes.
+    /// All groups of this process, which may lag behind /etc/group.
     pub(super) groups: Vec<u32>,
 }
 
@@ -22,7 +22,7 @@ impl Host {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
             line.unwrap_or_default().split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect()
         };
-        // Real, effective, saved and file system's.
+        // The columns are the real, effective, saved and file-system ID.
         let uid = numbers("Uid:").get(1).copied().unwrap_or_else(|| geteuid().as_raw());
         let groups = numbers("Gid:").get(1).copied().into_iter().chain(numbers("Groups:")).collect();
         Self { root, uid, groups }
@@ -36,7 +36,7 @@ impl Host {
         self.uid == 0
     }
 
-    /// Where a path of that system is to be found.
+    /// A path of that system, below the root folder.
     pub(super) fn at(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }
@@ -66,7 +66,7 @@ impl Host {
             _ => 0,
         };
         let both = AccessFlags::R_OK | AccessFlags::W_OK;
-        // An access list, as a session's first user gets, does not show in the mode.
+        // An access control list, such as systemd-logind sets, does not show in the mode.
         let listed = || self.uid == geteuid().as_raw() && access(&self.at(path), both).is_ok();
         status.mode() >> shift & 0o6 == 0o6 || listed()
     }
@@ -89,7 +89,7 @@ impl Host {
         Some((*mine.get(field)?).to_string())
     }
 
-    /// A group's name, and whether the user is written down as its member.
+    /// A group's name, and whether /etc/group lists the user as a member.
     pub(super) fn group(&self, gid: u32) -> Option<(String, bool)> {
         let (groups, user) = (self.text("/etc/group"), self.user());
         groups.lines().find_map(|line| {

@@ -1,8 +1,10 @@
-//! What is mounted, dead or alive, and who holds which gauge.
+//! Mounts, alive or dead, and who holds which gauge.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::Duration;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
@@ -11,10 +13,12 @@ use crate::lock::{Holder, holder};
 
 /// Where the service mounts.
 const PLACE: &str = "/run/gaugefs";
+/// How long a daemon may take to answer.
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Where root's daemons keep journals.
 const JOURNALS: &str = "/var/lib/gaugefs";
 
-pub(super) fn look(host: &Host) -> Vec<Finding> {
+pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = fs::read(host.at("/proc/self/mountinfo")).unwrap_or_default();
     let all: Vec<_> = entries(&table).collect();
     let mut findings = Vec::new();
@@ -24,16 +28,23 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
         if !ours(kind, source) {
             if path.starts_with(PLACE) {
                 let says = format!("{kind} ({source}) is mounted where the service mounts gauges");
-                findings.push(problem(&what, says, format!("Take it away as root: umount {what}")));
+                findings.push(problem(&what, says, format!("Unmount it as root: umount {what}")));
             }
         } else if let Some((_, kind, source)) = above {
-            let says = format!("a gaugefs lies hidden below {kind} ({source})");
-            findings.push(warning(&what, says, format!("Take away what is on top: umount {what}")));
-        } else if is_dead(&host.at(&what)) {
-            let remedy = format!("Take it away: gaugefs umount {what}");
-            findings.push(problem(&what, "a gaugefs whose process is gone", remedy));
+            let says = format!("a gaugefs is hidden below {kind} ({source})");
+            findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
-            findings.push(ok(&what, "a gaugefs is mounted there"));
+            findings.push(match answer(host.at(&what)) {
+                Some(Answer::Alive) => ok(&what, "a gaugefs is mounted there"),
+                Some(Answer::Dead) => {
+                    let remedy = format!("Unmount it: gaugefs umount {what}");
+                    problem(&what, "a gaugefs whose process is gone", remedy)
+                }
+                None => {
+                    let says = "a gaugefs whose process does not answer";
+                    problem(&what, says, "Find out what stops the process, or kill it.")
+                }
+            });
         }
     }
     if !all.iter().any(|(_, kind, source)| ours(kind, source)) {
@@ -45,7 +56,19 @@ pub(super) fn look(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// Writes that are under way, or were cut short.
+enum Answer {
+    Alive,
+    Dead,
+}
+
+/// How the daemon of a mount answers, if it does. A thread asks: one that hangs would block doctor too.
+fn answer(path: PathBuf) -> Option<Answer> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || sender.send(if is_dead(&path) { Answer::Dead } else { Answer::Alive }));
+    receiver.recv_timeout(PATIENCE).ok()
+}
+
+/// Journals of writes that are in progress, or were interrupted.
 fn journals(host: &Host) -> Vec<Finding> {
     let own = format!("{}/.local/state/gaugefs", host.home());
     let folders = if host.is_root() { vec![JOURNALS.to_string()] } else { vec![JOURNALS.to_string(), own] };
@@ -53,12 +76,12 @@ fn journals(host: &Host) -> Vec<Finding> {
         let names = host.names(folder).into_iter().filter(|name| name.ends_with(".journal"));
         names.map(move |name| format!("{folder}/{name}"))
     });
-    let says = "a write to this gauge is under way, or was cut short";
-    let remedy = "Mount the gauge, with its key where it has one of its own: that settles it. Keep the file.";
+    let says = "a write to this gauge is in progress, or was interrupted";
+    let remedy = "Mount the gauge, with its key file if it has one: that settles the write. Keep this file.";
     paths.map(|path| warning(path, says, remedy)).collect()
 }
 
-/// Locks that are held, and whether their holder has come as far as mounting.
+/// Locks that are held, and whether their holders have mounted the gauge.
 fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
     let uid = host.uid;
     let folders = [PLACE.into(), format!("/run/user/{uid}/gaugefs"), format!("/tmp/gaugefs-{uid}")];
@@ -74,26 +97,26 @@ fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
             let what = format!("lock {key}");
             let found = fs::File::open(&path).ok().and_then(|mut file| holder(&mut file));
             findings.push(match found {
-                None => ok(what, "held by a process that is about to end or to start"),
+                None => ok(what, "held by a process that is starting or ending"),
                 Some(Holder { pid, mountpoint }) if mounted(&mountpoint) => {
                     ok(what, format!("held by process {pid}, mounted at {}", mountpoint.display()))
                 }
                 Some(Holder { pid, mountpoint }) => {
                     let place = mountpoint.display();
-                    let says = format!("held by process {pid}, and nothing is mounted at {place}");
-                    let remedy = format!("It starts or ends. Where that takes longer: kill {pid}");
+                    let says = format!("held by process {pid}, but nothing is mounted at {place}");
+                    let remedy = format!("The process is starting or ending; if that takes long: kill {pid}");
                     warning(what, says, remedy)
                 }
             });
         }
     }
     if left > 0 {
-        findings.push(ok("locks", format!("{left} left over, held by nobody; they mean nothing")));
+        findings.push(ok("locks", format!("{left} left over, held by no process; harmless")));
     }
     findings
 }
 
-/// Whether anybody holds the lock of a file. It is looked up and not tried: the try would be a lock.
+/// Whether a process holds the lock. It is looked up, because trying it would take it.
 fn is_held(host: &Host, path: &PathBuf) -> bool {
     let Ok(status) = fs::metadata(path) else { return false };
     host.text("/proc/locks").lines().any(|line| {

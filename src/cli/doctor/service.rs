@@ -1,11 +1,11 @@
-//! The udev rule, the unit, and what systemd says of its instances.
+//! The udev rule, the unit, and the state of its instances.
 
 use std::process::Command;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 
-pub(super) fn look(host: &Host, configured: &[String]) -> Vec<Finding> {
+pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
     let what = "gaugefs@.service";
     let parts = [("udev/rules.d", "60-gaugefs.rules"), ("systemd/system", what)];
     let missing = parts.iter().find(|(folder, name)| {
@@ -14,14 +14,14 @@ pub(super) fn look(host: &Host, configured: &[String]) -> Vec<Finding> {
     });
     match missing {
         Some((_, name)) if !configured.is_empty() => {
-            let says = format!("{name} is not installed, so nothing is mounted by itself");
+            let says = format!("{name} is not installed, so no gauge is mounted automatically");
             return vec![problem(what, says, "Install the package, or copy the files of udev/.")];
         }
-        Some(_) => return vec![ok(what, "not installed; gauges are mounted by hand")],
+        Some(_) => return vec![ok(what, "not installed; gauges are mounted manually")],
         None => {}
     }
     if !host.has("/run/systemd/system") {
-        return vec![ok(what, "installed; systemd does not run here")];
+        return vec![ok(what, "installed; systemd is not running")];
     }
     let mut systemctl = Command::new("systemctl");
     systemctl.args(["list-units", "--all", "--plain", "--no-legend", "--no-pager", "gaugefs@*"]);
@@ -31,11 +31,11 @@ pub(super) fn look(host: &Host, configured: &[String]) -> Vec<Finding> {
     };
     let mut findings: Vec<_> = listed.lines().filter_map(instance).collect();
     for bus in configured {
-        // As systemd-escape has it: a dash stands for a slash.
+        // As systemd-escape writes it: a plain dash would mean a slash.
         let unit = format!("gaugefs@{}.service", bus.replace('-', "\\x2d"));
         if host.has(&format!("/dev/{bus}")) && !listed.contains(&unit) {
             let remedy = format!("As root: udevadm trigger /dev/{bus}");
-            findings.push(warning(unit, "configured, and not started", remedy));
+            findings.push(warning(unit, "configured, but not started", remedy));
         }
     }
     if findings.is_empty() {
@@ -56,6 +56,6 @@ fn instance(line: &str) -> Option<Finding> {
             let remedy = format!("See why: journalctl -u '{unit}'; then: systemctl restart '{unit}'");
             problem(unit, says, remedy)
         }
-        _ => warning(unit, says, format!("Where it stays so: journalctl -u '{unit}'")),
+        _ => warning(unit, says, format!("If it stays like this: journalctl -u '{unit}'")),
     })
 }

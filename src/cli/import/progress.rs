@@ -1,4 +1,4 @@
-//! How far an import is, on a terminal: the gauge's own count of the blocks that it has programmed.
+//! A progress bar on the terminal, while an import programs blocks.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::path::Path;
@@ -6,16 +6,16 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Between two looks at the gauge's folder, which cost it nothing.
-const LOOK: Duration = Duration::from_millis(100);
-/// Signs in the bar.
+/// Time between two reads of `df/transaction`, which cause no bus traffic.
+const INTERVAL: Duration = Duration::from_millis(100);
+/// Characters in the bar.
 const WIDTH: u32 = 30;
 
 /// A bar that follows `df/transaction` while a commit is under way.
 pub(super) struct Bar(Option<(Sender<()>, JoinHandle<()>)>);
 
 impl Bar {
-    /// Begins to look; nothing is ever shown where standard error is no terminal.
+    /// Starts the bar, unless standard error is not a terminal.
     pub(super) fn start(gauge: &Path) -> Self {
         if !stderr().is_terminal() {
             return Self(None);
@@ -24,10 +24,10 @@ impl Bar {
         let (end, ended) = mpsc::channel::<()>();
         let thread = std::thread::spawn(move || {
             let mut shown = false;
-            while ended.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            while ended.recv_timeout(INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 if let Some(bar) = std::fs::read_to_string(&file).ok().as_deref().and_then(line) {
                     shown = true;
-                    // What cannot be shown is no reason to stop.
+                    // The import goes on even if its progress cannot be shown.
                     let _ = write!(stderr(), "\r{bar}");
                 }
             }
@@ -38,7 +38,7 @@ impl Bar {
         Self(Some((end, thread)))
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(super) fn end(self) {
         if let Some((end, thread)) = self.0 {
             drop(end);
@@ -47,7 +47,7 @@ impl Bar {
     }
 }
 
-/// `committing 12/40` as a line.
+/// The line for `committing 12/40`.
 fn line(text: &str) -> Option<String> {
     let (done, all) = text.trim().strip_prefix("committing ")?.split_once('/')?;
     let (done, all): (u32, u32) = (done.parse().ok()?, all.parse().ok()?);
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bar_grows_with_the_blocks() {
+    fn the_bar_shows_the_share_of_programmed_blocks() {
         assert_eq!(line("idle\n"), None);
         assert_eq!(line("committing x/3\n"), None);
         assert_eq!(

@@ -1,25 +1,25 @@
-//! Where everything goes: panels one below the other, one time axis.
+//! The layout: panels one below the other, with one time axis.
 
 use super::super::thin::thin;
 use super::table::{Panel, Series};
 use super::ticks::{self, Tick};
 use crate::error::{Cause, Error, Result};
 
-/// Size of letters, and how wide one is at most on average.
+/// Size of letters, and an upper bound for their average width.
 pub(super) const SIZE: f64 = 12.0;
 const LETTER: f64 = 7.2;
 const MARGIN: f64 = 16.0;
-/// Above a panel for its title, and below the last for the times.
+/// Space above each panel for its title, and below the last one for the times.
 const TITLE: f64 = 36.0;
 const TIMES: f64 = 44.0;
-/// A panel's usual height, and its least.
+/// A panel's default height, and its minimum.
 const USUAL: f64 = 150.0;
 const LEAST: f64 = 40.0;
 
 const INK: [u8; 3] = [0x24, 0x29, 0x2f];
 const FAINT: [u8; 3] = [0x6e, 0x77, 0x81];
 const GRID: [u8; 3] = [0xe4, 0xe7, 0xeb];
-/// Told apart by those too who see few colours (Okabe and Ito).
+/// Distinguishable with colour vision deficiency too (Okabe and Ito).
 const COLOURS: [[u8; 3]; 7] = [
     [0x00, 0x72, 0xb2],
     [0xd5, 0x5e, 0x00],
@@ -30,7 +30,7 @@ const COLOURS: [[u8; 3]; 7] = [
     [0x55, 0x55, 0x55],
 ];
 
-/// Which end of a text is at its place.
+/// Which part of a text is at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -62,7 +62,7 @@ struct Frame {
     bottom: f64,
 }
 
-/// Panels as a picture; of a height that suits them where none is given.
+/// Lays panels out as a picture. The default height depends on their number.
 pub(super) fn lay_out(panels: &[Panel], width: u16, height: Option<u16>) -> Result<Scene> {
     let width = f64::from(width);
     let count = panels.len() as f64;
@@ -81,7 +81,7 @@ pub(super) fn lay_out(panels: &[Panel], width: u16, height: Option<u16>) -> Resu
 
     let times = || points(panels).map(|(time, _)| time);
     let (from, to) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
-    // A single poll stands in the middle.
+    // A single poll is in the middle.
     let (from, to) = if to - from < 1.0 { (from - 0.5, to + 0.5) } else { (from, to) };
     let marks = ticks::times(from, to, ((right - left) / (11.0 * LETTER)) as usize);
 
@@ -120,7 +120,7 @@ fn axis(panel: &Panel, height: f64) -> (f64, f64, Vec<Tick>) {
     let values = || values(panel).map(|(_, value)| value);
     let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
     let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
-    // Noise of one step is no mountain range.
+    // A minimum span, so that noise of one step does not fill the panel.
     let least = match panel.unit.as_str() {
         "V" | "A" | "Ah" => 0.02,
         "%" => 4.0,
@@ -134,7 +134,7 @@ fn text(shapes: &mut Vec<Shape>, at: (f64, f64), text: &str, colour: [u8; 3], an
     shapes.push(Shape::Text { at, text: text.to_string(), colour, anchor, bold: false });
 }
 
-/// A series is told by its column, its gauge, or both: by what is not the same for all of them.
+/// Names a series by its column, its gauge or both: by whatever differs within the panel.
 fn label(series: &Series, panel: &Panel) -> String {
     let one_gauge = panel.series.iter().all(|other| other.gauge == series.gauge);
     let one_column = panel.series.iter().all(|other| other.column == series.column);
@@ -157,7 +157,7 @@ fn draw(
     let Frame { left, right, top, bottom } = *frame;
     let (low, high, ticks) = axis;
     let x = |time: f64| left + (time - from) / (to - from) * (right - left);
-    // Halves of a pixel keep thin lines sharp.
+    // Lines of one pixel are sharp at half coordinates.
     let sharp = |at: f64| at.floor() + 0.5;
     let y = |value: f64| bottom - (value - low) / (high - low) * (bottom - top);
     let mut line =
@@ -186,7 +186,7 @@ fn draw(
     let many = panel.series.len() > 1;
     let mut legend = right;
     for (at, series) in panel.series.iter().enumerate().rev() {
-        // One line a panel: each panel has a colour of its own.
+        // If each panel has one line, each panel has its own colour.
         let colour = COLOURS[if many { at } else { number } % COLOURS.len()];
         if many {
             let name = label(series, panel);

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::scene::{Anchor, SIZE, Scene, Shape};
 
-/// All of it. Writing to a String does not fail.
+/// Renders a scene. Writing to a String does not fail.
 pub(super) fn render(scene: &Scene) -> String {
     let (width, height) = (scene.width, scene.height);
     let mut svg = format!(

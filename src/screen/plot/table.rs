@@ -1,28 +1,28 @@
-//! A CSV as lines to draw.
+//! Reads the CSV into lines to draw.
 
 use jiff::Timestamp;
 
 use super::super::thin::Point;
 use crate::error::{Cause, Error, Result};
 
-/// What is drawn where nothing was asked for.
+/// The columns that are drawn by default.
 const USUAL: [&str; 4] = ["voltage", "current", "capacity", "temperature"];
-/// A silence so many times as long as the usual one is a gap, as when nobody logged.
+/// A pause this many times as long as the usual one is a gap: nothing was recorded.
 const GAP: f64 = 10.0;
 
-/// Lines that share a unit.
+/// Series that share a unit.
 #[derive(Debug)]
 pub(super) struct Panel {
     pub(super) unit: String,
     pub(super) series: Vec<Series>,
 }
 
-/// A column of a gauge.
+/// One column of one gauge.
 #[derive(Debug)]
 pub(super) struct Series {
     pub(super) gauge: String,
     pub(super) column: String,
-    /// Seconds since 1970 and values, cut where nothing is known.
+    /// Seconds since 1970 and values, with a new line after each gap.
     pub(super) lines: Vec<Vec<Point>>,
 }
 
@@ -30,33 +30,30 @@ fn invalid(subject: impl Into<String>, why: impl Into<String>) -> Error {
     Error::new(subject, Cause::Invalid(why.into()))
 }
 
-/// `voltage (V)` as name and unit.
+/// Splits `voltage (V)` into name and unit.
 fn split(header: &str) -> (&str, &str) {
     header.strip_suffix(')').and_then(|header| header.split_once(" (")).unwrap_or((header, ""))
 }
 
-/// The columns that were asked for, those with one unit together.
+/// The wanted columns, grouped by unit.
 pub(super) fn panels(text: &[u8], wanted: &[String]) -> Result<Vec<Panel>> {
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text);
-    let broken = |error: csv::Error| invalid("", format!("is no CSV: {error}"));
+    let broken = |error: csv::Error| invalid("", format!("not a CSV file: {error}"));
     let headers = reader.headers().map_err(broken)?.clone();
     if headers.get(0) != Some("time (UTC)") || headers.get(1) != Some("gauge") {
-        return Err(invalid(
-            "",
-            "was not written by `gaugefs log`: its first columns are not time and gauge",
-        ));
+        return Err(invalid("", "not written by `gaugefs log`: its first columns are not time and gauge"));
     }
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(broken)?;
-        // A row that a full disk or a lost power has cut short tells nothing.
+        // A full disk or a power cut may have truncated the row.
         if record.len() < headers.len() {
             continue;
         }
         let line = record.position().map_or(0, csv::Position::line);
         let time = &record[0];
         let time: Timestamp =
-            time.parse().map_err(|_| invalid(format!("line {line}"), format!("`{time}` is no time")))?;
+            time.parse().map_err(|_| invalid(format!("line {line}"), format!("`{time}` is not a time")))?;
         rows.push((time.as_millisecond() as f64 / 1000.0, line, record));
     }
     let mut gauges: Vec<String> = Vec::new();
@@ -82,7 +79,7 @@ pub(super) fn panels(text: &[u8], wanted: &[String]) -> Result<Vec<Panel>> {
                 points.push((*time, value));
             }
             let lines = lines(&points);
-            // What was not asked for by name is left out where the gauge does not have it.
+            // A default column that the gauge does not have is left out.
             if wanted.is_empty() && lines.is_empty() {
                 continue;
             }
@@ -94,7 +91,7 @@ pub(super) fn panels(text: &[u8], wanted: &[String]) -> Result<Vec<Panel>> {
         }
     }
     if panels.iter().all(|panel| panel.series.iter().all(|series| series.lines.is_empty())) {
-        return Err(invalid("", "holds no values to draw"));
+        return Err(invalid("", "it has no values to draw"));
     }
     Ok(panels)
 }
@@ -112,7 +109,7 @@ fn names(headers: &csv::StringRecord, wanted: &[String]) -> Result<Vec<String>> 
         if !there.contains(&name) {
             return Err(invalid(
                 "",
-                format!("has no column `{name}` to draw; there are {}", there.join(", ")),
+                format!("no column `{name}` to draw; the columns are {}", there.join(", ")),
             ));
         }
         names.push(name.to_string());
@@ -120,7 +117,7 @@ fn names(headers: &csv::StringRecord, wanted: &[String]) -> Result<Vec<String>> 
     Ok(names)
 }
 
-/// Cut where a value is missing, and where nobody looked for long.
+/// Splits points into lines at missing values and at long pauses.
 fn lines(points: &[(f64, Option<f64>)]) -> Vec<Vec<Point>> {
     let mut steps: Vec<_> = points.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
     steps.sort_by(f64::total_cmp);
@@ -128,7 +125,7 @@ fn lines(points: &[(f64, Option<f64>)]) -> Vec<Vec<Point>> {
     let mut lines: Vec<Vec<Point>> = vec![Vec::new()];
     let mut before = f64::NEG_INFINITY;
     for &(time, value) in points {
-        // A clock that was set back would draw a line to the left.
+        // If the clock was set back, the line would go to the left.
         let cut = value.is_none() || time - before > GAP * usual || time < before;
         if cut && lines.last().is_some_and(|line| !line.is_empty()) {
             lines.push(Vec::new());
@@ -145,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn absences_and_silences_cut_a_line() {
+    fn missing_values_and_pauses_split_a_line() {
         let at = |time, value| (time, Some(value));
         let points = [at(0.0, 1.0), at(1.0, 2.0), (2.0, None), at(3.0, 3.0), at(4.0, 4.0), at(50.0, 5.0)];
         let lengths: Vec<_> = lines(&points).iter().map(Vec::len).collect();
@@ -154,29 +151,30 @@ mod tests {
     }
 
     #[test]
-    fn a_header_is_a_name_and_a_unit() {
+    fn a_header_has_a_name_and_a_unit() {
         assert_eq!(split("time to empty (s)"), ("time to empty", "s"));
         assert_eq!(split("cycle count"), ("cycle count", ""));
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_told() {
-        let told = |text: &str, wanted: &[&str]| {
+    fn a_file_that_cannot_be_drawn_is_refused() {
+        let refusal = |text: &str, wanted: &[&str]| {
             let wanted: Vec<_> = wanted.iter().map(|name| name.to_string()).collect();
             panels(text.as_bytes(), &wanted).expect_err("a refusal").to_string()
         };
         let head = "time (UTC),gauge,status,voltage (V)\n";
         let row = "2026-01-01T00:00:00Z,BAT0,Full,";
-        assert!(told("a,b\n", &[]).contains("was not written by"));
-        assert!(told(head, &[]).contains("no values"));
-        assert!(told(&format!("{head}{row}\n"), &[]).contains("no values"));
-        assert!(told(&format!("{head}{row}x\n"), &[]).contains("line 2: voltage `x` is not a number"));
+        assert!(refusal("a,b\n", &[]).contains("not written by"));
+        assert!(refusal(head, &[]).contains("no values"));
+        assert!(refusal(&format!("{head}{row}\n"), &[]).contains("no values"));
+        assert!(refusal(&format!("{head}{row}x\n"), &[]).contains("line 2: voltage `x` is not a number"));
         assert!(
-            told(&format!("{head}yesterday,BAT0,Full,1\n"), &[]).contains("line 2: `yesterday` is no time")
+            refusal(&format!("{head}yesterday,BAT0,Full,1\n"), &[])
+                .contains("line 2: `yesterday` is not a time")
         );
         assert!(
-            told(&format!("{head}{row}1\n"), &["speed"])
-                .contains("no column `speed` to draw; there are voltage")
+            refusal(&format!("{head}{row}1\n"), &["speed"])
+                .contains("no column `speed` to draw; the columns are voltage")
         );
     }
 }

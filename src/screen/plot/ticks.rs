@@ -3,19 +3,19 @@
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 
-/// A mark on an axis and its label.
+/// A position on an axis and its label.
 pub(super) type Tick = (f64, String);
 
-/// Steps between times, in seconds; longer ones are whole days.
+/// Possible steps of a time axis, in seconds. Longer steps are whole days.
 const STEPS: [f64; 21] = [
     0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0, 7200.0,
     10_800.0, 21_600.0, 43_200.0, DAY,
 ];
 const DAY: f64 = 86_400.0;
 
-/// Round bounds around values, at least so far apart, and at most so many steps between them.
+/// Round bounds around values, at least `least` apart, with about `most` steps between them.
 pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64, Vec<Tick>) {
-    // A value that never changes stands in the middle.
+    // A value that never changes is in the middle.
     let spread = (high - low).max(least);
     let middle = (low + high) / 2.0;
     let (low, high) = (middle - spread / 2.0, middle + spread / 2.0);
@@ -24,7 +24,7 @@ pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64
     let round = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power);
     let step = round.into_iter().find(|step| *step >= raw * 0.999).unwrap_or(10.0 * power);
     let places = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
-    // Not quite to the next mark where that would leave much of the panel empty.
+    // Rounding errors must not add an empty step.
     let (first, last) = ((low / step + 1e-6).floor() as i64, (high / step - 1e-6).ceil() as i64);
     let ticks = (first..=last).map(|at| at as f64 * step);
     let label =
@@ -32,14 +32,14 @@ pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64
     (first as f64 * step, last as f64 * step, ticks.map(|value| (value, label(value))).collect())
 }
 
-/// Round times between two, at most so many.
+/// At most `most` round times between two.
 pub(super) fn times(from: f64, to: f64, most: usize) -> Vec<Tick> {
     let raw = (to - from) / most.max(1) as f64;
     let step = STEPS.into_iter().find(|step| *step >= raw).unwrap_or((raw / DAY).ceil() * DAY);
     let (first, last) = ((from / step).ceil() as i64, (to / step).floor() as i64);
     let label = |seconds: f64| {
         let format = match () {
-            // Midnight is a new date.
+            // Midnight shows the date.
             () if seconds % DAY == 0.0 => "%b %-d",
             () if step < 1.0 => "%H:%M:%S%.1f",
             () if step < 60.0 => "%H:%M:%S",
@@ -50,7 +50,7 @@ pub(super) fn times(from: f64, to: f64, most: usize) -> Vec<Tick> {
     (first..=last).map(|at| at as f64 * step).map(|seconds| (seconds, label(seconds))).collect()
 }
 
-/// A time in UTC, by strftime(3)'s letters.
+/// Formats a time in UTC, as strftime(3) does.
 pub(super) fn utc(seconds: f64, format: &str) -> String {
     let time = Timestamp::from_millisecond((seconds * 1000.0).round() as i64).unwrap_or_default();
     time.to_zoned(TimeZone::UTC).strftime(format).to_string()
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_round_and_around_all_values() {
+    fn number_ticks_are_round_and_enclose_all_values() {
         let (low, high, ticks) = numbers(3.512, 4.117, 0.02, 4);
         assert_eq!(labels(&ticks), ["3.4", "3.6", "3.8", "4.0", "4.2"]);
         assert!(low <= 3.512 && high >= 4.117);
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_round() {
+    fn time_ticks_are_round() {
         let noon = 1_700_000_000.0 - 1_700_000_000.0 % DAY + DAY / 2.0;
         assert_eq!(
             labels(&times(noon, noon + 3600.0, 6)),

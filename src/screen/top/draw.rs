@@ -1,4 +1,4 @@
-//! What the screen looks like, from 40 columns and 10 lines up.
+//! Draws the screen, at any size; 40 columns and 10 lines are enough.
 
 use ratatui::Frame;
 use ratatui::layout::{Alignment, Constraint, Layout, Margin, Rect};
@@ -10,11 +10,11 @@ use ratatui::widgets::{
 };
 
 use super::super::sample::{Sample, decimal};
-use super::super::watch::state_of_learning;
+use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
 use crate::chip::{CHIPS, snake_case};
 
-/// Keys, the most wanted first: a narrow screen has room for some.
+/// Keys, the most important first: a narrow screen has room for a few.
 const KEYS: [(&str, &str); 9] = [
     ("q", "quit"),
     ("?", "help"),
@@ -27,28 +27,28 @@ const KEYS: [(&str, &str); 9] = [
     ("d", "data flash"),
 ];
 
-/// What the names of registers have in them that tell of learning; these come first.
+/// Parts of the names of registers that show the progress of learning; these are listed first.
 const LEARNING: [&str; 6] = ["passed", "qmax", "true", "dod", "accumulated", "unfiltered"];
 
 const HELP: &str = "\
 q        quit
-arrows   another gauge; tab too
+arrows   select another gauge; tab too
 v i c t  voltage, current, capacity, temperature
-+ -      a longer or shorter time
-l        state of learning: learned values, registers, and what has changed
++ -      longer or shorter time span
+l        state of learning: learned values, registers, recent changes
          (+QEN: the bit was set; -VOK: it was cleared)
-p        pause; polls go on and are remembered
+p        pause the screen; polls go on and are recorded
 r        poll the gauge now
-d        read from data flash what it has learned, once: a sealed gauge is
-         unsealed for it and sealed again. While the gauge is found unsealed
-         and l is on, that is done once a minute.
+d        read the learned values from data flash, once: a sealed gauge is
+         unsealed and sealed again. While l shows them and the gauge is
+         unsealed anyway, they are read once a minute.
 
-Nothing else here costs the gauge a transfer.";
+Only r and these reads cause bus traffic.";
 
 /// Draws everything.
 pub(super) fn screen(frame: &mut Frame<'_>, model: &Model, now: f64) {
     let area = frame.area();
-    // Most of the screen is for the gauge that is looked at.
+    // Most of the screen is for the selected gauge.
     let rows = model.gauges.len().clamp(1, usize::from(area.height / 4).max(1)) as u16;
     let [title, table, body, keys] = Layout::vertical([
         Constraint::Length(1),
@@ -63,7 +63,7 @@ pub(super) fn screen(frame: &mut Frame<'_>, model: &Model, now: f64) {
         let help = Paragraph::new(HELP).wrap(Wrap { trim: false });
         frame.render_widget(help.block(Block::new().title("Help").title_style(bold())), body);
     } else if let Some(gauge) = model.gauge() {
-        one(frame, model, gauge, now, body);
+        selected_gauge(frame, model, gauge, now, body);
     }
     frame.render_widget(bottom(model, keys.width), keys);
 }
@@ -72,7 +72,7 @@ fn bold() -> Style {
     Style::new().add_modifier(Modifier::BOLD)
 }
 
-/// A colour of the terminal's own sixteen, where colours are wanted.
+/// One of the sixteen colours of the terminal, if colours are enabled.
 fn coloured(model: &Model, colour: Color) -> Style {
     if model.colour { Style::new().fg(colour) } else { Style::new() }
 }
@@ -113,7 +113,7 @@ fn bottom(model: &Model, width: u16) -> Line<'static> {
     Line::from(spans)
 }
 
-/// A column of the table: title, width, the narrowest screen that has it, right-aligned.
+/// A column of the table: title, width, minimum width of the screen, whether right-aligned.
 const COLUMNS: [(&str, u16, u16, bool); 10] = [
     ("GAUGE", 0, 0, false),
     ("MODEL", 12, 60, false),
@@ -140,7 +140,7 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
     };
     let titles = COLUMNS.iter().enumerate();
     let header = keep(titles.map(|(at, column)| aligned(at, column.0.into(), bold())).collect());
-    // What the other columns leave, and no more than the longest name.
+    // The width that the other columns leave, at most that of the longest name.
     let others: u16 =
         COLUMNS.iter().zip(&wanted).filter(|(_, wanted)| **wanted).map(|(column, _)| column.1 + 1).sum();
     let longest =
@@ -151,12 +151,12 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
         widths.map(|(column, _)| Constraint::Length(if column.1 == 0 { first } else { column.1 })).collect();
     let cut = |name: String| {
         let over = name.chars().count().saturating_sub(usize::from(first));
-        // The end of a path tells more than its beginning.
+        // The end of a path says more than its beginning.
         if over == 0 { name } else { "\u{2026}".chars().chain(name.chars().skip(over + 1)).collect() }
     };
     let rows = model.gauges.iter().enumerate().map(|(number, gauge)| {
         let (mut texts, colour) = cells(model, gauge, now);
-        // The row of the selected one is reversed as a whole.
+        // The row of the selected gauge is reversed, so its status has no colour.
         let plain = number == model.selected && model.gauges.len() > 1;
         texts[0] = cut(label(model, gauge));
         let style = |at: usize| if at == 2 && !plain { coloured(model, colour) } else { Style::new() };
@@ -169,14 +169,14 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
     frame.render_stateful_widget(table, area, &mut state);
 }
 
-/// A gauge's name; its folder where another one has the same name.
+/// A gauge's name, or its folder if another gauge has the same name.
 fn label(model: &Model, gauge: &Gauge) -> String {
     let name = gauge.name();
     let alike = model.gauges.iter().filter(|other| other.name() == name).count();
     if alike > 1 { gauge.folder.display().to_string() } else { name }
 }
 
-/// A gauge's row but for its name, and the colour of its status.
+/// A gauge's row except for its name, and the colour of its status.
 fn cells(model: &Model, gauge: &Gauge, now: f64) -> ([String; 10], Color) {
     let mut row: [String; 10] = Default::default();
     if model.silence(gauge, now).is_some() {
@@ -207,7 +207,7 @@ fn cells(model: &Model, gauge: &Gauge, now: f64) -> ([String; 10], Color) {
     (row, colour)
 }
 
-/// A decimal with so many places, rounded.
+/// An integer in units of 10^-`places`, rounded to `wanted` places.
 fn rounded(value: i64, places: usize, wanted: usize) -> String {
     let step = 10i64.pow((places - wanted) as u32);
     let half = if value < 0 { -step / 2 } else { step / 2 };
@@ -220,8 +220,8 @@ fn time_left(sample: &Sample) -> Option<String> {
     empty.or_else(|| Some(format!("{} h to full", clock(sample.number("time_to_full_now")?))))
 }
 
-/// The gauge that is selected.
-fn one(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
+/// The selected gauge: details, chart and state of learning.
+fn selected_gauge(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
     let details = details(model, gauge, now, area.width);
     let height = details.len().min(usize::from(if area.height >= 12 { 7 } else { area.height / 4 })) as u16;
     let [top, rest] = Layout::vertical([Constraint::Length(height), Constraint::Min(0)]).areas(area);
@@ -239,12 +239,12 @@ fn one(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect
     }
 }
 
-/// What there is to say in words, the most urgent first.
+/// The details as text, the most urgent first.
 fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'static>> {
     let warn = coloured(model, Color::Red).add_modifier(Modifier::BOLD);
     let mut lines = Vec::new();
     if let Some(silent) = model.silence(gauge, now) {
-        let why = format!("{}: does not answer for {silent:.0} s", gauge.folder.display());
+        let why = format!("{}: no answer for {silent:.0} s", gauge.folder.display());
         lines.extend(wrapped(&why, width).into_iter().map(|line| Line::styled(line, warn)));
         return lines;
     }
@@ -277,20 +277,20 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
         lines.push(Line::from(vec![name, Span::raw(bits.to_string())]));
     }
     if !sample.last_error.is_empty() {
-        let told = wrapped(&format!("last error: {}", sample.last_error), width);
+        let text = wrapped(&format!("last error: {}", sample.last_error), width);
         let at = usize::from(lines.len() > 1);
-        for line in told.into_iter().take(2).rev() {
+        for line in text.into_iter().take(2).rev() {
             lines.insert(at, Line::styled(line, coloured(model, Color::Red)));
         }
     }
     lines
 }
 
-/// Lines no longer than the screen is wide.
+/// Breaks a text into lines of the width of the screen.
 fn wrapped(text: &str, width: u16) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
-        let line = lines.last_mut().expect("there is always one");
+        let line = lines.last_mut().expect("there is at least one line");
         if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > usize::from(width) {
             lines.push(word.to_string());
         } else {
@@ -310,14 +310,14 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Re
     let now = model.paused.unwrap_or(now);
     let quantity = model.quantity;
     let (span, words) = model.span();
-    // Two dots of braille a column.
+    // Each column has two columns of braille dots.
     let lines = gauge.history.lines(quantity, now, span, usize::from(area.width) * 2);
     let title = format!("{} in {}, last {words}", quantity.name(), quantity.unit());
     let block = Block::new().title(title).title_style(bold());
     let values = || lines.iter().flatten().map(|(_, value)| *value);
     if values().next().is_none() {
-        let told = if gauge.shown.is_some() { "nothing to draw yet" } else { "" };
-        frame.render_widget(Paragraph::new(told).block(block), area);
+        let text = if gauge.shown.is_some() { "nothing to draw yet" } else { "" };
+        frame.render_widget(Paragraph::new(text).block(block), area);
         return;
     }
     let (bounds, places) = axis(values(), quantity.least_span());
@@ -332,7 +332,7 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Re
         let kind = if line.len() > 1 { GraphType::Line } else { GraphType::Scatter };
         Dataset::default().marker(Marker::Braille).graph_type(kind).style(style).data(line)
     });
-    // On a low screen the line is worth more than the time below it.
+    // A low screen has no room for the times.
     let ago = if area.height < 7 { Vec::new() } else { vec![format!("-{words}"), "now".to_string()] };
     let axes = coloured(model, Color::DarkGray);
     let chart = Chart::new(sets.collect())
@@ -342,7 +342,7 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Re
     frame.render_widget(chart, area);
 }
 
-/// Bounds that are round numbers around all values, and the places that they need.
+/// Round bounds that enclose all values, and the number of decimal places that they need.
 fn axis(values: impl Iterator<Item = f64> + Clone, least: f64) -> ([f64; 2], usize) {
     let low = values.clone().fold(f64::INFINITY, f64::min);
     let high = values.fold(f64::NEG_INFINITY, f64::max);
@@ -353,30 +353,30 @@ fn axis(values: impl Iterator<Item = f64> + Clone, least: f64) -> ([f64; 2], usi
     let step = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= raw);
     let step = step.unwrap_or(10.0 * power);
     let bounds = [((middle - half) / step).floor() * step, ((middle + half) / step).ceil() * step];
-    // The middle lies half a step between.
+    // The label in the middle is half a step from a round number.
     let places = (-(step / 2.0).log10()).ceil().clamp(0.0, 6.0) as usize;
     (bounds, places)
 }
 
-/// What can be seen of learning: data flash where it was read, registers, and what has changed.
+/// The state of learning: learned values, if they were read, registers, and recent changes.
 fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     let Some(sample) = &gauge.shown else { return };
     let mut lines = vec![];
     let heading = |text: String| Line::styled(text, bold());
     let model_name = sample.attribute("model_name").unwrap_or_default();
-    let known = !state_of_learning(model_name).is_empty();
+    let known = !learned_parameters(model_name).is_empty();
     let why = match (&gauge.learned, gauge.unsealed()) {
         (Some(Ok(_)), Some(true)) => "read once a minute while unsealed",
-        (Some(Ok(_)), _) => "d reads it again: unseals, seals",
+        (Some(Ok(_)), _) => "d reads them again, which unseals and seals the gauge",
         (Some(Err(why)), _) => why.as_str(),
-        (None, _) if !known => "no parameter of this part is known to show it",
-        (None, Some(true)) => "unsealed: being read",
-        (None, Some(false)) => "sealed: not read; d reads it once, which unseals and seals it",
-        (None, None) => "not read; the mount's owner may, with d",
+        (None, _) if !known => "no learned parameter of this part is known",
+        (None, Some(true)) => "unsealed: reading",
+        (None, Some(false)) => "sealed: not read; d reads them once, which unseals and seals the gauge",
+        (None, None) => "not read; the owner of the mount can press d",
     };
     let age = gauge.learned_at.map(|at| format!(", {:.0} s ago", (now - at).max(0.0))).unwrap_or_default();
     lines.push(heading(format!("Learned (data flash){age}")));
-    // On a low screen values are worth more than how they are read.
+    // On a low screen the values need the line.
     if area.height >= 8 || !matches!(gauge.learned, Some(Ok(_))) {
         lines.extend(wrapped(why, area.width).into_iter().map(Line::raw));
     }
@@ -391,15 +391,15 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     let mut registers: Vec<_> = registers(model_name, sample).collect();
     registers.sort_by_key(|(name, _)| !LEARNING.iter().any(|word| name.contains(word)));
     lines.extend(columns(&registers, area.width));
-    // Changes get what is left, and a few lines whatever there is.
+    // Changes get the remaining lines, and always a few.
     let room = usize::from(area.height);
     let least = (room / 3).min(gauge.changes.len().max(1) + 1);
     lines.truncate(room.saturating_sub(least));
     lines.push(heading("Changes".into()));
-    for (time, told) in &gauge.changes {
+    for (time, change) in &gauge.changes {
         let time = jiff::Timestamp::from_second(*time as i64).unwrap_or_default().to_string();
         let clock = time.get(11..19).unwrap_or_default();
-        lines.push(Line::raw(format!("{clock}  {told}")));
+        lines.push(Line::raw(format!("{clock}  {change}")));
     }
     if gauge.changes.is_empty() {
         lines.push(Line::raw("none since top was started"));
@@ -407,7 +407,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     frame.render_widget(Paragraph::new(lines), area);
 }
 
-/// Registers that no attribute shows, with their units.
+/// Registers that no attribute shows, with units.
 fn registers<'a>(model: &str, sample: &'a Sample) -> impl Iterator<Item = (String, String)> + 'a {
     let table = CHIPS.iter().find(|chip| chip.model == model).map_or(&[][..], |chip| chip.registers);
     sample.registers.iter().filter_map(move |(name, value)| {
@@ -418,19 +418,19 @@ fn registers<'a>(model: &str, sample: &'a Sample) -> impl Iterator<Item = (Strin
     })
 }
 
-/// Units that say nothing are left out.
+/// Leaves out units that mean nothing.
 fn unit(unit: &str) -> &str {
     if ["-", "Num", "num", "hex", "Hex"].contains(&unit) { "" } else { unit }
 }
 
-/// Names and values in as many columns as there is room for.
+/// Names and values in as many columns as fit.
 fn columns(cells: &[(String, String)], width: u16) -> Vec<Line<'static>> {
     let name = cells.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let value = cells.iter().map(|(_, value)| value.trim_end().chars().count()).max().unwrap_or(0);
     let count = ((usize::from(width) + 3) / (name + value + 4)).max(1);
     let rows = cells.len().div_ceil(count);
     let cell = |at: usize| cells.get(at).map(|(key, text)| format!("{key:name$} {:value$}", text.trim_end()));
-    // Row by row: what does not fit is the last.
+    // Row by row, so that what does not fit is the end of the list.
     (0..rows)
         .map(|row| {
             let across: Vec<_> = (0..count).filter_map(|column| cell(row * count + column)).collect();

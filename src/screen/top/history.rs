@@ -1,14 +1,14 @@
-//! What was seen of a gauge's quantities, for a chart.
+//! The history of a gauge's quantities, for a chart.
 
 use std::collections::VecDeque;
 
 use super::super::sample::Sample;
 use super::super::thin;
 
-/// A day of the fastest polls; after that the oldest go.
+/// A day of the fastest polls. When it is full, the oldest are dropped.
 const MOST: usize = 172_800;
 
-/// What can be drawn.
+/// A quantity that can be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
     Voltage,
@@ -39,7 +39,7 @@ impl Quantity {
         }
     }
 
-    /// The least span of an axis: noise of one step is no mountain range.
+    /// The minimum span of an axis, so that noise of one step does not fill the chart.
     pub(super) fn least_span(self) -> f64 {
         match self {
             Quantity::Voltage => 0.02,
@@ -77,7 +77,7 @@ impl History {
         self.push(Point { time: seconds(sample.time), values });
     }
 
-    /// From here to the next poll nothing is known.
+    /// Records that nothing is known from now until the next poll.
     pub(super) fn gap(&mut self, now: f64) {
         if self.0.back().is_some_and(|point| point.values.iter().any(Option::is_some)) {
             self.push(Point { time: now, values: [None; 4] });
@@ -91,8 +91,8 @@ impl History {
         self.0.push_back(point);
     }
 
-    /// Lines of what is known since a time, as seconds before `now` and values, no finer than so many
-    /// columns can show.
+    /// The lines of the last `span` seconds, as seconds relative to `now` and values, reduced to what `columns`
+    /// can show.
     pub(super) fn lines(
         &self,
         quantity: Quantity,
@@ -101,7 +101,7 @@ impl History {
         columns: usize,
     ) -> Vec<Vec<thin::Point>> {
         let which = QUANTITIES.iter().position(|&one| one == quantity).unwrap_or_default();
-        // The poll before the span too, so that a line begins at its edge.
+        // With the poll before the span, so that a line begins at its edge.
         let first = self.0.partition_point(|point| point.time < now - span).saturating_sub(1);
         let shown = self.0.iter().skip(first).take_while(|point| point.time <= now);
         let points: Vec<_> = shown.map(|point| (point.time - now, point.values[which])).collect();
@@ -128,12 +128,12 @@ mod tests {
     }
 
     #[test]
-    fn an_absence_is_a_gap() {
+    fn an_absence_is_one_gap() {
         let mut seen = history(&[(0.0, Some(1.0)), (10.0, Some(2.0)), (20.0, None), (30.0, Some(3.0))]);
         let lines = seen.lines(Quantity::Voltage, 30.0, 60.0, 60);
         assert_eq!(lines, [vec![(-30.0, 1.0), (-20.0, 2.0)], vec![(0.0, 3.0)]]);
         seen.gap(40.0);
         seen.gap(50.0);
-        assert_eq!(seen.0.len(), 5, "one gap however long it is");
+        assert_eq!(seen.0.len(), 5, "one gap, however long");
     }
 }

@@ -1,4 +1,4 @@
-//! What `top` knows and what its keys change. It reads no file and draws nothing.
+//! The state of `top` and the effect of its keys. It reads no file and draws nothing.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use super::super::sample::Sample;
 use super::super::watch::{Learned, Order, Report, Seen};
 use super::history::{History, QUANTITIES, Quantity, seconds};
 
-/// The spans that a chart can show, in seconds.
+/// The time spans of a chart, in seconds.
 const SPANS: [(f64, &str); 10] = [
     (60.0, "1 min"),
     (300.0, "5 min"),
@@ -22,27 +22,27 @@ const SPANS: [(f64, &str); 10] = [
     (3.0 * 86_400.0, "3 d"),
     (7.0 * 86_400.0, "7 d"),
 ];
-/// A mount that has not been heard of for so many seconds longer than it is looked at hangs.
+/// A mount hangs if it does not report for this many seconds after its next report was due.
 const SILENCE: f64 = 5.0;
-/// What was learned is read again so often while the gauge is found unsealed, in seconds.
+/// Seconds between two reads of the learned values of a gauge that is unsealed.
 const LEARNED_EVERY: f64 = 60.0;
-/// How many changes of bits and learned values are remembered.
+/// The number of changes of bits and learned values that are kept.
 const MOST_CHANGES: usize = 500;
 
 /// One gauge.
 pub(super) struct Gauge {
     pub(super) folder: PathBuf,
     root: usize,
-    /// The last look, and the one on the screen: another while paused.
+    /// The last sample, and the one on the screen, which is older during a pause.
     latest: Option<Sample>,
     pub(super) shown: Option<Sample>,
-    /// Why there is no look.
+    /// Why there is no sample.
     pub(super) trouble: Option<String>,
     pub(super) history: History,
     /// Changes of bits and of learned values, the newest first.
     pub(super) changes: VecDeque<(f64, String)>,
     pub(super) learned: Option<Result<Vec<Learned>, String>>,
-    /// When they were asked for, and when they came.
+    /// When the learned values were requested, and when they arrived.
     asked: Option<f64>,
     pub(super) learned_at: Option<f64>,
 }
@@ -53,40 +53,40 @@ impl Gauge {
         self.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// Whether it may be read without a change of its seal; unknown to who may not see the seal.
+    /// Whether the gauge is unsealed; `None` if the user may not read its seal state.
     pub(super) fn unsealed(&self) -> Option<bool> {
         let seal = self.latest.as_ref()?.seal.as_ref()?;
         Some(seal != "sealed")
     }
 }
 
-/// What a key asks of whoever runs the screen.
+/// What the caller has to do after a key press.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Wish {
+pub(super) enum Action {
     Nothing,
     Quit,
     /// Control-Z.
     Suspend,
 }
 
-/// All of it.
+/// The state of the screen.
 pub(super) struct Model {
     pub(super) gauges: Vec<Gauge>,
     pub(super) selected: usize,
     pub(super) quantity: Quantity,
     span: usize,
-    /// Since when nothing moves.
+    /// The start of the pause.
     pub(super) paused: Option<f64>,
     pub(super) help: bool,
     pub(super) learning: bool,
-    /// Of the last key, until the next.
+    /// The reply to the last key press, shown until the next.
     pub(super) message: String,
     /// Colours may be used.
     pub(super) colour: bool,
-    /// Time between two looks.
+    /// Time between two samples, in seconds.
     every: f64,
-    /// When each mount was last heard of.
-    heard: Vec<f64>,
+    /// The time of the last report of each mount.
+    reported: Vec<f64>,
     orders: Vec<(usize, Order)>,
 }
 
@@ -103,7 +103,7 @@ impl Model {
             message: String::new(),
             colour,
             every,
-            heard: Vec::new(),
+            reported: Vec::new(),
             orders: Vec::new(),
         }
     }
@@ -117,24 +117,25 @@ impl Model {
         self.gauges.get(self.selected)
     }
 
-    /// What is looked at, from the start or since now: silence counts from here.
-    pub(super) fn expect(&mut self, roots: &[PathBuf], now: f64) {
-        for (at, root) in roots.iter().enumerate().skip(self.heard.len()) {
-            self.heard.push(now);
+    /// Adds new mounts. A mount that never reports hangs, counted from now.
+    pub(super) fn add_mounts(&mut self, roots: &[PathBuf], now: f64) {
+        for (at, root) in roots.iter().enumerate().skip(self.reported.len()) {
+            self.reported.push(now);
             if !self.gauges.iter().any(|gauge| gauge.root == at) {
                 self.gauges.push(Gauge::new(root, at));
             }
         }
     }
 
-    /// How long a gauge's mount has been silent, where that is too long.
+    /// For how many seconds a hanging mount has not reported.
     pub(super) fn silence(&self, gauge: &Gauge, now: f64) -> Option<f64> {
-        Some(now - self.heard.get(gauge.root)?).filter(|silent| *silent > self.every + SILENCE)
+        Some(now - self.reported.get(gauge.root)?).filter(|silent| *silent > self.every + SILENCE)
     }
 
-    pub(super) fn hear(&mut self, report: Report, now: f64) {
-        if let Some(heard) = self.heard.get_mut(report.root) {
-            *heard = now;
+    /// Takes a report in.
+    pub(super) fn update(&mut self, report: Report, now: f64) {
+        if let Some(reported) = self.reported.get_mut(report.root) {
+            *reported = now;
         }
         let paused = self.paused.is_some();
         if let Seen::Trouble(why) = &report.seen {
@@ -149,14 +150,14 @@ impl Model {
         }
         let gauge = self.find(&report);
         match report.seen {
-            Seen::Sample(sample) => gauge.see(*sample, paused),
-            Seen::Learned(outcome) => gauge.learn(outcome, now),
+            Seen::Sample(sample) => gauge.update(*sample, paused),
+            Seen::Learned(outcome) => gauge.update_learned(outcome, now),
             Seen::Refused(why) => self.message = why,
             Seen::Trouble(_) => {}
         }
     }
 
-    /// The gauge of a report; the first of a mount takes the place that was kept for it.
+    /// The gauge of a report. The first gauge of a mount replaces the entry of the mount.
     fn find(&mut self, report: &Report) -> &mut Gauge {
         let same = |gauge: &Gauge| gauge.root == report.root && gauge.folder == report.gauge;
         let kept = |gauge: &Gauge| {
@@ -171,8 +172,8 @@ impl Model {
         &mut self.gauges[at]
     }
 
-    /// What the threads are to be asked now. Data flash is asked for by itself only of a gauge that is
-    /// found unsealed, and only while somebody looks at it.
+    /// The orders for the threads. Without a key press, data flash is read only if the gauge is unsealed
+    /// anyway and the screen shows the learned values.
     pub(super) fn orders(&mut self, now: f64) -> Vec<(usize, Order)> {
         let learning = self.learning && self.paused.is_none();
         if let Some(gauge) = self.gauges.get_mut(self.selected).filter(|_| learning) {
@@ -185,18 +186,18 @@ impl Model {
         std::mem::take(&mut self.orders)
     }
 
-    /// Does what a key says.
-    pub(super) fn key(&mut self, key: KeyEvent, now: f64) -> Wish {
+    /// Handles a key press.
+    pub(super) fn key(&mut self, key: KeyEvent, now: f64) -> Action {
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
         self.message.clear();
         let count = self.gauges.len().max(1);
         match key.code {
-            KeyCode::Char('c') if control => return Wish::Quit,
-            KeyCode::Char('z') if control => return Wish::Suspend,
+            KeyCode::Char('c') if control => return Action::Quit,
+            KeyCode::Char('z') if control => return Action::Suspend,
             _ if control => {}
             KeyCode::Char('?' | 'h') => self.help = !self.help,
             KeyCode::Esc if self.help || self.learning => (self.help, self.learning) = (false, false),
-            KeyCode::Char('q') | KeyCode::Esc => return Wish::Quit,
+            KeyCode::Char('q') | KeyCode::Esc => return Action::Quit,
             KeyCode::Down | KeyCode::Right | KeyCode::Tab => self.selected = (self.selected + 1) % count,
             KeyCode::Up | KeyCode::Left | KeyCode::BackTab => {
                 self.selected = (self.selected + count - 1) % count;
@@ -216,13 +217,13 @@ impl Model {
             }
             _ => {}
         }
-        Wish::Nothing
+        Action::Nothing
     }
 
-    fn order(&mut self, order: fn(PathBuf) -> Order, told: &str) {
+    fn order(&mut self, order: fn(PathBuf) -> Order, text: &str) {
         if let Some(gauge) = self.gauges.get(self.selected).filter(|gauge| gauge.latest.is_some()) {
             self.orders.push((gauge.root, order(gauge.folder.clone())));
-            self.message = format!("{}: {told}", gauge.name());
+            self.message = format!("{}: {text}", gauge.name());
         }
     }
 
@@ -250,15 +251,17 @@ impl Gauge {
         }
     }
 
-    fn see(&mut self, sample: Sample, paused: bool) {
+    fn update(&mut self, sample: Sample, paused: bool) {
         self.trouble = None;
         let time = seconds(sample.time);
         if !sample.present() {
             self.history.gap(time);
         } else {
             let before = self.latest.as_ref();
-            let same =
-                before.and_then(|before| before.moment).zip(sample.moment).is_some_and(|(a, b)| a.is(b));
+            let same = before
+                .and_then(|before| before.moment)
+                .zip(sample.moment)
+                .is_some_and(|(a, b)| a.is_same_poll(b));
             if !same {
                 self.history.add(&sample);
             }
@@ -277,29 +280,29 @@ impl Gauge {
         self.latest = Some(sample);
     }
 
-    fn learn(&mut self, outcome: Result<Vec<Learned>, String>, now: f64) {
+    fn update_learned(&mut self, outcome: Result<Vec<Learned>, String>, now: f64) {
         if let (Some(Ok(before)), Ok(after)) = (&self.learned, &outcome) {
             let pairs = before.iter().zip(after).filter(|(before, after)| before.value != after.value);
-            let told: Vec<_> = pairs
+            let text: Vec<_> = pairs
                 .map(|(before, after)| format!("{}: {} -> {}", after.name, before.value, after.value))
                 .collect();
-            told.into_iter().for_each(|told| self.change(now, told));
+            text.into_iter().for_each(|text| self.change(now, text));
         }
         self.learned = Some(outcome);
         self.learned_at = Some(now);
     }
 
-    fn change(&mut self, time: f64, told: String) {
-        self.changes.push_front((time, told));
+    fn change(&mut self, time: f64, text: String) {
+        self.changes.push_front((time, text));
         self.changes.truncate(MOST_CHANGES);
     }
 }
 
-/// What came and what went, `+QEN -VOK`.
+/// The bits that were set and cleared, such as `+QEN -VOK`.
 fn difference(before: &str, after: &str) -> String {
     let (before, after): (Vec<_>, Vec<_>) =
         (before.split_whitespace().collect(), after.split_whitespace().collect());
-    let came = after.iter().filter(|bit| !before.contains(bit)).map(|bit| format!("+{bit}"));
-    let went = before.iter().filter(|bit| !after.contains(bit)).map(|bit| format!("-{bit}"));
-    came.chain(went).collect::<Vec<_>>().join(" ")
+    let set = after.iter().filter(|bit| !before.contains(bit)).map(|bit| format!("+{bit}"));
+    let cleared = before.iter().filter(|bit| !after.contains(bit)).map(|bit| format!("-{bit}"));
+    set.chain(cleared).collect::<Vec<_>>().join(" ")
 }

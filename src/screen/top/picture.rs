@@ -12,7 +12,7 @@ const MARGIN: f64 = 12.0;
 const PAPER: &str = "#1b1f24";
 const INK: &str = "#d7dce2";
 
-/// All of it.
+/// Renders a screen.
 pub(super) fn svg(buffer: &Buffer) -> String {
     let area = buffer.area;
     let (width, height) =
@@ -40,7 +40,7 @@ pub(super) fn svg(buffer: &Buffer) -> String {
     svg
 }
 
-/// Neighbours of one style. Writing to a String does not fail.
+/// Renders neighbouring cells of one style. Writing to a String does not fail.
 fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
     let reversed = run[0].modifier.contains(Modifier::REVERSED);
     let (mut ink, mut paper) = (colour(run[0].fg), PAPER);
@@ -52,7 +52,7 @@ fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{HEIGHT}\" fill=\"{paper}\"/>"
         );
     }
-    // Few fonts have braille as wide as letters.
+    // Few fonts have braille of the width of letters, so the dots are drawn.
     if dots(run[0]).is_some() {
         let mut path = String::new();
         for (at, bits) in run.iter().enumerate().filter_map(|(at, cell)| Some((at, dots(cell)?))) {
@@ -72,7 +72,7 @@ fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
     let symbols: Vec<&str> = run.iter().map(|cell| cell.symbol()).collect();
     let bold = if run[0].modifier.contains(Modifier::BOLD) { " font-weight=\"bold\"" } else { "" };
     let base = y + 0.76 * HEIGHT;
-    // Each piece at its own place: viewers differ in how wide they make spaces.
+    // Each word has its own position, because viewers differ in the width of spaces.
     let mut at = 0;
     for piece in symbols.chunk_by(|a, b| *a != " " || *b != " ") {
         let text = piece.concat().replace('&', "&amp;").replace('<', "&lt;");
@@ -90,7 +90,7 @@ fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
     }
 }
 
-/// The dots of a braille letter.
+/// The dots of a braille character.
 fn dots(cell: &Cell) -> Option<u32> {
     let letter = u32::from(cell.symbol().chars().next()?);
     (0x2801..=0x28ff).contains(&letter).then(|| letter - 0x2800)

@@ -1,4 +1,4 @@
-//! The terminal: made ready, drawn to, and given back as it was, however `top` ends.
+//! Sets the terminal up, draws to it, and restores it however `top` ends.
 
 use std::io;
 use std::sync::Arc;
@@ -16,17 +16,17 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use super::super::watch::Watch;
 use super::draw;
 use super::history::seconds;
-use super::model::{Model, Wish};
+use super::model::{Action, Model};
 use crate::error::{Error, Result};
 
-/// How soon a report or a signal is seen.
+/// The longest delay until a report or a signal is noticed.
 const STEP: Duration = Duration::from_millis(100);
 
 fn failed(error: &io::Error) -> Error {
     Error::io("terminal", "cannot use it", error)
 }
 
-/// Shows the screen until it is left. A panic restores the terminal too: ratatui sees to that.
+/// Shows the screen until the user quits. ratatui restores the terminal after a panic too.
 pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
     let ends = Arc::new(AtomicBool::new(false));
     let stops = Arc::new(AtomicBool::new(false));
@@ -53,38 +53,38 @@ fn show(
     let mut changed = true;
     loop {
         let now = seconds(jiff::Timestamp::now());
-        model.expect(&watch.roots, now);
+        model.add_mounts(&watch.roots, now);
         while let Ok(report) = watch.reports.try_recv() {
-            model.hear(report, now);
+            model.update(report, now);
             changed = true;
         }
         for (root, order) in model.orders(now) {
             watch.order(root, order);
         }
-        // Ages are told in seconds.
+        // Ages are shown in seconds, so the screen changes every second.
         if changed || (now - drawn).abs() >= 1.0 {
-            watch.look_for_mounts()?;
+            watch.find_mounts()?;
             terminal.draw(|frame| draw::screen(frame, &model, now)).map_err(|error| failed(&error))?;
             (drawn, changed) = (now, false);
         }
-        let mut wish = Wish::Nothing;
+        let mut action = Action::Nothing;
         if event::poll(STEP).map_err(|error| failed(&error))? {
             changed = true;
             match event::read().map_err(|error| failed(&error))? {
-                Event::Key(key) if key.kind != KeyEventKind::Release => wish = model.key(key, now),
+                Event::Key(key) if key.kind != KeyEventKind::Release => action = model.key(key, now),
                 _ => {}
             }
         }
-        if wish == Wish::Quit || ends.load(Ordering::SeqCst) {
+        if action == Action::Quit || ends.load(Ordering::SeqCst) {
             return Ok(());
         }
-        if wish == Wish::Suspend || stops.swap(false, Ordering::SeqCst) {
+        if action == Action::Suspend || stops.swap(false, Ordering::SeqCst) {
             terminal.show_cursor().and_then(|()| ratatui::try_restore()).map_err(|error| failed(&error))?;
-            // SIGTSTP itself is only noted here; this one stops the process at once.
+            // The handler of SIGTSTP only sets a flag; SIGSTOP stops the process.
             raise(Signal::SIGSTOP).map_err(|errno| failed(&errno.into()))?;
             let again = enable_raw_mode()
                 .and_then(|()| execute!(io::stdout(), EnterAlternateScreen, Clear(ClearType::All)));
-            // What is on the screen now is not what was drawn last.
+            // A new terminal, because the screen no longer shows what was drawn last.
             let again = again.and_then(|()| Terminal::new(CrosstermBackend::new(io::stdout())));
             *terminal = again.map_err(|error| failed(&error))?;
             changed = true;

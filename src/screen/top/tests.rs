@@ -1,4 +1,4 @@
-//! Screens of a folder of plain files, compared with `tests/it/golden/top`.
+//! Screens drawn from folders of plain files, compared with the files in `tests/it/golden/top`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,14 +12,14 @@ use ratatui::style::Color;
 
 use super::super::sample::Sample;
 use super::super::watch::{Learned, Order, Report, Seen};
-use super::model::{Model, Wish};
+use super::model::{Action, Model};
 use super::{draw, picture};
 
 /// 2026-01-01T12:00:00Z
 const NOON: f64 = 1_767_268_800.0;
 const ERROR: &str = "Cell Terminate Voltage: 9999 is outside 1000 to 3700 mV";
 
-/// A gauge's folder as a mount shows it.
+/// A folder with the files of a mounted gauge.
 struct Tree(PathBuf);
 
 impl Tree {
@@ -68,7 +68,7 @@ impl Tree {
         fs::write(path, text).expect("a file");
     }
 
-    /// What is seen, as if the poll had been then.
+    /// A sample whose poll was at `time`.
     fn sample(&self, time: f64) -> Sample {
         let mut sample = Sample::read(&self.0).expect("a gauge");
         sample.time = jiff::Timestamp::from_millisecond((time * 1000.0) as i64).expect("a time");
@@ -90,10 +90,10 @@ fn sample(sample: &Sample) -> Seen {
     Seen::Sample(Box::new(sample.clone()))
 }
 
-/// Two gauges; one has been discharged for four minutes, with a minute's absence, the other is charged.
+/// Two gauges: one was discharged for four minutes, and was absent for one of them; the other is charging.
 fn model(colour: bool) -> Model {
     let mut model = Model::new(1.0, colour);
-    model.expect(&[PathBuf::from("/run/gauges")], NOON);
+    model.add_mounts(&[PathBuf::from("/run/gauges")], NOON);
     let (first, second) = (Tree::new("PACK-A", -500_000), Tree::new("PACK-B", 250_000));
     let seen = first.sample(NOON);
     for at in 0..=240u32 {
@@ -114,13 +114,13 @@ fn model(colour: bool) -> Model {
                 .iter_mut()
                 .for_each(|(_, bits)| *bits = bits.replace(" QEN", "").replace("SS", "SS RUP_DIS"));
         }
-        model.hear(report("PACK-A", sample(&seen)), time);
+        model.update(report("PACK-A", sample(&seen)), time);
     }
-    model.hear(report("PACK-B", sample(&second.sample(NOON))), NOON);
+    model.update(report("PACK-B", sample(&second.sample(NOON))), NOON);
     model
 }
 
-fn press(model: &mut Model, key: char) -> Wish {
+fn press(model: &mut Model, key: char) -> Action {
     model.key(KeyEvent::new(KeyCode::Char(key), KeyModifiers::NONE), NOON)
 }
 
@@ -141,7 +141,7 @@ fn golden(name: &str, now: &str) {
     matches(&Path::new("tests/it/golden/top").join(name), now);
 }
 
-/// Compares with a file of the repository, which `GAUGEFS_GOLDEN=write` writes anew.
+/// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`.
 #[track_caller]
 fn matches(file: &Path, now: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
@@ -151,7 +151,7 @@ fn matches(file: &Path, now: &str) {
     let then = fs::read_to_string(&path).unwrap_or_default();
     assert!(
         now == then,
-        "{}: another screen; where it is meant, GAUGEFS_GOLDEN=write\n{now}",
+        "{}: the screen differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}",
         path.display()
     );
 }
@@ -167,11 +167,11 @@ fn screens_of_all_sizes() {
     let before = vec![learned("Qmax Cell 0", "1000", "mAh"), learned("Update Status", "0x04", "Num")];
     let after = vec![learned("Qmax Cell 0", "1012", "mAh"), learned("Update Status", "0x05", "Num")];
     golden("80x24-learning-sealed", &text(&drawn(&model, 80, 24, NOON)));
-    model.hear(report("PACK-A", Seen::Learned(Ok(before))), NOON - 60.0);
-    model.hear(report("PACK-A", Seen::Learned(Ok(after))), NOON);
+    model.update(report("PACK-A", Seen::Learned(Ok(before))), NOON - 60.0);
+    model.update(report("PACK-A", Seen::Learned(Ok(after))), NOON);
     let mut later = Tree::new("PACK-A", -500_000).sample(NOON + 5.0);
     later.moment = model.gauge().and_then(|gauge| gauge.shown.as_ref()?.moment);
-    model.hear(report("PACK-A", sample(&later)), NOON + 6.0);
+    model.update(report("PACK-A", sample(&later)), NOON + 6.0);
     golden("80x24-learning", &text(&drawn(&model, 80, 24, NOON + 7.0)));
     golden("200x50-learning", &text(&drawn(&model, 200, 50, NOON + 7.0)));
     golden("40x10-learning", &text(&drawn(&model, 40, 10, NOON + 7.0)));
@@ -179,7 +179,7 @@ fn screens_of_all_sizes() {
     golden("80x24-help", &text(&drawn(&model, 80, 24, NOON)));
 }
 
-/// No size makes it panic, and none is overdrawn.
+/// No size makes it panic, and it never draws beyond the screen.
 #[test]
 fn screens_of_odd_sizes() {
     let mut model = model(true);
@@ -194,35 +194,35 @@ fn screens_of_odd_sizes() {
 }
 
 #[test]
-fn what_is_wrong_is_on_the_screen() {
+fn the_screen_shows_what_is_wrong() {
     let mut model = model(true);
     let tree = Tree::new("PACK-A", -500_000);
     tree.file("gauge/last_error", &format!("{ERROR}\n"));
-    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    model.update(report("PACK-A", sample(&tree.sample(NOON))), NOON);
     let screen = text(&drawn(&model, 80, 24, NOON));
     assert!(screen.contains(&format!("last error: {ERROR}")), "{screen}");
 
     // The mount hangs.
     let screen = text(&drawn(&model, 80, 24, NOON + 20.0));
-    assert!(screen.contains("no answer") && screen.contains("does not answer for 20 s"), "{screen}");
+    assert!(screen.contains("no answer for 20 s"), "{screen}");
     // Its daemon was killed.
-    let why = "its daemon is gone; take it away with: gaugefs umount /run/gauges";
+    let why = "its daemon has died; remove the mount with: gaugefs umount /run/gauges";
     let gone = Report { root: 0, gauge: "/run/gauges".into(), seen: Seen::Trouble(why.into()) };
-    model.hear(gone, NOON + 21.0);
+    model.update(gone, NOON + 21.0);
     let screen = text(&drawn(&model, 80, 24, NOON + 21.0));
     assert!(screen.contains("gone") && screen.contains("gaugefs umount"), "{screen}");
     assert!(!screen.contains("3.855") && !screen.contains("Discharging"), "{screen}");
-    // The gauge alone.
+    // Only the gauge is absent.
     let tree = Tree::new("PACK-A", -500_000);
     tree.file("uevent", "POWER_SUPPLY_NAME=PACK-A\nPOWER_SUPPLY_TYPE=Battery\nPOWER_SUPPLY_PRESENT=0\n");
     fs::remove_file(tree.0.join("gauge/age_ms")).expect("a file");
-    model.hear(report("PACK-A", sample(&tree.sample(NOON + 22.0))), NOON + 22.0);
+    model.update(report("PACK-A", sample(&tree.sample(NOON + 22.0))), NOON + 22.0);
     let screen = text(&drawn(&model, 80, 24, NOON + 22.0));
     assert!(screen.contains("absent"), "{screen}");
 }
 
 #[test]
-fn data_flash_is_asked_for_by_a_key_or_found_unsealed() {
+fn data_flash_is_read_for_a_key_or_while_unsealed() {
     let mut model = model(true);
     let orders = |model: &mut Model, now| {
         let orders = model.orders(now);
@@ -237,27 +237,27 @@ fn data_flash_is_asked_for_by_a_key_or_found_unsealed() {
 
     let tree = Tree::new("PACK-A", -500_000);
     tree.file("gauge/seal", "unsealed\n");
-    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    model.update(report("PACK-A", sample(&tree.sample(NOON))), NOON);
     assert_eq!(orders(&mut model, NOON), 1);
     assert_eq!(orders(&mut model, NOON + 59.0), 0);
     assert_eq!(orders(&mut model, NOON + 61.0), 1, "a minute later");
     press(&mut model, 'l');
-    assert_eq!(orders(&mut model, NOON + 200.0), 0, "nobody looks at it");
+    assert_eq!(orders(&mut model, NOON + 200.0), 0, "the learned values are not shown");
 
-    // Who may not see the seal does not know that it is open.
+    // A user who may not read the seal state does not know that it is unsealed.
     press(&mut model, 'l');
     fs::remove_file(tree.0.join("gauge/seal")).expect("a file");
-    model.hear(report("PACK-A", sample(&tree.sample(NOON))), NOON);
+    model.update(report("PACK-A", sample(&tree.sample(NOON))), NOON);
     assert_eq!(orders(&mut model, NOON + 400.0), 0);
 }
 
 #[test]
-fn a_pause_holds_the_screen_and_forgets_nothing() {
+fn a_pause_freezes_the_screen_and_loses_nothing() {
     let mut model = model(true);
     let before = text(&drawn(&model, 80, 24, NOON));
     press(&mut model, 'p');
     let tree = Tree::new("PACK-A", -900_000);
-    model.hear(report("PACK-A", sample(&tree.sample(NOON + 30.0))), NOON + 30.0);
+    model.update(report("PACK-A", sample(&tree.sample(NOON + 30.0))), NOON + 30.0);
     let paused = text(&drawn(&model, 80, 24, NOON + 31.0));
     assert_eq!(paused.replace("  paused", "        "), before);
     press(&mut model, 'p');
@@ -265,7 +265,7 @@ fn a_pause_holds_the_screen_and_forgets_nothing() {
 }
 
 #[test]
-fn keys_do_what_the_bottom_line_says() {
+fn keys_do_what_the_last_line_says() {
     let mut model = model(true);
     for (key, name) in
         [('i', "current in A"), ('c', "capacity in %"), ('t', "temperature in °C"), ('v', "voltage in V")]
@@ -280,15 +280,15 @@ fn keys_do_what_the_bottom_line_says() {
     }
     assert!(text(&drawn(&model, 80, 24, NOON)).contains("last 1 min"));
     let mut key = |code, modifiers| model.key(KeyEvent::new(code, modifiers), NOON);
-    assert_eq!(key(KeyCode::Tab, KeyModifiers::NONE), Wish::Nothing);
-    assert_eq!(key(KeyCode::Char('z'), KeyModifiers::CONTROL), Wish::Suspend);
-    assert_eq!(key(KeyCode::Char('c'), KeyModifiers::CONTROL), Wish::Quit);
-    assert_eq!(key(KeyCode::Char('q'), KeyModifiers::NONE), Wish::Quit);
+    assert_eq!(key(KeyCode::Tab, KeyModifiers::NONE), Action::Nothing);
+    assert_eq!(key(KeyCode::Char('z'), KeyModifiers::CONTROL), Action::Suspend);
+    assert_eq!(key(KeyCode::Char('c'), KeyModifiers::CONTROL), Action::Quit);
+    assert_eq!(key(KeyCode::Char('q'), KeyModifiers::NONE), Action::Quit);
     assert_eq!(model.gauge().expect("a gauge").name(), "PACK-B");
 }
 
 #[test]
-fn without_colour_there_is_none() {
+fn without_colours_there_are_none() {
     let colours = |model: &Model| {
         let buffer = drawn(model, 80, 24, NOON);
         buffer.content().iter().any(|cell| cell.fg != Color::Reset || cell.bg != Color::Reset)
@@ -305,7 +305,7 @@ const DISCHARGE: [i64; 11] = [4130, 4010, 3940, 3880, 3825, 3780, 3745, 3715, 36
 #[test]
 fn the_picture_in_docs_is_what_top_draws() {
     let mut model = Model::new(1.0, true);
-    model.expect(&[PathBuf::from("/run/gauges")], NOON);
+    model.add_mounts(&[PathBuf::from("/run/gauges")], NOON);
     let set = |sample: &mut Sample, values: &[(&str, &str)]| {
         for (name, value) in &mut sample.attributes {
             if let Some((_, new)) = values.iter().find(|(wanted, _)| wanted == name) {
@@ -336,18 +336,18 @@ fn the_picture_in_docs_is_what_top_draws() {
                 ("time_to_empty_now", &left),
             ],
         );
-        model.hear(report("PACK-A", sample(&seen)), NOON - 3600.0 + f64::from(second));
+        model.update(report("PACK-A", sample(&seen)), NOON - 3600.0 + f64::from(second));
     }
     let mut charging = Tree::new("PACK-B", 400_000).sample(NOON);
     let values = [("voltage_now", "4088000"), ("charge_now", "1172000"), ("charge_full", "1340000")];
     set(&mut charging, &values);
     set(&mut charging, &[("capacity", "87"), ("model_name", "bq27441-G1")]);
-    model.hear(report("PACK-B", sample(&charging)), NOON);
+    model.update(report("PACK-B", sample(&charging)), NOON);
     let mut other = Tree::new("PACK-C", -250_000).sample(NOON);
     let values = [("voltage_now", "3832000"), ("charge_now", "1278000"), ("charge_full", "2200000")];
     set(&mut other, &values);
     set(&mut other, &[("capacity", "58"), ("model_name", "bq34110")]);
-    model.hear(report("PACK-C", sample(&other)), NOON);
+    model.update(report("PACK-C", sample(&other)), NOON);
     press(&mut model, '+');
     press(&mut model, '+');
     let svg = picture::svg(&drawn(&model, 80, 24, NOON + 1.0));

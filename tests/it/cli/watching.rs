@@ -87,7 +87,7 @@ impl Screen {
         kill(Pid::from_raw(self.child.id() as i32), signal).expect("it runs");
     }
 
-    /// As the shell left it: main screen, cursor, echo and all else.
+    /// Everything is as the shell left it: main screen, cursor, echo and all other settings.
     #[track_caller]
     fn is_restored(&self) {
         within(LONG, "the terminal is restored", || {
@@ -120,7 +120,7 @@ impl Drop for Screen {
 }
 
 #[test]
-fn top_is_used_and_left() {
+fn top_can_be_used_and_quit() {
     if !can_mount() {
         return;
     }
@@ -142,7 +142,7 @@ fn top_is_used_and_left() {
     screen.resize(50, 132);
     screen.shows("d data flash");
     screen.press("?");
-    screen.shows("read from data flash what it has learned, once");
+    screen.shows("read the learned values from data flash, once");
     fs::write(format!("{at}/BAT0/sim/power"), "off").expect("a knob");
     screen.shows("absent");
     screen.press("q");
@@ -166,7 +166,7 @@ fn top_is_used_and_left() {
 }
 
 #[test]
-fn top_tells_a_mount_that_hangs_and_one_that_ends() {
+fn top_reports_a_mount_that_hangs_and_one_that_ends() {
     if !can_mount() {
         return;
     }
@@ -176,7 +176,7 @@ fn top_tells_a_mount_that_hangs_and_one_that_ends() {
     let mut screen = Screen::new(&[&at]);
     screen.shows("bq34z100-G1");
     daemon.send(Signal::SIGSTOP);
-    screen.shows("does not answer for");
+    screen.shows("no answer for");
     screen.press("q");
     screen.ends();
 
@@ -185,14 +185,14 @@ fn top_tells_a_mount_that_hangs_and_one_that_ends() {
     screen.shows("bq34z100-G1");
     daemon.send(Signal::SIGKILL);
     daemon.ends();
-    screen.shows("its daemon is gone");
+    screen.shows("its daemon has died");
     gaugefs(&["umount", &at]).done();
     screen.shows("not mounted");
     screen.press("q");
     screen.ends();
 }
 
-/// What it costs a sealed gauge to be looked at: nothing, until a key asks for data flash.
+/// Watching a sealed gauge causes no transfer until a key asks for data flash.
 #[test]
 fn top_leaves_a_sealed_gauge_alone() {
     if !can_mount() {
@@ -200,7 +200,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     }
     let folder = Folder::new();
     let at = folder.file("m");
-    // After the first two polls there is none while this test runs.
+    // After the first two polls there are no more during this test.
     gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
     let statistic =
         |name: &str| read(&at, &format!("BAT0/gauge/statistics/{name}")).parse::<u64>().expect("a number");
@@ -215,7 +215,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     screen.shows("sealed: not read");
     screen.shows("grid number");
     let asked = Instant::now();
-    within(LONG, "some looks", || asked.elapsed() > Duration::from_secs(2));
+    within(LONG, "some time", || asked.elapsed() > Duration::from_secs(2));
     assert_eq!((statistic("transfers"), statistic("polls")), (transfers, 2));
     assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
 
@@ -226,12 +226,12 @@ fn top_leaves_a_sealed_gauge_alone() {
     let once = statistic("transfers");
     assert!(once > transfers);
     let asked = Instant::now();
-    within(LONG, "some looks", || asked.elapsed() > Duration::from_secs(2));
-    assert_eq!(statistic("transfers"), once, "it was asked for once");
+    within(LONG, "some time", || asked.elapsed() > Duration::from_secs(2));
+    assert_eq!(statistic("transfers"), once, "it was read once");
     screen.press("q");
     screen.ends();
 
-    // Found unsealed, it is read without being asked for.
+    // An unsealed gauge is read without a key press.
     fs::write(format!("{at}/BAT0/gauge/seal"), "unsealed").expect("the default key fits");
     let mut screen = Screen::new(&[&at]);
     screen.shows("unsealed");
@@ -245,7 +245,7 @@ fn top_leaves_a_sealed_gauge_alone() {
 }
 
 #[test]
-fn top_says_that_a_gauge_without_a_key_stays_sealed() {
+fn top_says_that_there_is_no_key_for_a_sealed_gauge() {
     if !can_mount() {
         return;
     }
@@ -261,7 +261,7 @@ fn top_says_that_a_gauge_without_a_key_stays_sealed() {
 }
 
 #[test]
-fn top_prints_json_until_its_reader_has_seen_enough() {
+fn top_prints_json_until_its_reader_closes_the_pipe() {
     if !can_mount() {
         return;
     }
@@ -272,7 +272,7 @@ fn top_prints_json_until_its_reader_has_seen_enough() {
     within(LONG, "the second poll", || passed.exists());
     let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "2", &at]).done();
     for line in out.lines() {
-        let look: Value = serde_json::from_str(line).expect("JSON");
+        let sample: Value = serde_json::from_str(line).expect("JSON");
         for (pointer, value) in [
             ("/path", json!(format!("{at}/BAT0"))),
             ("/name", json!("BAT0")),
@@ -283,11 +283,11 @@ fn top_prints_json_until_its_reader_has_seen_enough() {
             ("/seal", json!("sealed")),
             ("/last_error", json!("")),
         ] {
-            assert_eq!(look.pointer(pointer), Some(&value), "{pointer} in {line}");
+            assert_eq!(sample.pointer(pointer), Some(&value), "{pointer} in {line}");
         }
-        assert!(look["time"].is_string() && look["age_ms"].is_u64(), "{line}");
+        assert!(sample["time"].is_string() && sample["age_ms"].is_u64(), "{line}");
     }
-    // The reader takes one line and goes.
+    // The reader takes a few bytes and closes the pipe.
     let mut child = command(&["top", "--json", "--interval", "0.1", &at])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -331,14 +331,14 @@ fn log_writes_each_poll_once_and_continues() {
     let last = &written[6];
     assert_eq!((last[1].as_str(), last[2].as_str(), last[4].as_str()), ("BAT0", "Discharging", "-0.500"));
 
-    // To standard output, and to a reader that goes.
+    // To standard output, and to a reader that closes the pipe.
     let out = gaugefs(&["log", &at, "--count", "1"]).done();
     assert_eq!(out.lines().count(), 2);
     let script = format!("'{}' log '{at}' | head -n 1", env!("CARGO_BIN_EXE_gaugefs"));
     let output = Command::new("sh").args(["-c", &script]).output().expect("a shell");
     assert_eq!(output.stderr, b"");
 
-    // A row that was cut short stays alone, and the plot leaves it out.
+    // A truncated row remains, and the plot leaves it out.
     let text = fs::read_to_string(&file).expect("the log");
     fs::write(&file, &text[..text.len() - 20]).expect("a file");
     gaugefs(&["log", &at, "-o", &file, "--count", "1"]).done();
@@ -346,14 +346,14 @@ fn log_writes_each_poll_once_and_continues() {
     gaugefs(&["plot", &file, "-o", &folder.file("history.svg")]).done();
 
     fs::write(&file, "some,other,columns\n1,2,3\n").expect("a file");
-    gaugefs(&["log", &at, "-o", &file]).failed(&[&file, "has other columns"]);
+    gaugefs(&["log", &at, "-o", &file]).failed(&[&file, "its columns are not those that gaugefs log writes"]);
     assert_eq!(fs::read_to_string(&file).expect("it"), "some,other,columns\n1,2,3\n");
     gaugefs(&["log", &at, "-o", "/dev/full"]).failed(&["/dev/full", "No space left on device"]);
     gaugefs(&["log", &folder.file("none")]).failed(&["not mounted"]);
 }
 
 #[test]
-fn log_survives_an_absence() {
+fn log_continues_after_an_absence() {
     if !can_mount() {
         return;
     }
@@ -385,12 +385,12 @@ fn log_survives_an_absence() {
     let svg = folder.file("history.svg");
     gaugefs(&["plot", &file, "--columns", "voltage", "-o", &svg]).done();
     let drawn = fs::read_to_string(svg).expect("the plot");
-    // Each stretch of time a line of its own.
+    // Each period without a gap is a line of its own.
     assert_eq!(drawn.matches("stroke=\"#0072b2\"").count(), 3, "{drawn}");
 }
 
 #[test]
-fn plot_draws_what_was_logged() {
+fn plot_draws_a_history() {
     golden(
         "plot",
         &[
