@@ -1,10 +1,7 @@
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
-
-pub use gauge_bus as bus;
-pub use gauge_bus::clock;
-pub use ti_gauge::{
-    authentication, chip, codec, dataflash, gauge, image, journal, keys, probe, registers, text, value,
-};
+//!
+//! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim` and
+//! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
 
 pub mod cli;
 mod config;

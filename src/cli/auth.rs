@@ -8,9 +8,9 @@ use clap::Args;
 use nix::errno::Errno;
 
 use super::{folder_name, print};
-use crate::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
+use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 
 const AUTH: &str = "\
 The key file needs a line `authentication = 32 hexadecimal digits`. The key never leaves this

@@ -7,8 +7,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{align, print, print_json};
-use crate::chip::{CHIPS, Chip, Evidence, Scheme};
 use crate::error::Result;
+use ti_gauge::chip::{CHIPS, Chip, Evidence, Scheme};
 
 /// List the supported gauges and what each table is based on
 #[derive(Args, Debug)]

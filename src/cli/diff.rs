@@ -7,10 +7,10 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{counted, print, print_json};
-use crate::chip::Chip;
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::mounted;
+use ti_gauge::chip::Chip;
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both

@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 
 use super::print;
 use crate::error::{Error, Result};
-use crate::image::Format;
 use crate::mounted;
+use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
 toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send to

@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 
 use super::print;
 use crate::error::Result;
-use crate::image::Group;
 use crate::mounted;
+use ti_gauge::image::Group;
 
 mod progress;
 

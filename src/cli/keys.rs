@@ -16,7 +16,7 @@ use zeroize::Zeroizing;
 use super::{folder_name, print};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
-use crate::keys::{Name, Secret};
+use ti_gauge::keys::{Name, Secret};
 
 const CHANGE: &str = "\
 Write the new key down before you begin: without its key, a gauge can never be unsealed again.

@@ -7,11 +7,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{align, counted, print, print_json};
-use crate::chip::Chip;
 use crate::config::chip_names;
 use crate::error::Result;
-use crate::image::Image;
 use crate::mounted;
+use ti_gauge::chip::Chip;
+use ti_gauge::image::Image;
 
 const LINT: &str = "\
 No gauge is needed. A FlashStream is interpreted as a gauge would do it. A line that writes

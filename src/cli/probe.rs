@@ -1,4 +1,4 @@
-//! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`crate::probe`].
+//! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`ti_gauge::probe`].
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -10,13 +10,13 @@ use nix::errno::Errno;
 use serde::Serialize;
 
 use super::{align, print, print_json};
-use crate::bus::linux::{Adapter, LinuxBus};
-use crate::bus::{Bus, GAUGE_ADDRESS};
-use crate::chip::Role;
-use crate::clock::{Clock, RealClock};
 use crate::config::address;
 use crate::error::{Error, Result};
-use crate::probe::{self, ROM_ADDRESS, Reading};
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::{Bus, GAUGE_ADDRESS};
+use ti_gauge::chip::Role;
+use ti_gauge::probe::{self, ROM_ADDRESS, Reading};
 
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.

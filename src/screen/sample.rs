@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use crate::clock::{Clock, RealClock};
+use gauge_bus::clock::{Clock, RealClock};
 
 /// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
 /// apart.

@@ -12,9 +12,9 @@ use std::time::Duration;
 use nix::errno::Errno;
 
 use super::sample::Sample;
-use crate::chip::{CHIPS, Parameter, Subclass, kebab_case};
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
+use ti_gauge::chip::{CHIPS, Parameter, Subclass, kebab_case};
 
 /// TI's name for the subclass with the values that a gauge has learned.
 const STATE: &str = "State";

@@ -5,8 +5,8 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::bus::GAUGE_ADDRESS;
-use crate::bus::linux::{Adapter, adapters, clock_hz, driver};
+use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::linux::{Adapter, adapters, clock_hz, driver};
 
 /// The fastest clock at which the controller below tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;

@@ -12,7 +12,7 @@ use ratatui::widgets::{
 use super::super::sample::{Sample, decimal};
 use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
-use crate::chip::{CHIPS, snake_case};
+use ti_gauge::chip::{CHIPS, snake_case};
 
 /// Keys, the most important first: a narrow screen has room for a few.
 const KEYS: [(&str, &str); 9] = [
