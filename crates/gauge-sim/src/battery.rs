@@ -1,5 +1,5 @@
-//! The pack itself: charge, open-circuit voltage, resistance and warmth. What a gauge makes of it is
-//! in `gauging`.
+//! The pack itself: charge, open-circuit voltage, resistance and temperature. What a gauge makes of it is a
+//! [`Model`](super::model::Model).
 
 /// Open-circuit voltage of a lithium-ion cell in mV, by state of charge in percent.
 const CURVE: &[(f64, f64)] = &[
@@ -18,7 +18,7 @@ const CURVE: &[(f64, f64)] = &[
     (100.0, 4199.0),
 ];
 
-/// The same of a primary cell of lithium and thionyl chloride.
+/// The same for a primary cell of lithium and thionyl chloride.
 const PRIMARY_CURVE: &[(f64, f64)] = &[
     (0.0, 2000.0),
     (3.0, 3000.0),
@@ -32,21 +32,21 @@ const PRIMARY_CURVE: &[(f64, f64)] = &[
 /// Resistance of a cell at 25 degrees, in ohms.
 const RESISTANCE: f64 = 0.042;
 const PRIMARY_RESISTANCE: f64 = 2.0;
-/// What the charger holds at a cell once it has reached it, in mV.
+/// Voltage to which the charger charges a cell, in mV.
 const CHARGER_MV: f64 = 4200.0;
-/// Warming by the cell's own losses: kelvins a watt, and the time it takes in seconds.
+/// Warming by the cell's own losses: kelvins per watt, and the time constant in seconds.
 const WARMING: f64 = 12.0;
 const WARMING_TIME: f64 = 600.0;
-/// Charge and discharge end here: the protector opens.
+/// This close to full or empty the protector opens, and charge or discharge ends.
 const SHUT: f64 = 1e-9;
 
-/// A pack of equal cells in series with a load or a charger at it.
+/// A pack of equal cells in series, connected to a load or a charger.
 #[derive(Clone, Debug)]
 pub(super) struct Battery {
     pub(super) cells: f64,
     pub(super) capacity_mah: f64,
     pub(super) charge_mah: f64,
-    /// What is asked of it: positive discharges.
+    /// The load; negative for a charger.
     pub(super) load_ma: f64,
     /// Ambient temperature in degrees.
     pub(super) ambient: f64,
@@ -75,12 +75,12 @@ impl Battery {
         }
     }
 
-    /// The same of primary cells, which nobody charges.
+    /// The same with primary cells.
     pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
         Self { curve: PRIMARY_CURVE, ohms: PRIMARY_RESISTANCE, ..Self::new(cells, capacity_mah, soc) }
     }
 
-    /// Another size, as full as it was.
+    /// Changes the size and keeps the state of charge.
     pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
         self.charge_mah *= capacity_mah / self.capacity_mah;
         self.capacity_mah = capacity_mah;
@@ -95,20 +95,20 @@ impl Battery {
         self.charge_mah = self.capacity_mah * percent / 100.0;
     }
 
-    /// Degrees.
+    /// Of the cells, in degrees.
     pub(super) fn temperature(&self) -> f64 {
         self.ambient + self.rise
     }
 
-    /// Of a cell, in ohms.
+    /// Of one cell, in ohms.
     pub(super) fn resistance(&self) -> f64 {
         let cold = ((25.0 - self.temperature()) * 0.02).clamp(-0.5, 1.5);
         let empty = (10.0 - self.percent()).max(0.0) * 0.1;
         self.ohms * (1.0 + cold + empty)
     }
 
-    /// Current into the pack, in mA: the load while there is charge, the charger's until the cells have
-    /// its voltage, then what that voltage still drives.
+    /// Current into the pack, in mA. A load draws its current while there is charge. A charger delivers its
+    /// current until the cells have its voltage, and then what that voltage still drives.
     pub(super) fn current_ma(&self) -> f64 {
         if self.load_ma > 0.0 {
             return if self.charge_mah > SHUT { -self.load_ma } else { 0.0 };
@@ -125,7 +125,7 @@ impl Battery {
         (self.open_circuit(self.percent()) + self.current_ma() * self.resistance()).max(0.0)
     }
 
-    /// Lets `seconds` pass with the current it has; the caller keeps them few.
+    /// Lets time pass during which the current changes little.
     pub(super) fn step(&mut self, seconds: f64) {
         let current = self.current_ma();
         let moved = current * seconds / 3600.0;
@@ -134,7 +134,7 @@ impl Battery {
         self.rise += (watts * WARMING - self.rise) * (1.0 - libm::exp(-seconds / WARMING_TIME));
     }
 
-    /// Energy left from `percent` of the pack down to empty, in mWh, without losses.
+    /// Energy from a charge down to empty, in mWh, without losses.
     pub(super) fn energy_mwh(&self, charge_mah: f64) -> f64 {
         let percent = (100.0 * charge_mah / self.capacity_mah).clamp(0.0, 100.0);
         let mut area = 0.0;

@@ -1,8 +1,8 @@
-//! Data flash of a simulated gauge, or the RAM in its place: bytes by area and block, how often each block was programmed, and
-//! the file that keeps both across processes.
+//! Data flash of a simulated gauge, or the RAM that some parts have instead: bytes by area and block, how
+//! often each block was programmed, and the file that keeps both across processes.
 //!
-//! An area is a subclass; its blocks are 32 bytes, the last one may be shorter. Nothing here knows what
-//! the bytes mean.
+//! An area is a subclass. Its blocks have 32 bytes, except that the last one may be shorter. This module does
+//! not know what the bytes mean.
 
 use std::fmt::Write as _;
 use std::fs::{self, File, OpenOptions};
@@ -17,7 +17,7 @@ use super::error::{Error, Kind, Result};
 /// Bytes in a whole block.
 pub(super) const BLOCK: usize = 32;
 
-/// The bytes that a new part holds: area number and content, in the order of [`Flash::bytes`].
+/// The content of a new part: number and bytes of each area, in the order of [`Flash::bytes`].
 pub(super) type Image = &'static [(u16, &'static [u8])];
 
 #[derive(Clone, Debug)]
@@ -31,9 +31,9 @@ struct Area {
 #[derive(Clone, Debug)]
 pub(super) struct Flash {
     areas: Vec<Area>,
-    /// The flag that moves the interface from I2C to HDQ, which outlives a loss of power.
+    /// The interface is HDQ instead of I2C. The flag survives a loss of power.
     pub(super) hdq: bool,
-    /// Of a gauge with RAM: its content is ROM's since power came, Flags() `[ITPOR]`.
+    /// Flags() `[ITPOR]` of a gauge with RAM: nothing has been loaded over the content from ROM.
     pub(super) itpor: bool,
     /// This specimen's ROM has a negative CC Gain.
     pub(super) inverted: bool,
@@ -57,7 +57,7 @@ impl Flash {
         self.areas.iter_mut().find(|area| area.id == id)
     }
 
-    /// A block's own bytes: fewer than 32 at the end of an area, none beyond it.
+    /// The bytes of a block: fewer than 32 at the end of an area, none beyond it.
     pub(super) fn block(&self, id: u16, block: u8) -> &[u8] {
         let start = usize::from(block) * BLOCK;
         match self.area(id) {
@@ -77,7 +77,7 @@ impl Flash {
         }
     }
 
-    /// Changes bytes without programming them: in a new part, and by a loss of power.
+    /// Changes bytes without wear.
     pub(super) fn set(&mut self, id: u16, offset: usize, bytes: &[u8]) {
         if let Some(target) = self.area_mut(id).and_then(|area| area.bytes.get_mut(offset..)) {
             let count = target.len().min(bytes.len());
@@ -85,12 +85,12 @@ impl Flash {
         }
     }
 
-    /// Bytes of an area; none if it does not have as many.
+    /// `count` bytes of an area from `offset` on; none if the area is shorter.
     pub(super) fn bytes_at(&self, id: u16, offset: usize, count: usize) -> &[u8] {
         self.area(id).and_then(|area| area.bytes.get(offset..offset + count)).unwrap_or(&[])
     }
 
-    /// The same as an array; zeros if there are none.
+    /// The same as an array; zeros if the area is shorter.
     pub(super) fn get<const N: usize>(&self, id: u16, offset: usize) -> [u8; N] {
         self.bytes_at(id, offset, N).try_into().unwrap_or([0; N])
     }
@@ -110,19 +110,19 @@ impl Flash {
         i16::from_be_bytes(self.get(id, offset))
     }
 
-    /// Puts back what `image` has, but for one area: what becomes of RAM.
+    /// Restores all areas from `image` except one, as RAM is filled from ROM.
     pub(super) fn reload(&mut self, image: Image, but: u16) {
         for &(id, bytes) in image.iter().filter(|(id, _)| *id != but) {
             self.set(id, 0, bytes);
         }
     }
 
-    /// Every byte, area after area.
+    /// All bytes, area after area.
     pub(super) fn bytes(&self) -> Vec<u8> {
         self.areas.iter().flat_map(|area| area.bytes.iter().copied()).collect()
     }
 
-    /// How often each block was programmed, for those that were: `48/0 3 68/0 1`.
+    /// How often blocks were programmed, without those that never were: `48/0 3 68/0 1`.
     pub(super) fn wear(&self) -> String {
         let mut out = String::new();
         for area in &self.areas {
@@ -134,13 +134,13 @@ impl Flash {
         out
     }
 
-    /// How often any block was programmed.
+    /// How many times blocks were programmed, all together.
     pub(super) fn programmed(&self) -> u64 {
         self.areas.iter().flat_map(|area| &area.wear).map(|&count| u64::from(count)).sum()
     }
 }
 
-/// Where the flash of a gauge is kept, if anywhere.
+/// The file in which the flash of a gauge is kept, if any.
 #[derive(Debug)]
 pub(super) struct Store {
     path: Option<PathBuf>,
@@ -154,7 +154,7 @@ impl Store {
         Self { path, chip, failure: None }
     }
 
-    /// Fills `flash` from the file; `false` where there is none yet.
+    /// Fills `flash` from the file. Returns `false` if there is none yet.
     pub(super) fn load(&self, flash: &mut Flash) -> Result<bool> {
         let Some(path) = &self.path else { return Ok(false) };
         let text = match fs::read(path) {
@@ -178,7 +178,7 @@ impl Store {
         if lines.next() != Some(HEAD) {
             return Err(format!("it does not begin with `{HEAD}`"));
         }
-        // The chip is compared first: for a file of another gauge that is the answer that helps.
+        // The chip is compared first, because that is the most useful error for a file of another gauge.
         let chip = lines.next().and_then(|line| line.strip_prefix("chip ")).ok_or("it names no chip")?;
         if chip != self.chip {
             return Err(format!("it is one of a {chip}"));
@@ -224,8 +224,8 @@ impl Store {
         Ok(())
     }
 
-    /// Puts `flash` into the file, so that a process killed at any moment leaves the old content or the
-    /// new one. Without a file there is nothing to do.
+    /// Saves `flash` in the file, if there is one. A process that is killed at any moment leaves either the
+    /// old content or the new one.
     pub(super) fn save(&mut self, flash: &Flash) -> Result<()> {
         let Some(path) = &self.path else { return Ok(()) };
         let result =
@@ -266,7 +266,7 @@ fn host(path: &Path, error: &io::Error, what: &str) -> Error {
 }
 
 fn replace(path: &Path, text: &str) -> io::Result<()> {
-    let name = path.file_name().ok_or_else(|| io::ErrorKind::IsADirectory)?;
+    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
@@ -274,7 +274,7 @@ fn replace(path: &Path, text: &str) -> io::Result<()> {
     let mut temporary = name.to_os_string();
     temporary.push(".new");
     let temporary = folder.join(temporary);
-    // Keys are part of the flash, so nobody else may read the file.
+    // Flash holds the keys, so only the owner may read the file.
     let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&temporary)?;
     file.write_all(text.as_bytes())?;
     file.sync_all()?;
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_printed_reads_back() {
+    fn printed_state_reads_back() {
         let store = Store::new(Some("x".into()), "part");
         let mut flash = Flash::new(IMAGE);
         flash.program(48, 32, &[0xA5; 8]);
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn no_damage_goes_unnoticed() {
+    fn all_damage_is_detected() {
         let store = Store::new(Some("x".into()), "part");
         let text = store.print(&Flash::new(IMAGE));
         for end in 0..text.len() {

@@ -1,6 +1,6 @@
-//! What a gauge makes of its pack: measurements, counting, states and flags, and the registers that show
-//! them. Thresholds are read from data flash at a reset, as the parts do; where they stand there, and
-//! which register shows what, is each part's own.
+//! The model of the parts with block access: measurements, coulomb counting, states and flags, and the
+//! registers that show them. As in the parts, thresholds are read from data flash at a reset. Where they
+//! are stored, and which register shows what, differs between parts and is described by [`Map`].
 
 use super::battery::Battery;
 use super::flash::Flash;
@@ -24,19 +24,19 @@ pub(super) const CF: u32 = 0x0010;
 pub(super) const SOC1: u32 = 0x0004;
 pub(super) const SOCF: u32 = 0x0002;
 pub(super) const DSG: u32 = 0x0001;
-// ... and those that it does not know: too warm or too cold, whether or not current flows.
+// ... and two that it does not have: too warm or too cold, whether or not current flows.
 pub(super) const OT: u32 = 0x0001_0000;
 pub(super) const UT: u32 = 0x0002_0000;
 // FlagsB(), table 7-7.
 const FIRSTDOD: u16 = 0x2000;
 const DODEOC: u16 = 0x0400;
 
-/// How a part's bytes and registers are laid out, as far as they are about gauging.
+/// Where a part has its parameters and registers of gauging.
 #[derive(Debug)]
 pub(super) struct Map {
     /// Reads its thresholds.
     pub(super) settings: fn(&Flash) -> Settings,
-    /// Address, bytes, and what is shown there.
+    /// Address, number of bytes, and what is shown there.
     pub(super) registers: &'static [(u8, usize, Quantity)],
     /// Conditions and the bits of Flags() that show them.
     pub(super) flags: &'static [(u32, u16)],
@@ -70,7 +70,7 @@ pub(super) enum Quantity {
     Full,
     Grid,
     Health,
-    /// That it comes from learned resistances.
+    /// Whether the state of health comes from learned resistances.
     HealthStatus,
     InternalTemperature,
     LearnedStatus,
@@ -97,12 +97,12 @@ pub(super) enum Quantity {
     Voltage,
 }
 
-/// Data flash as it was at the last reset.
+/// Parameters as data flash had them at the last reset.
 #[derive(Clone, Debug)]
 pub(super) struct Settings {
     pub(super) ot_charge: (f64, f64, f64),
     pub(super) ot_discharge: (f64, f64, f64),
-    /// Too warm and too cold, with the distance back.
+    /// Limit of OT and of UT, and the hysteresis.
     pub(super) over: (f64, f64),
     pub(super) under: (f64, f64),
     pub(super) inhibit: (f64, f64, f64),
@@ -119,14 +119,14 @@ pub(super) struct Settings {
     pub(super) design_mah: u16,
     pub(super) charge_mv: [u16; 3],
     pub(super) charge_percent: [u8; 3],
-    /// Limits of the temperature ranges, where there are any.
+    /// Limits of the temperature ranges, if the part has any.
     pub(super) jeita: Option<[f64; 4]>,
     pub(super) energy_scale: f64,
     pub(super) soc1: (u16, u16),
     pub(super) socf: (u16, u16),
     pub(super) low_mv: (f64, f64, f64),
     pub(super) high_mv: (f64, f64, f64),
-    /// What the copy of the configuration shows.
+    /// The configuration word as a register shows it.
     pub(super) pack: u16,
     pub(super) full_at_taper: bool,
     pub(super) thermistor: bool,
@@ -142,12 +142,12 @@ pub(super) struct Settings {
     pub(super) deadband_ma: f64,
     pub(super) standby_ma: f64,
     pub(super) max_load_ma: f64,
-    /// Current counts with the wrong sign.
+    /// Current has the wrong sign.
     pub(super) inverted: bool,
     pub(super) cells: f64,
     pub(super) qmax_mah: f64,
     pub(super) enabled: bool,
-    /// Update Status but for its bit of IT_ENABLE.
+    /// Update Status without the bit that IT_ENABLE sets.
     pub(super) learned: u8,
     pub(super) lifetime_s: f64,
     pub(super) lifetime_step: [f64; 3],
@@ -220,16 +220,16 @@ struct Learned {
     lifetime: bool,
 }
 
-/// The measuring and counting half of the gauge.
+/// The measuring and counting half of a gauge.
 #[derive(Clone, Debug)]
 pub(super) struct Gauging {
     map: &'static Map,
     battery: Battery,
     settings: Settings,
-    /// What the host writes into AtRate() and, where it may, into Temperature().
+    /// What the host has written to AtRate() and, if the part allows it, to Temperature().
     pub(super) at_rate_ma: i16,
     pub(super) host_temperature: Option<u16>,
-    /// By how much the count of charge is wrong.
+    /// Error of the coulomb counter.
     drift_mah: f64,
     /// Voltage() has been measured since power came.
     measured: bool,
@@ -255,7 +255,8 @@ pub(super) struct Gauging {
     dod: f64,
     dod_s: f64,
     end_dod: f64,
-    /// Warmest, coldest, largest charge and discharge current, highest and lowest voltage, as stored.
+    /// Highest and lowest temperature, largest charge and discharge current, highest and lowest voltage, in
+    /// the units of data flash.
     lifetime: [f64; 6],
     lifetime_kept: [f64; 6],
     lifetime_s: f64,
@@ -263,7 +264,7 @@ pub(super) struct Gauging {
 }
 
 impl Gauging {
-    /// A gauge that has long been at rest with its pack.
+    /// A gauge whose pack has been at rest for a long time.
     pub(super) fn new(map: &'static Map, flash: &Flash, soc: f64) -> Self {
         let settings = (map.settings)(flash);
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
@@ -305,7 +306,7 @@ impl Gauging {
         new
     }
 
-    /// Works with data flash as it is now, from a new open-circuit voltage on.
+    /// Takes over data flash as it is now, and an open-circuit voltage.
     pub(super) fn load(&mut self, flash: &Flash) {
         self.apply(flash);
         self.lifetime = self.settings.lifetime;
@@ -314,7 +315,7 @@ impl Gauging {
         self.update(0.0);
     }
 
-    /// Works with data flash as it is now, and goes on counting from where it is.
+    /// Takes over data flash as it is now, and continues counting.
     pub(super) fn apply(&mut self, flash: &Flash) {
         self.settings = (self.map.settings)(flash);
         self.battery.resize(self.settings.cells, self.settings.qmax_mah);
@@ -337,7 +338,7 @@ impl Gauging {
         self.simulate();
     }
 
-    /// The gauge predicts anew, and counts from here.
+    /// Makes a new prediction, and counts from here.
     fn simulate(&mut self) {
         self.passed_mah = 0.0;
         self.start_mah = self.remaining();
@@ -347,7 +348,7 @@ impl Gauging {
         (self.counted() - self.settings.reserve_mah).max(0.0)
     }
 
-    /// The charge that it takes the pack to have.
+    /// The pack's charge according to the coulomb counter.
     fn counted(&self) -> f64 {
         (self.battery.charge_mah + self.drift_mah).clamp(0.0, self.battery.capacity_mah)
     }
@@ -366,19 +367,19 @@ impl Gauging {
         f64::from(self.voltage_mv()) / self.battery.cells
     }
 
-    /// What the coulomb counter shows: nothing within the deadband.
+    /// Current as the coulomb counter shows it: 0 within the deadband.
     fn current_ma(&self) -> f64 {
         let current = self.battery.current_ma();
         let current = if self.settings.inverted { -current } else { current };
         if current.abs() < self.settings.deadband_ma { 0.0 } else { current }
     }
 
-    /// No more than the current of SLEEP, given in mA, on average.
+    /// Whether the average current is low enough for SLEEP.
     pub(super) fn is_quiet(&self, sleep_ma: f64) -> bool {
         self.state == State::Rest && self.average_ma.abs() <= sleep_ma
     }
 
-    /// States and flags as they are with the present measurements, after `seconds` of them.
+    /// Updates states and flags, after the present measurements have lasted for `seconds`.
     pub(super) fn update(&mut self, seconds: f64) {
         self.change_state(seconds);
         let charging = self.state == State::Charge;
@@ -446,7 +447,7 @@ impl Gauging {
                 self.flags &= !bit;
             }
         }
-        // Nothing is full by rounding up.
+        // A pack is not full because a percentage was rounded up.
         let (exact, percent) = (self.percent(), self.percent().round() as i8);
         let full = if s.full.0 < 0 { self.tapered } else { exact >= f64::from(s.full.0) };
         let stop = if s.charge_alert.0 < 0 { self.tapered } else { exact >= f64::from(s.charge_alert.0) };
@@ -522,7 +523,7 @@ impl Gauging {
         }
     }
 
-    /// Keeps the extremes; tells when they are worth a flash write (SLUSBZ5D 7.3.6.17).
+    /// Tracks the extremes. Returns whether they are worth a flash write (SLUSBZ5D 7.3.6.17).
     fn track(&mut self, seconds: f64) -> bool {
         let s = &self.settings;
         if !self.enabled || s.lifetime_s == 0.0 {
@@ -594,8 +595,8 @@ impl Gauging {
         if load_ma < 0.0 { whole((self.remaining() / -load_ma * 60.0).min(65534.0)) } else { NO_TIME }
     }
 
-    /// The registers that show all this; the host's own ones are left 0. `present` is whether the gauge
-    /// knows of a battery: it predicts nothing without.
+    /// The registers. Those that the host writes are left 0, and without a battery `present` also those
+    /// that are predicted.
     pub(super) fn registers(&self, calibration: bool, present: bool) -> Registers {
         let mut out = [0; 0x80];
         for &(register, size, quantity) in self.map.registers {
@@ -694,7 +695,7 @@ impl Model for Gauging {
         self.measured = false;
     }
 
-    /// A full reset knows nothing of the error it makes (table 7-4).
+    /// After a full reset the error is not known (table 7-4).
     fn restart(&mut self, flash: &Flash) {
         let (battery, measured) = (self.battery.clone(), self.measured);
         *self = Self::new(self.map, flash, 0.0);
@@ -712,7 +713,7 @@ impl Model for Gauging {
         self.battery.step(seconds);
         let mut moved = self.battery.charge_mah - before;
         if self.settings.inverted {
-            // It may run against the end of its scale, and no further.
+            // The counter stops at the end of its scale.
             let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
             self.drift_mah = (self.drift_mah - 2.0 * moved).clamp(low, high);
             moved = -moved;

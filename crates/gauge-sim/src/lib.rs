@@ -51,6 +51,7 @@ mod model;
 mod part;
 mod parts;
 mod seal;
+mod timing;
 mod update;
 mod window;
 mod wire;
@@ -71,20 +72,20 @@ const BIT: Duration = Duration::from_micros(10);
 /// How many transfers the log keeps.
 const LOG: usize = 4096;
 
-/// A transfer as it passed.
+/// One transfer of the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// When it ended.
     pub at: Duration,
     /// The 7-bit address.
     pub address: u8,
-    /// Bytes written, the register first.
+    /// Bytes written, starting with the register.
     pub write: Vec<u8>,
     /// Bytes read.
     pub read: Vec<u8>,
-    /// What the host was told.
+    /// The result that the host got.
     pub result: Result<(), BusError>,
-    /// The host said that it carries keys: it is not shown.
+    /// The host has marked it as carrying keys, so it is not shown.
     pub secret: bool,
 }
 
@@ -126,7 +127,7 @@ struct State {
     log: Option<VecDeque<Record>>,
 }
 
-/// What has passed on the bus.
+/// Traffic on the bus.
 #[derive(Default)]
 struct Counters {
     transfers: u64,
@@ -157,14 +158,14 @@ impl fmt::Debug for Sim {
 }
 
 impl Sim {
-    /// A gauge: SEALED, its pack of one cell at rest and about 60 % full; a primary cell is new.
+    /// Makes a gauge. It is SEALED, and its pack is one cell at rest, about 60 % full; a primary cell is new.
     pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
         let Some(part) = PARTS.iter().find(|part| part.name == chip) else {
             let known: Vec<&str> = PARTS.iter().map(|part| part.name).collect();
             let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
             return Err(Error::new(chip, Kind::Invalid, text));
         };
-        let gauge = match &part.scheme {
+        let gauge = match part.scheme {
             Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
             Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
         };
@@ -176,12 +177,12 @@ impl Sim {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A way to the gauge.
+    /// A bus to the gauge.
     pub fn bus(&self) -> SimBus {
         self.bus_at(GAUGE_ADDRESS)
     }
 
-    /// A way to another address of the same bus, where usually nothing answers.
+    /// A bus to another address on the same wires, where usually nothing answers.
     pub fn bus_at(&self, address: u8) -> SimBus {
         SimBus { sim: self.clone(), address, secret: false }
     }
@@ -222,17 +223,17 @@ impl Sim {
         }
     }
 
-    /// All flash, subclass after subclass: what tests compare.
+    /// All flash, subclass after subclass.
     pub fn flash(&self) -> Vec<u8> {
         self.lock().gauge.flash().bytes()
     }
 
-    /// Switches the log on or off; it starts empty.
+    /// Switches the log on or off, and empties it.
     pub fn keep_log(&self, on: bool) {
         self.lock().log = on.then(VecDeque::new);
     }
 
-    /// The latest transfers, oldest first; none while the log is off.
+    /// The latest transfers, oldest first; none if the log is off.
     pub fn log(&self) -> Vec<Record> {
         self.lock().log.iter().flatten().cloned().collect()
     }
@@ -280,7 +281,7 @@ impl Bus for Direct<'_> {
         };
         if hold > Duration::ZERO {
             held.counters.stretched += hold.min(ADAPTER_WAITS);
-            // Knobs can be read meanwhile, by a thread that serves other gauges as well.
+            // The lock is released, so that another thread can read the knobs meanwhile.
             drop(held);
             clock.sleep(hold.min(ADAPTER_WAITS));
             if hold > ADAPTER_WAITS {
@@ -288,7 +289,8 @@ impl Bus for Direct<'_> {
             }
             held = self.sim.lock();
         }
-        // The time of a transfer depends on which bytes are acknowledged, and they on the time.
+        // How long the transfer takes depends on what is acknowledged, and that on the time: the gauge sees
+        // the end of a transfer in which everything is.
         let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
         let state = &mut *held;
         let result = state.gauge.message(write, read, &mut state.plan, now);
@@ -305,7 +307,7 @@ impl SimBus {
     fn attempt(&self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let clock = &*self.sim.clock;
         let due = self.sim.lock().plan.next(write.len() + read.len());
-        // Waits of the bus pass while nobody holds the gauge, so that its knobs can still be read.
+        // The bus waits without holding the lock, so that knobs can still be read.
         if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
             let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);
             clock.sleep(hold);
@@ -331,7 +333,7 @@ impl SimBus {
                 power_off(back);
                 result
             }
-            // A commit takes its faults from the plan itself.
+            // The commit takes its fault from the plan itself.
             Some(Fault::Commit(_)) | None => direct.transfer(write, read),
         };
         if result == Err(BusError::NoAck) {

@@ -1,9 +1,9 @@
 //! The description of a part: everything in which one simulated gauge differs from another.
 
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::gauging::Map;
 use super::model::MacModel;
+use super::timing::Timing;
 use super::update::Exit;
 
 /// A part.
@@ -15,9 +15,10 @@ pub(super) struct Part {
 }
 
 /// How a part is accessed.
+#[derive(Clone, Copy)]
 pub(super) enum Scheme {
-    Block(BlockPart),
-    Mac(MacPart),
+    Block(&'static BlockPart),
+    Mac(&'static MacPart),
 }
 
 /// Class and offset of a value in data flash.

@@ -8,23 +8,23 @@
 use std::time::Duration;
 
 use super::bq27441_g1::{self, FLAGS, OWN, family, rate};
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
 use super::part::Action::*;
 use super::part::Who::{Anyone, Unsealed};
 use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status, Who};
+use super::timing::Timing;
 use super::update::Exit;
 
 /// The part.
 pub(super) static PART: Part =
-    Part { name: "bq27427", image: IMAGE, timing: TIMING, scheme: Scheme::Block(SCHEME) };
+    Part { name: "bq27427", image: IMAGE, timing: TIMING, scheme: Scheme::Block(&SCHEME) };
 
 /// 2.4.3: a host must not look for [CFGUPMODE] before 1.1 s have passed.
 const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
 
-const SCHEME: BlockPart = BlockPart {
+static SCHEME: BlockPart = BlockPart {
     // Printed nowhere.
     code: 0x0001,
     map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },

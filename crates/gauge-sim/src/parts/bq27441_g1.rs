@@ -5,25 +5,25 @@
 
 use std::time::Duration;
 
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{CHG, DSG, FC, Map, OCVTAKEN, OT, SOC1, SOCF, Settings, UT};
 use super::part::Action::*;
 use super::part::Who::{Anyone, Unsealed};
 use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status, Who};
+use super::timing::Timing;
 use super::update::Exit;
 
 /// The bq27441-G1A.
 pub(super) static PART: Part =
-    Part { name: "bq27441-g1", image: IMAGE, timing: TIMING, scheme: Scheme::Block(SCHEME) };
+    Part { name: "bq27441-g1", image: IMAGE, timing: TIMING, scheme: Scheme::Block(&SCHEME) };
 
 /// The bq27421-G1A. It differs in DM_CODE only, and its answer there is printed nowhere.
 pub(super) static BQ27421: Part = Part {
     name: "bq27421-g1",
     image: IMAGE,
     timing: TIMING,
-    scheme: Scheme::Block(BlockPart { code: 0x0001, ..SCHEME }),
+    scheme: Scheme::Block(&BlockPart { code: 0x0001, ..SCHEME }),
 };
 
 /// 3.1: up to a second each way. RAM takes a word at once.

@@ -4,19 +4,19 @@
 //! table 4-7) where drivers for this part or a shipped image of the bq27520-G4 agree, that image's where
 //! they are alone, and zeros elsewhere. The class State is the bq27500-V130's.
 
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG};
 use super::part::Action::*;
 use super::part::Who::{Anyone, FullAccess, Unsealed};
 use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status, Who};
+use super::timing::Timing;
 
 /// The part.
 pub(super) static PART: Part =
-    Part { name: "bq27520-g3", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(SCHEME) };
+    Part { name: "bq27520-g3", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(&SCHEME) };
 
-const SCHEME: BlockPart = BlockPart {
+static SCHEME: BlockPart = BlockPart {
     code: 0,
     map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: Some((82, 4)), lifetime: None },
     subcommands: SUBCOMMANDS,

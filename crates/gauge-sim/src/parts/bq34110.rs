@@ -6,7 +6,6 @@
 //! in the sisters.
 
 use super::battery::Battery;
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, u8_at, u16_at};
 use super::model::{
@@ -15,13 +14,14 @@ use super::model::{
 };
 use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
+use super::timing::Timing;
 
 /// The part.
 pub(super) static PART: Part = Part {
     name: "bq34110",
     image: IMAGE,
     timing: Timing::MAC,
-    scheme: Scheme::Mac(MacPart {
+    scheme: Scheme::Mac(&MacPart {
         gate: 0x4157,
         keys: (PRIVATE, 0),
         seal: 0x0030,

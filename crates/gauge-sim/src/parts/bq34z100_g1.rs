@@ -5,7 +5,6 @@
 
 use std::array;
 
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{
@@ -14,12 +13,13 @@ use super::gauging::{
 use super::part::Action::*;
 use super::part::Who::{Anyone, FullAccess, Unsealed};
 use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status, Who};
+use super::timing::Timing;
 
 /// The part.
 pub(super) static PART: Part =
-    Part { name: "bq34z100-g1", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(SCHEME) };
+    Part { name: "bq34z100-g1", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(&SCHEME) };
 
-const SCHEME: BlockPart = BlockPart {
+static SCHEME: BlockPart = BlockPart {
     code: 0,
     map: Map {
         settings,

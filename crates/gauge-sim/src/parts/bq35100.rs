@@ -6,7 +6,6 @@
 use std::time::Duration;
 
 use super::battery::Battery;
-use super::device::Timing;
 use super::flash::{Flash, Image};
 use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
@@ -14,13 +13,14 @@ use super::model::{
 };
 use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
+use super::timing::Timing;
 
 /// The part.
 pub(super) static PART: Part = Part {
     name: "bq35100",
     image: IMAGE,
     timing: Timing { power_up: BOOT, reset: BOOT, reset_stretches: true, ..Timing::MAC },
-    scheme: Scheme::Mac(MacPart {
+    scheme: Scheme::Mac(&MacPart {
         gate: 0x41B6,
         keys: (DATA_FLASH, offset(0x41CC)),
         seal: 0x0020,
