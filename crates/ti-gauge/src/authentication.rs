@@ -28,8 +28,8 @@ pub const LENGTH: usize = 20;
 /// A challenge or a digest, the most significant byte first, as SHA-1 takes and gives it.
 pub type Message = [u8; LENGTH];
 
-/// How often the digest is looked for.
-const LOOKS: u32 = 4;
+/// Reads of the digest before the gauge is given up.
+const DIGEST_READS: u32 = 4;
 /// write(2) returns within 30 s.
 const LIMIT: Duration = Duration::from_secs(12);
 
@@ -143,7 +143,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     // I2C has no check of its own, and no document says how long the gauge computes: a digest counts when
     // it is read twice.
     let mut before = None;
-    for _ in 0..LOOKS {
+    for _ in 0..DIGEST_READS {
         gauge.wait(waits.digest);
         let mut digest = [0; LENGTH];
         gauge.read(AUTHENTICATE_DATA, &mut digest)?;

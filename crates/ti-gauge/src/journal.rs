@@ -64,12 +64,12 @@ pub(crate) struct Plan {
     pub(crate) reset: bool,
     /// The serial number that the gauge has afterwards, where that is written.
     pub(crate) serial: Option<u16>,
-    pub(crate) blocks: Vec<Block>,
+    pub(crate) blocks: Vec<PlannedBlock>,
 }
 
 /// A block before and after.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Block {
+pub(crate) struct PlannedBlock {
     pub(crate) subclass: u8,
     pub(crate) base: u16,
     /// From and to where the changed parameters stand.
@@ -80,7 +80,7 @@ pub(crate) struct Block {
 
 /// The journal of a write that is under way.
 #[derive(Debug)]
-pub(crate) struct Open {
+pub(crate) struct OpenJournal {
     file: File,
     path: PathBuf,
 }
@@ -103,11 +103,11 @@ impl Journal {
 
     /// Begins an entry, in place of the one before, and keeps room for a plan of so many blocks. When this
     /// returns, a loss of power does not undo it.
-    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<Open> {
+    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
         let path = self.path(identity);
         let text = format!("{HEAD}\ngauge {}\nfound {}\n", self.gauge, found.as_str());
         match self.store(&path, &text, LINE * (blocks + 2)) {
-            Ok(file) => Ok(Open { file, path }),
+            Ok(file) => Ok(OpenJournal { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
@@ -171,7 +171,7 @@ impl Journal {
     }
 }
 
-impl Open {
+impl OpenJournal {
     /// Goes on with an entry that was left behind.
     pub(crate) fn again(path: PathBuf) -> Result<Self> {
         match File::options().append(true).custom_flags(OFlags::NOFOLLOW.bits() as i32).open(&path) {
@@ -226,7 +226,7 @@ fn render(plan: &Plan) -> String {
     if let Some(serial) = serial {
         text += &format!("serial {serial:04x}\n");
     }
-    for Block { subclass, base, written: (from, to), old, new } in blocks {
+    for PlannedBlock { subclass, base, written: (from, to), old, new } in blocks {
         text += &format!("block {subclass} {base} {from} {to} {} {}\n", hex(old), hex(new));
     }
     let sum = sum(&text);
@@ -272,14 +272,14 @@ fn parse_plan(text: &str) -> Option<Plan> {
     Some(Plan { reset, serial, blocks })
 }
 
-fn parse_block(line: &str) -> Option<Block> {
+fn parse_block(line: &str) -> Option<PlannedBlock> {
     let mut words = line.split(' ');
     let subclass = words.next()?.parse().ok()?;
     let base = words.next()?.parse().ok()?;
     let written: (usize, usize) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
     let (old, new) = (parse_bytes(words.next()?)?, parse_bytes(words.next()?)?);
     let fits = written.0 < written.1 && written.1 <= WINDOW && words.next().is_none();
-    fits.then_some(Block { subclass, base, written, old, new })
+    fits.then_some(PlannedBlock { subclass, base, written, old, new })
 }
 
 fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     fn a_plan_counts_when_it_is_whole() {
-        let block = Block { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
+        let block = PlannedBlock { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
         let plan = Plan { reset: true, serial: Some(7), blocks: vec![block.clone(), block] };
         let head = format!("{HEAD}\ngauge i2c-1 address 0x55\nfound sealed\n");
         let text = head.clone() + &render(&plan);

@@ -13,13 +13,16 @@ use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::{DataFlash, Dirty, RESTORES, Window, sequence};
+use super::DataFlash;
+use super::blocks::{Dirty, Window};
+use super::schemes::sequence;
+use super::session::RESTORES;
 use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
-use crate::keys::{Change, Name, Secret, wipe_stack};
+use crate::keys::{Change as KeyChange, Name, Secret, wipe_stack};
 
 /// The way forward, and the way back, without the silences that a gauge wants before a key it refused.
 const WAY: Duration = Duration::from_secs(8);
@@ -30,7 +33,7 @@ const START: Duration = Duration::from_secs(3);
 /// After a start Voltage() is valid about 1 s later (E2E 1059347).
 const MEASURED: Duration = Duration::from_secs(1);
 /// Between two looks at a gauge that does not answer, or did not do as it was told.
-const LOOK: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 /// Below this a word is, or may become, a subcommand of every part.
 const SUBCOMMANDS: u16 = 0x0100;
 /// Words that ManufacturerAccessControl() takes for addresses.
@@ -57,7 +60,7 @@ impl Ring {
 /// One change on its way.
 struct Task<'a> {
     block: &'a KeyBlock,
-    change: &'a Change,
+    change: &'a KeyChange,
     /// Where in the window the key stands.
     at: usize,
     /// In which order challenges are sent.
@@ -72,7 +75,7 @@ impl DataFlash {
     pub fn change_key(
         &mut self,
         gauge: &mut Gauge,
-        change: &Change,
+        change: &KeyChange,
         order: Order,
         waited: Duration,
     ) -> Result<()> {
@@ -87,7 +90,7 @@ impl DataFlash {
     fn change_key_unnamed(
         &mut self,
         gauge: &mut Gauge,
-        change: &Change,
+        change: &KeyChange,
         order: Order,
         waited: Duration,
     ) -> Result<()> {
@@ -127,7 +130,7 @@ fn place(chip: &'static Chip, name: Name) -> Result<(&'static KeyBlock, usize)> 
 
 /// Keys with which a gauge would be open to all, or do something else. The manual's own are fine: whoever
 /// gives a pack away puts them back.
-fn check_new(gauge: &Gauge, change: &Change) -> Result<()> {
+fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     let refuse =
         |why: &str| Err(Error::new("", Cause::OutOfRange(format!("the new key {why}"))).at(Step::Check));
     if change.new == change.old {
@@ -235,7 +238,7 @@ impl Task<'_> {
     /// The key that the gauge has, where no key was needed to come here: the old one, the new one, or what
     /// a change left behind that was cut short.
     fn held(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
-        let Change { name, old, new } = self.change;
+        let KeyChange { name, old, new } = self.change;
         let stands = |key: &Secret| self.stands(window, key, self.at);
         for key in [old, new] {
             if stands(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
@@ -426,7 +429,7 @@ impl Task<'_> {
             // A gauge that has just started stores nothing before it has measured its voltage.
             gauge.wait(MEASURED);
         }
-        let Change { name, new, .. } = self.change;
+        let KeyChange { name, new, .. } = self.change;
         let known = match (state, known) {
             (Keyhole::Open(_), Worked::Old) => {
                 "the gauge took the old key, but what it keeps could not be put in order and tried again"
@@ -458,7 +461,7 @@ impl Task<'_> {
         let now = loop {
             match gauge.seal() {
                 Ok(now) => break now,
-                Err(_) if gauge.clock.now() < limit => gauge.wait(LOOK),
+                Err(_) if gauge.clock.now() < limit => gauge.wait(POLL_INTERVAL),
                 Err(_) => return Keyhole::Silent,
             }
         };
@@ -521,7 +524,7 @@ impl Task<'_> {
         let limit = gauge.clock.now() + START;
         let mut closed = gauge.go_to(self.found);
         while closed.is_err() && gauge.clock.now() < limit {
-            gauge.wait(LOOK);
+            gauge.wait(POLL_INTERVAL);
             gauge.forget_refusal();
             closed = gauge.go_to(self.found);
         }

@@ -4,7 +4,9 @@
 //! I2C has no check of its own, so nothing is refused for one answer: what speaks against a write is read a
 //! second time first.
 
-use super::{Change, DataFlash, Outcome, read_byte, sequence};
+use super::io::read_byte;
+use super::schemes::sequence;
+use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Answers, BEHIND, Gauge, Seal, Statistics};
@@ -14,7 +16,7 @@ const ROM_MODE: u16 = 0x0F00;
 
 /// The gauge whose values were read.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Met {
+pub(super) struct KnownPack {
     pub(super) firmware_version: u16,
     /// What the table says tells packs apart; `None` until it has been read.
     pack: Option<u16>,
@@ -43,7 +45,7 @@ impl DataFlash {
             Some(Word::Answer(_)) => answers.chem_id,
             _ => None,
         };
-        self.met = Some(Met { firmware_version: answers.firmware_version, pack, lost: None });
+        self.known_pack = Some(KnownPack { firmware_version: answers.firmware_version, pack, lost: None });
     }
 
     /// Whether another gauge has answered in the place of the one whose values were read.
@@ -58,13 +60,13 @@ impl DataFlash {
             Some(Word::Register(code)) => value(code),
             _ => None,
         };
-        let Some(met) = &mut self.met else { return false };
+        let Some(known_pack) = &mut self.known_pack else { return false };
         if let (Some(bit), Some(flags)) = (chip.volatile, flags) {
-            met.lost = Some(flags & bit != 0);
+            known_pack.lost = Some(flags & bit != 0);
         }
-        match (met.pack, pack) {
+        match (known_pack.pack, pack) {
             (Some(old), Some(new)) if old != new => self.doubts = true,
-            (None, Some(new)) => met.pack = Some(new),
+            (None, Some(new)) => known_pack.pack = Some(new),
             _ => {}
         }
         self.doubts
@@ -73,11 +75,11 @@ impl DataFlash {
     /// All that can be looked at without unsealing.
     pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
-        let found = look(gauge)?;
+        let found = read_state(gauge)?;
         if self.check(gauge.chip, &found, changes).is_ok() {
             return Ok(found);
         }
-        let found = look(gauge)?;
+        let found = read_state(gauge)?;
         self.check(gauge.chip, &found, changes).inspect_err(|error| self.doubt(error))?;
         Ok(found)
     }
@@ -91,11 +93,11 @@ impl DataFlash {
         if !pack.is_some_and(|pack| matches!(pack.word, Word::Register(_))) {
             gauge.confirm_identity().inspect_err(|error| self.doubt(error))?;
         }
-        let firmware_version = match self.met {
-            Some(met) => {
-                let other = differs(gauge, Gauge::firmware_version, met.firmware_version)?;
-                self.same(chip, "firmware", met.firmware_version, other)?;
-                met.firmware_version
+        let firmware_version = match self.known_pack {
+            Some(known_pack) => {
+                let other = differs(gauge, Gauge::firmware_version, known_pack.firmware_version)?;
+                self.same(chip, "firmware", known_pack.firmware_version, other)?;
+                known_pack.firmware_version
             }
             None => {
                 let known =
@@ -112,11 +114,12 @@ impl DataFlash {
                 version
             }
         };
-        let met = self.met.get_or_insert(Met { firmware_version, pack: None, lost: None });
+        let known_pack =
+            self.known_pack.get_or_insert(KnownPack { firmware_version, pack: None, lost: None });
         let Some(pack) = pack else { return Ok(()) };
         let ask = |gauge: &mut Gauge| read_word(gauge, pack.word);
-        match met.pack {
-            None => met.pack = Some(ask(gauge)?),
+        match known_pack.pack {
+            None => known_pack.pack = Some(ask(gauge)?),
             Some(expected) => {
                 let other = differs(gauge, ask, expected)?;
                 self.same(chip, pack.name, expected, other)?;
@@ -145,7 +148,7 @@ impl DataFlash {
         let flags = chip.volatile.zip(chip.register(Role::Flags));
         if let Some((bit, flags)) = flags
             && found.register(flags.code) & bit != 0
-            && self.met.is_some_and(|met| met.lost == Some(false))
+            && self.known_pack.is_some_and(|known_pack| known_pack.lost == Some(false))
         {
             let why = "set, and was not when its values were read: the gauge has lost its power, and its data memory \
                        with it; look at its values before you write";
@@ -214,23 +217,23 @@ impl DataFlash {
     pub(super) fn learn_from(&mut self, gauge: &Gauge, changes: &[Change], outcome: &Result<Outcome>) {
         let rows = gauge.chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
         let touched = changes.iter().any(|change| rows.iter().any(|&row| change.is_at(row)));
-        let Some(met) = &mut self.met else { return };
+        let Some(known_pack) = &mut self.known_pack else { return };
         match outcome {
             Ok(Outcome::Unchanged) => Statistics::count(&gauge.statistics.unchanged_writes),
             Ok(Outcome::Written { .. }) => {
                 self.ours = false;
                 // The end of CONFIG UPDATE clears it.
-                met.lost = gauge.chip.volatile.map(|_| false);
+                known_pack.lost = gauge.chip.volatile.map(|_| false);
             }
             Err(error) => {
                 self.ours |= matches!(error.cause(), Cause::StateUnknown(_));
                 if matches!(error.cause(), Cause::StateUnknown(_) | Cause::RolledBack(_)) {
-                    met.lost = None;
+                    known_pack.lost = None;
                 }
             }
         }
         if touched && !matches!(outcome, Ok(Outcome::Unchanged)) {
-            met.pack = None;
+            known_pack.pack = None;
         }
     }
 }
@@ -270,7 +273,7 @@ pub(super) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
 }
 
 /// Seal, voltage and flags, in the one read that the seal needs.
-fn look(gauge: &mut Gauge) -> Result<Found> {
+fn read_state(gauge: &mut Gauge) -> Result<Found> {
     let chip = gauge.chip;
     let voltage = chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code;
     let modes = chip.preflight.modes.iter().filter_map(|mode| match mode.word {

@@ -4,13 +4,17 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::DataFlash;
+use super::blocks::{Dirty, Window, locate};
+use super::io::verify_written;
 use super::preflight::read_word;
-use super::{DataFlash, Dirty, Visit, Window, in_time, locate, sequence, verify_written};
+use super::schemes::sequence;
+use super::session::{Session, in_time};
 use crate::chip::{Chip, FLAT, Kind, Role, Word};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{self, Identity, Open, Plan};
+use crate::journal::{Identity, OpenJournal, Plan, PlannedBlock};
 
 /// What one block holds.
 enum Held {
@@ -26,8 +30,8 @@ impl DataFlash {
         if let Some(identity) = self.identity {
             return Ok(identity);
         }
-        let firmware = match self.met {
-            Some(met) => met.firmware_version,
+        let firmware = match self.known_pack {
+            Some(known_pack) => known_pack.firmware_version,
             None => gauge.firmware_version()?,
         };
         let chip = gauge.chip;
@@ -53,18 +57,18 @@ impl DataFlash {
             gauge.confirm_identity()?;
             let now = gauge.seal()?;
             // What was found open and has closed since is left closed.
-            let mut visit = Visit::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
-            visit.now = None;
-            visit.journal = Some(Open::again(path)?);
+            let mut session = Session::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
+            session.now = None;
+            session.journal = Some(OpenJournal::again(path)?);
             let outcome = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
             let outcome = outcome
                 .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| settle(gauge, &mut visit, entry.plan.as_ref()));
+                .and_then(|()| settle(gauge, &mut session, entry.plan.as_ref()));
             if outcome.is_err() {
                 // The file stays: nothing has been settled.
-                visit.journal = None;
+                session.journal = None;
             }
-            visit.close(gauge, outcome)
+            session.close(gauge, outcome)
         });
         // It may be the serial number that was settled.
         self.identity = None;
@@ -96,7 +100,7 @@ pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
             (old[at], new[at]) = (0, 0);
         }
         let Window { subclass, base } = block.place;
-        journal::Block { subclass, base, written: (block.written.start, block.written.end), old, new }
+        PlannedBlock { subclass, base, written: (block.written.start, block.written.end), old, new }
     });
     let serial = serial(gauge.chip).and_then(|(_, (subclass, offset))| {
         let (place, at) = locate(subclass, 0, offset);
@@ -131,7 +135,7 @@ fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
 }
 
-fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<String> {
+fn settle(gauge: &mut Gauge, session: &mut Session, plan: Option<&Plan>) -> Result<String> {
     let Some(plan) = plan else {
         return Ok("a write was cut off before anything was written".into());
     };
@@ -147,7 +151,7 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
         for at in (0..WINDOW).filter(|&at| is_secret(gauge, place, at)) {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
-        match look(gauge, &block, &stored) {
+        match classify(gauge, &block, &stored) {
             Held::Old => old.push(block),
             Held::New => new.push(block),
             Held::Torn => torn.push(block),
@@ -155,7 +159,7 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
     }
     // The mode that a write begins may still be on; to begin it again is to find it.
     if sequence(gauge).always_finishes() {
-        visit.begin(gauge)?;
+        session.begin(gauge)?;
     }
     let finishes = plan.reset || sequence(gauge).always_finishes();
     if torn.is_empty() && new.is_empty() {
@@ -163,7 +167,7 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
     }
     if torn.is_empty() && old.is_empty() {
         if finishes {
-            visit.finish(gauge)?;
+            session.finish(gauge)?;
             new.iter().try_for_each(|block| verify_written(gauge, block))?;
         }
         return Ok("a write was cut off when all was written; it has been finished and verified".into());
@@ -173,10 +177,10 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
     };
     // Whole where a block is torn; else what was written and nothing more, so that what the gauge has
     // learned since stays.
-    visit.restore(gauge, &torn, false).map_err(unknown)?;
-    visit.restore(gauge, &new, true).map_err(unknown)?;
+    session.restore(gauge, &torn, false).map_err(unknown)?;
+    session.restore(gauge, &new, true).map_err(unknown)?;
     if finishes {
-        visit.finish(gauge).map_err(unknown)?;
+        session.finish(gauge).map_err(unknown)?;
     }
     for block in torn.into_iter().chain(new).chain(old) {
         let back = Dirty { new: block.old, ..block };
@@ -185,7 +189,7 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
     Ok("a write was cut off half way; the old values were put back and verified".into())
 }
 
-fn look(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
+fn classify(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
     let Dirty { place, old, new, .. } = block;
     let (mut all_old, mut all_new) = (true, true);
     for at in 0..WINDOW {

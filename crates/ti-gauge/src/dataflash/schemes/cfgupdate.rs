@@ -4,10 +4,11 @@
 
 use std::time::Duration;
 
+use super::Sequence;
 use super::block::Block;
-use super::{Dirty, Sequence, Window};
 use crate::chip::Role;
 use crate::codec::WINDOW;
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -17,8 +18,8 @@ const SET_CFGUPDATE: u16 = 0x0013;
 const SOFT_RESET: u16 = 0x0042;
 /// Flags() `[CFGUPMODE]`.
 const CFGUPMODE: u16 = 0x0010;
-/// Between two looks at `[CFGUPMODE]`, which takes up to a second to come or go.
-const LOOK: Duration = Duration::from_millis(100);
+/// Time between two reads of `[CFGUPMODE]`, which takes up to a second to come or go.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub(super) struct CfgUpdate;
 
@@ -99,6 +100,6 @@ fn settles(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
         if gauge.clock.now() >= limit {
             return Ok(false);
         }
-        gauge.wait(LOOK);
+        gauge.wait(POLL_INTERVAL);
     }
 }

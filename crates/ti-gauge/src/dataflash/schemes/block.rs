@@ -3,8 +3,9 @@
 
 use std::time::Duration;
 
-use super::{Dirty, Sequence, Window};
+use super::Sequence;
 use crate::codec::{WINDOW, checksum};
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 

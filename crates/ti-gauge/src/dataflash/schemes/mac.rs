@@ -1,8 +1,9 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and what it echoes is checked.
 
-use super::{Dirty, Sequence, Window};
+use super::Sequence;
 use crate::codec::{WINDOW, checksum};
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 

@@ -1,0 +1,169 @@
+//! One session with an unsealed gauge: however it goes, the gauge is left sealed as it was found.
+
+use std::time::Duration;
+
+use super::blocks::Dirty;
+use super::io::store;
+use super::schemes::sequence;
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Seal};
+use crate::journal::OpenJournal;
+
+/// A write(2) answers within 30 s: so much for the way forward ...
+pub(super) const FORWARD: Duration = Duration::from_secs(16);
+/// ... so much for putting back what was there, and as much again for the seal.
+pub(super) const BACK: Duration = Duration::from_secs(6);
+/// How often putting the old bytes back is tried.
+pub(super) const RESTORES: u32 = 3;
+
+/// One session to an unsealed gauge: how it was found, and what is known of its state now.
+pub(super) struct Session {
+    pub(super) found: Seal,
+    /// `None` from the moment on in which something may have changed it until it is confirmed.
+    pub(super) now: Option<Seal>,
+    /// A mode was begun that has to be finished on every way out.
+    pub(super) begun: bool,
+    /// What is done is put down there first, and removed when the session has ended as it should.
+    pub(super) journal: Option<OpenJournal>,
+}
+
+impl Session {
+    pub(super) fn new(found: Seal) -> Self {
+        Self { found, now: Some(found), begun: false, journal: None }
+    }
+
+    /// The session has ended as it should; there is nothing to settle any more.
+    pub(super) fn over(&mut self) {
+        // What stays is settled before the next write, or at the next start: nothing is lost by it.
+        if let Some(Err(error)) = self.journal.take().map(OpenJournal::over) {
+            log::warn!("{error}");
+        }
+    }
+
+    /// Makes data flash readable.
+    pub(super) fn open(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if self.found == Seal::Sealed {
+            self.now = None;
+            gauge.unseal()?;
+            self.now = Some(Seal::Unsealed);
+        }
+        sequence(gauge).enable(gauge)
+    }
+
+    /// Makes data flash writable.
+    pub(super) fn begin(&mut self, gauge: &mut Gauge) -> Result<()> {
+        self.begun = sequence(gauge).always_finishes();
+        sequence(gauge).begin(gauge)
+    }
+
+    /// Makes what was written take effect, and data flash readable again.
+    pub(super) fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
+        self.now = None;
+        sequence(gauge).finish(gauge)?;
+        self.begun = false;
+        self.now = Some(reopen(gauge, self.found)?);
+        sequence(gauge).enable(gauge)
+    }
+
+    /// Puts the old bytes back. Once the gauge has begun to work with new data flash that is what was
+    /// written and nothing else, so that what it learned meanwhile stays; before, it is the whole block: a
+    /// bit lost in a register's address puts a byte in the wrong place, and the checksum, a sum, does not
+    /// see it.
+    pub(super) fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty], finished: bool) -> Result<()> {
+        let mut outcome = Ok(());
+        for _ in 0..RESTORES {
+            outcome = gauge
+                .seal()
+                .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
+                .and_then(|()| sequence(gauge).enable(gauge))
+                .and_then(|()| {
+                    touched.iter().try_for_each(|block| self.restore_block(gauge, block, finished))
+                });
+            if outcome.is_ok() {
+                break;
+            }
+            gauge.wait(Duration::from_millis(200));
+        }
+        outcome.map_err(|error| error.at(Step::Restore))
+    }
+
+    pub(super) fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
+        let range = if finished { block.written.clone() } else { 0..WINDOW };
+        let present = sequence(gauge).load(gauge, block.place)?;
+        let mut wanted = present;
+        wanted[range.clone()].copy_from_slice(&block.old[range]);
+        if wanted == present {
+            return Ok(());
+        }
+        self.begin(gauge)?;
+        if sequence(gauge).fills_window() {
+            sequence(gauge).load(gauge, block.place)?;
+        }
+        let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
+        store(gauge, &back, &mut 0)
+    }
+
+    /// The way out of every transaction: seals as found, confirms it, and reports both failures if there
+    /// are two.
+    pub(super) fn close<T>(mut self, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
+        gauge.limit(Some(BACK));
+        let finished = if self.begun { self.finish(gauge) } else { Ok(()) };
+        // After a failure nothing is taken for granted: a gauge that lost its power comes back sealed.
+        let closed = match self.now.filter(|_| outcome.is_ok()) {
+            Some(now) => gauge.go(now, self.found),
+            None => gauge.go_to(self.found),
+        };
+        let found = self.found.as_str();
+        match (outcome, finished.and(closed)) {
+            (outcome, Ok(())) => {
+                if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_))) {
+                    self.over();
+                }
+                outcome
+            }
+            (Ok(_), Err(error)) => {
+                let why = format!("done, but the gauge could not be left {found} as it was: {error}");
+                Err(Error::new("", Cause::StateUnknown(why)))
+            }
+            // It does not answer, and nothing was sent that could have changed its state.
+            (Err(first), Err(_)) if self.now == Some(self.found) => Err(first),
+            (Err(first), Err(second)) => {
+                let why = format!("{first}; then the gauge could not be left {found} as it was: {second}");
+                Err(Error::new("", Cause::StateUnknown(why)))
+            }
+        }
+    }
+}
+
+/// Waits for the end of a reset and goes back to a state in which data flash can be read.
+pub(super) fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
+    let access = &gauge.chip.access;
+    let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
+    gauge.wait(access.reset);
+    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to ask first.
+    if found == Seal::Sealed && gauge.unseal().is_ok() {
+        return Ok(goal);
+    }
+    let limit = gauge.clock.now() + access.reset_limit;
+    loop {
+        match gauge.seal() {
+            Ok(now) => return gauge.go(now, goal).map(|()| goal),
+            Err(_) if gauge.clock.now() < limit => gauge.wait(access.reset.max(Duration::from_millis(50))),
+            Err(error) => return Err(error.at(Step::Reset)),
+        }
+    }
+}
+
+/// Runs a transaction so that it answers within 30 s of being asked for, `waited` ago, and lifts the
+/// limit again.
+pub(super) fn in_time<T>(
+    gauge: &mut Gauge,
+    waited: Duration,
+    run: impl FnOnce(&mut Gauge) -> Result<T>,
+) -> Result<T> {
+    gauge.limit(Some(FORWARD.saturating_sub(waited)));
+    let outcome = run(gauge);
+    gauge.limit(None);
+    outcome
+}
