@@ -1,13 +1,13 @@
-//! The transaction: the only way to read or write data flash.
+//! Data flash transactions: the only way to read or write data flash.
 //!
-//! A change runs whole: wear, identity and state of the gauge (`preflight`), unseal and confirm, flash
-//! voltage, read each block with its checksum, stop if nothing changes, write, checksum, read back, reset
-//! where the table says so, unseal and verify once more, seal as found and confirm. Every way out passes
-//! through the close. The gauge rejects nothing that it is sent, so what is checked here is safety, not
-//! courtesy.
+//! A write is one transaction: check wear, identity and state of the gauge (`preflight`), unseal and
+//! confirm, check the flash voltage, read each block with its checksum, stop if nothing changes, write,
+//! commit with a checksum, read back, reset if the table requires it, unseal and verify again, restore the
+//! seal state and confirm it. Every exit goes through [`Session::close`]. The gauge accepts any value it is
+//! sent, so the checks here are the only protection.
 //!
-//! Until the first block is committed an error means that nothing has changed. From then on the answer
-//! is success, [`Cause::RolledBack`] (the old bytes were put back and verified) or [`Cause::Unknown`].
+//! An error before the first block is committed means that nothing has changed. After that the result is
+//! success, [`Cause::RolledBack`] (the old bytes were restored and verified) or [`Cause::StateUnknown`].
 
 use std::fmt;
 use std::time::Duration;
@@ -52,20 +52,20 @@ pub type Row = (&'static Subclass, &'static Parameter);
 /// New bytes for one place in data flash.
 #[derive(Clone, Debug)]
 pub struct Change {
-    /// Where its first byte is.
+    /// Place of the first byte.
     pub place: Place,
     /// The bytes.
     pub bytes: Vec<u8>,
-    /// The parameter that they are the value of; `None` for bytes that no manual documents.
+    /// The parameter whose value this is; `None` for undocumented bytes.
     pub row: Option<Row>,
-    /// Of a saved configuration: bits that must stay as they are do, whatever was saved.
+    /// The bytes come from a saved configuration: bits that must not change keep their present value.
     pub saved: bool,
 }
 
-/// What a change did.
+/// Result of a successful write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Data flash held the values already: no flash write, no reset.
+    /// Data flash already held the values: nothing was programmed and the gauge was not reset.
     Unchanged,
     /// Written and verified; the gauge was reset if `reset`.
     Written {
@@ -74,17 +74,17 @@ pub enum Outcome {
     },
 }
 
-/// What a careful person may overrule.
+/// Limits that a user may change.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Write in the middle of a learning cycle too, which ends it.
+    /// Allow writes during a learning cycle, which end it.
     pub allow_learning: bool,
-    /// So many blocks of flash may be programmed within an hour; 0 for any number.
+    /// Blocks of flash that may be programmed within an hour; 0 for no limit.
     pub writes_per_hour: u32,
 }
 
-/// A script that runs wild from Friday evening to Monday morning, 66 h, does not use up the 20,000 cycles of a
-/// block (SLUSBZ5D 6.12); and each parameter of the largest table can be written once.
+/// Default limit. A runaway script needs more than a weekend (66 h) to use up the 20,000 cycles of a block
+/// (SLUSBZ5D 6.12), and every parameter of the largest table can still be written once.
 pub const WRITES_PER_HOUR: u32 = 300;
 
 impl Default for Limits {
@@ -93,40 +93,40 @@ impl Default for Limits {
     }
 }
 
-/// What has to be known about a gauge's data flash from one transaction to the next.
+/// State that is kept between transactions on one gauge.
 #[derive(Debug, Default)]
 pub struct DataFlash {
     limits: Limits,
     wear: Wear,
     /// The gauge whose values were read.
     known_pack: Option<KnownPack>,
-    /// Another one has answered in its place.
+    /// Another gauge has answered at its address.
     doubts: bool,
-    /// A transaction of ours may have left its mode on: the next write ends it.
+    /// An earlier transaction may have left its mode on; the next write ends it.
     ours: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
     gate: Option<(u16, u16)>,
-    /// The rows that tell whether the table's addresses are this firmware's have been compared.
+    /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: bool,
-    /// Where it is put down what a write is about to do.
+    /// Records each write before it starts.
     journal: Option<Journal>,
-    /// Whose journal that is; `None` until it is asked for.
+    /// Identity of the gauge for the journal; `None` until it is first needed.
     identity: Option<Identity>,
 }
 
 impl DataFlash {
-    /// Nothing known, and nothing written yet. With a journal, writes survive a power cut of the host.
+    /// Starts with no knowledge of the gauge. With a journal, writes survive a power cut of the host.
     pub fn new(limits: Limits, journal: Option<Journal>) -> Self {
         Self { limits, journal, ..Self::default() }
     }
 
-    /// Nothing known of what it holds: after a gauge's return, or when somebody asks for everything anew.
+    /// Forgets what was read from data flash: after the gauge returns, or when a full reread is requested.
     pub fn forget(&mut self) {
         (self.gate, self.signed) = (None, false);
     }
 
-    /// Reads whole subclasses in one go, and leaves the gauge sealed as it was. `waited` is how long ago
-    /// this was asked for.
+    /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
+    /// request was made.
     pub fn read(
         &mut self,
         gauge: &mut Gauge,
@@ -146,7 +146,7 @@ impl DataFlash {
         })
     }
 
-    /// Goes to a seal state on request.
+    /// Changes the seal state on request.
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
         in_time(gauge, waited, |gauge| {
             gauge.go_to(goal)?;
@@ -158,7 +158,7 @@ impl DataFlash {
         })
     }
 
-    /// Makes the changes, all or none, in one transaction.
+    /// Makes all changes, or none, in one transaction.
     pub fn write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
         if let Some(change) = changes.iter().find(|change| change.kind(gauge.chip) == Kind::Security) {
             let why = "keys cannot be changed like other parameters";
@@ -175,7 +175,7 @@ impl DataFlash {
         }
     }
 
-    /// One session, after whatever an earlier one has left behind.
+    /// Settles an interrupted write, then runs one session.
     fn transact(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
         let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge| {
@@ -206,7 +206,7 @@ impl DataFlash {
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
         let mut dirty = gather(gauge, changes)?;
-        // The window holds the block that was read last; where there was only one, it is still there.
+        // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
             self.check_safe(gauge, change, &dirty, voltage_mv)?;
@@ -254,11 +254,11 @@ impl DataFlash {
         gauge.limit(Some(BACK));
         match session.restore(gauge, &dirty[..touched], finished) {
             Ok(()) => {
-                let why = format!("{error}; the old value was put back and verified");
+                let why = format!("{error}; the old value was restored and verified");
                 Err(Error::new("", Cause::RolledBack(why)))
             }
             Err(second) => {
-                let why = format!("{error}; then {second}: what data flash holds is not known");
+                let why = format!("{error}; then {second}: data flash contents unknown");
                 Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
@@ -266,14 +266,14 @@ impl DataFlash {
 }
 
 impl Change {
-    /// A new value of a parameter; `None` where it does not fit the parameter's type.
+    /// A new value of a parameter; `None` if it does not fit the parameter's type.
     pub fn of_value((subclass, parameter): Row, value: &Value) -> Option<Self> {
         let place = Place { subclass: subclass.id, offset: parameter.offset };
         let bytes = codec::encode(parameter.kind, value)?;
         Some(Self { place, bytes, row: Some((subclass, parameter)), saved: false })
     }
 
-    /// The only one of the narrower limits that can be checked without the gauge.
+    /// Checks the safe minimum, the only safety limit that needs no gauge.
     pub fn check_least(&self) -> Result<()> {
         let Some((_, parameter)) = self.row else { return Ok(()) };
         let number = integer(parameter, &self.bytes);
@@ -286,7 +286,7 @@ impl Change {
         }
     }
 
-    /// What to call it in a log: the parameter's name, or the place of bytes without one.
+    /// Name for the log: the parameter's name, or the place of undocumented bytes.
     pub fn name(&self) -> String {
         match self.row {
             Some((_, parameter)) => parameter.name.to_string(),
@@ -301,7 +301,7 @@ impl Change {
         }
     }
 
-    /// What its subclass needs. Of one that no table has, nobody says that it would do without a reset.
+    /// What its subclass needs; an undocumented subclass is assumed to need a reset.
     fn kind(&self, chip: &Chip) -> Kind {
         let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
         table.map_or(Kind::Reset, |subclass| subclass.kind)

@@ -9,7 +9,7 @@ use crate::codec::WINDOW;
 use crate::error::Result;
 use crate::gauge::Gauge;
 
-/// A 32-byte piece of data flash, as the window shows it.
+/// A 32-byte piece of data flash, as the gauge shows it in its window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     /// Subclass id, or [`FLAT`].
@@ -21,16 +21,16 @@ pub(super) struct Window {
 /// A block that a change touches.
 pub(super) struct Dirty {
     pub(super) place: Window,
-    /// As it was read.
+    /// Content as read.
     pub(super) old: [u8; WINDOW],
-    /// As it shall be.
+    /// Content to be written.
     pub(super) new: [u8; WINDOW],
-    /// Where in the window the changed parameters stand.
+    /// Range of the window that the changed parameters occupy.
     pub(super) written: Range<usize>,
 }
 
 impl Dirty {
-    /// The bytes from the first to the last that differ.
+    /// The range from the first byte that differs to the last.
     pub(super) fn differing(&self) -> Option<Range<usize>> {
         let differs = |&at: &usize| self.old[at] != self.new[at];
         Some((0..WINDOW).find(differs)?..(0..WINDOW).rfind(differs)? + 1)
@@ -38,7 +38,7 @@ impl Dirty {
 }
 
 impl Window {
-    /// The byte at a position of the window, for a message.
+    /// Names the byte at a position of the window, for a message.
     pub(super) fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
         match self.subclass {
@@ -49,7 +49,7 @@ impl Window {
 }
 
 impl Change {
-    /// The windows that hold its bytes, a byte each, and where in them.
+    /// For each byte, its window and its position there.
     pub(super) fn windows(&self) -> impl Iterator<Item = (Window, usize)> {
         let start = self.row.map_or(0, |(subclass, _)| subclass.start());
         let offsets = (self.place.offset..).take(self.bytes.len());
@@ -57,13 +57,13 @@ impl Change {
     }
 }
 
-/// The window that shows an offset of a subclass which begins at `start`, and where in it.
+/// The window that shows an offset of a subclass starting at `start`, and the position in that window.
 pub(super) fn locate(subclass: u8, start: u16, offset: u16) -> (Window, usize) {
     let at = usize::from(offset - start) % WINDOW;
     (Window { subclass, base: offset - at as u16 }, at)
 }
 
-/// Reads every block that the changes touch, and patches a copy.
+/// Reads every block that the changes touch and applies them to a copy.
 pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
     let mut dirty: Vec<Dirty> = Vec::new();
     for change in changes {
@@ -82,19 +82,19 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
             block.written = block.written.start.min(at)..block.written.end.max(at + 1);
         }
     }
-    // Windows of a flat part may overlap: each is verified before the next one's bytes change.
+    // Windows of a part with flat addresses may overlap: each is verified before the next one is written.
     dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
 }
 
-/// The bits of one of its bytes that a write must leave alone.
+/// The bits of byte `number` of a change that a write must not change.
 pub(super) fn kept_bits(change: &Change, number: usize) -> u8 {
     let Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) = change.row else { return 0 };
     let behind = change.bytes.len() - 1 - number;
     (mask >> (8 * behind)) as u8
 }
 
-/// How many blocks the changes touch.
+/// Number of blocks that the changes touch.
 pub(super) fn blocks(changes: &[Change]) -> usize {
     let places: Vec<Window> = changes.iter().flat_map(Change::windows).map(|(place, _)| place).collect();
     (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()

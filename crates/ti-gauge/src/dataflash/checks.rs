@@ -12,8 +12,8 @@ use crate::gauge::Gauge;
 use crate::value::Value;
 
 impl DataFlash {
-    /// Before the first write: rows of which it is known what they must hold tell whether this firmware
-    /// keeps its data flash where the table says.
+    /// Checks, before the first write, rows with known content, which show whether this firmware keeps its
+    /// data flash at the addresses in the table.
     pub(super) fn check_signature(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.signed {
             return Ok(());
@@ -37,7 +37,7 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Reads what decides whether the gauge stores a block, unless it is known. UNSEALED only.
+    /// Reads the limit and the divider of the flash-voltage gate, unless they are known. UNSEALED only.
     pub(super) fn learn_gate(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(gate) = &gauge.chip.gate else { return Ok(()) };
         if self.gate.is_none() {
@@ -51,7 +51,7 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Voltage() as the gate compares it, scaled back to one cell where there is a divider, and the limit.
+    /// Voltage() as the gate compares it, per cell if the part has a divider, and the limit.
     pub(super) fn gate_voltage(&self, gauge: &Gauge, voltage_mv: u16) -> Option<(u32, u16)> {
         let (limit_mv, divider) = self.gate?;
         let scaled_mv = match gauge.chip.gate.as_ref()?.divider {
@@ -73,13 +73,13 @@ impl DataFlash {
         }
         let (subclass, offset) = gate.limit;
         let why = format!(
-            "the gauge measures {scaled_mv} mV a cell and stores nothing below {limit_mv} mV ({subclass}/{offset}): \
+            "the gauge measures {scaled_mv} mV per cell and stores nothing below {limit_mv} mV ({subclass}/{offset}): \
              charge the pack, or check Voltage Divider"
         );
         Err(Error::new("", Cause::NotNow(why)).at(Step::Check))
     }
 
-    /// The limits that are narrower than the manual's.
+    /// Checks the safety limits, which are narrower than the manual's.
     pub(super) fn check_safe(
         &self,
         gauge: &Gauge,
@@ -98,7 +98,7 @@ impl DataFlash {
                 if number <= present_mv {
                     return Ok(());
                 }
-                refuse(format!("{number} is above the present {present_mv} mV a cell: {why}"))
+                refuse(format!("{number} is above the present {present_mv} mV per cell: {why}"))
             }
             Some(Safe::Keep(..)) if change.saved => Ok(()),
             Some(Safe::Keep(mask, why)) => {
@@ -107,7 +107,7 @@ impl DataFlash {
                 if differ == 0 {
                     return Ok(());
                 }
-                refuse(format!("bits 0x{differ:x} must stay as they are: {why}; the word is now 0x{old:x}"))
+                refuse(format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}"))
             }
             None => Ok(()),
         }
@@ -121,7 +121,7 @@ pub(super) fn is_gate(gauge: &Gauge, change: &Change) -> bool {
     })
 }
 
-/// The number that a parameter's bytes stand for; the safe limits are all about integers.
+/// The number that a parameter's bytes encode; all safety limits are on integers.
 pub(super) fn integer(parameter: &Parameter, bytes: &[u8]) -> i64 {
     match codec::decode(parameter.kind, bytes) {
         Value::Int(number) => number,

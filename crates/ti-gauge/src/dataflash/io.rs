@@ -35,23 +35,23 @@ pub(super) fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Ve
 }
 
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
-/// committed: from that moment on the block's content has to be found out, not assumed.
+/// committed, whose content must be read back rather than assumed.
 pub(super) fn store(gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
     sequence(gauge).fill(gauge, block)?;
     *touched += 1;
     Statistics::count(&gauge.statistics.flash_writes);
     let committed = sequence(gauge).commit(gauge, block);
-    // A checksum whose acknowledgement was lost may have done its work all the same.
+    // A checksum may take effect even if its acknowledgement was lost.
     verify(gauge, block).map_err(|error| committed.err().unwrap_or(error))
 }
 
-/// Selects and reads the block again: the window right after a write shows the buffer, not flash.
+/// Selects and reads the block again: right after a write the window shows the buffer, not flash.
 pub(super) fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
     compare(block, &stored)
 }
 
-/// After a reset only the written bytes count: the gauge rewrites others itself.
+/// Compares the written bytes only: after a reset the gauge updates others itself.
 pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let range = block.written.clone();
     let mut stored = block.new;

@@ -1,4 +1,4 @@
-//! The access schemes: how a block reaches the gauge and comes back.
+//! The access schemes: how blocks are read from a gauge and written to it.
 
 use super::blocks::{Dirty, Window};
 use crate::chip::Scheme;
@@ -10,27 +10,27 @@ mod block;
 mod cfgupdate;
 mod mac;
 
-/// What the access schemes do differently. Each step is straight-line code, to be read beside the manual.
+/// The steps in which access schemes differ. Each is straight-line code that follows the manual.
 pub(super) trait Sequence {
-    /// Lets data flash be read.
+    /// Enables reading data flash.
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Lets data flash be written, where that is a mode of its own.
+    /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Brings a block into the window and reads it whole, with its checksum.
+    /// Loads a block into the window, reads all of it and verifies its checksum.
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
-    /// Brings a block into the window and reads some of its bytes.
+    /// Loads a block into the window and reads some of its bytes.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
-    /// Whether the block has to be in the window before its bytes are changed. Not where they go out with their
-    /// address, and the sum that commits them is over both.
+    /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
+    /// with their address and the checksum covers both.
     fn fills_window(&self) -> bool;
-    /// Changes the bytes that differ, in the gauge's buffer only.
+    /// Sends the bytes that differ to the gauge's buffer; flash is not changed yet.
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
-    /// Sends what makes the gauge store the block. Never sent twice: whoever calls finds out what the
-    /// block holds instead.
+    /// Makes the gauge program the block. Never sent twice: after an error the caller reads the block to
+    /// find out what it holds.
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
-    /// Makes new data flash take effect: a reset, or the end of the mode that `begin` began.
+    /// Makes the gauge use the new values: a reset, or the end of the mode that `begin` started.
     fn finish(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Whether `finish` has to follow every `begin`.
+    /// Whether `finish` must follow every `begin`.
     fn always_finishes(&self) -> bool;
 }
 

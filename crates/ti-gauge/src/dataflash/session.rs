@@ -1,4 +1,4 @@
-//! One session with an unsealed gauge: however it goes, the gauge is left sealed as it was found.
+//! A session with an unsealed gauge, which always restores the seal state when it ends.
 
 use std::time::Duration;
 
@@ -10,21 +10,21 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::OpenJournal;
 
-/// A write(2) answers within 30 s: so much for the way forward ...
+/// Time for writing. With `BACK` spent on restoring values and again on sealing, write(2) returns within 30 s.
 pub(super) const FORWARD: Duration = Duration::from_secs(16);
-/// ... so much for putting back what was there, and as much again for the seal.
+/// Time for restoring the old values, and again for restoring the seal state.
 pub(super) const BACK: Duration = Duration::from_secs(6);
-/// How often putting the old bytes back is tried.
+/// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
 
-/// One session to an unsealed gauge: how it was found, and what is known of its state now.
+/// A session with an unsealed gauge: its seal state at the start, and what is known of it now.
 pub(super) struct Session {
     pub(super) found: Seal,
-    /// `None` from the moment on in which something may have changed it until it is confirmed.
+    /// `None` while the state may have changed and is not yet confirmed.
     pub(super) now: Option<Seal>,
-    /// A mode was begun that has to be finished on every way out.
+    /// A mode was started that must be ended on every exit.
     pub(super) begun: bool,
-    /// What is done is put down there first, and removed when the session has ended as it should.
+    /// Records the write; removed when the session has ended properly.
     pub(super) journal: Option<OpenJournal>,
 }
 
@@ -33,10 +33,10 @@ impl Session {
         Self { found, now: Some(found), begun: false, journal: None }
     }
 
-    /// The session has ended as it should; there is nothing to settle any more.
-    pub(super) fn over(&mut self) {
-        // What stays is settled before the next write, or at the next start: nothing is lost by it.
-        if let Some(Err(error)) = self.journal.take().map(OpenJournal::over) {
+    /// Removes the journal entry: nothing is left to settle.
+    pub(super) fn remove_journal(&mut self) {
+        // An entry that remains is settled before the next write or at the next start, so no harm is done.
+        if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
             log::warn!("{error}");
         }
     }
@@ -57,7 +57,7 @@ impl Session {
         sequence(gauge).begin(gauge)
     }
 
-    /// Makes what was written take effect, and data flash readable again.
+    /// Makes the gauge use the new values and data flash readable again.
     pub(super) fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
         self.now = None;
         sequence(gauge).finish(gauge)?;
@@ -66,10 +66,9 @@ impl Session {
         sequence(gauge).enable(gauge)
     }
 
-    /// Puts the old bytes back. Once the gauge has begun to work with new data flash that is what was
-    /// written and nothing else, so that what it learned meanwhile stays; before, it is the whole block: a
-    /// bit lost in a register's address puts a byte in the wrong place, and the checksum, a sum, does not
-    /// see it.
+    /// Restores the old bytes. Once the gauge uses the new values (`finished`) only the written bytes are
+    /// restored, which keeps what it has learned since. Before that the whole block is: a bit error in a
+    /// register address puts a byte in the wrong place, and the checksum, a plain sum, does not detect it.
     pub(super) fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty], finished: bool) -> Result<()> {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
@@ -104,12 +103,12 @@ impl Session {
         store(gauge, &back, &mut 0)
     }
 
-    /// The way out of every transaction: seals as found, confirms it, and reports both failures if there
-    /// are two.
+    /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
+    /// two.
     pub(super) fn close<T>(mut self, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
         gauge.limit(Some(BACK));
         let finished = if self.begun { self.finish(gauge) } else { Ok(()) };
-        // After a failure nothing is taken for granted: a gauge that lost its power comes back sealed.
+        // After a failure the state is read again: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
             Some(now) => gauge.go(now, self.found),
             None => gauge.go_to(self.found),
@@ -118,30 +117,30 @@ impl Session {
         match (outcome, finished.and(closed)) {
             (outcome, Ok(())) => {
                 if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_))) {
-                    self.over();
+                    self.remove_journal();
                 }
                 outcome
             }
             (Ok(_), Err(error)) => {
-                let why = format!("done, but the gauge could not be left {found} as it was: {error}");
+                let why = format!("write succeeded, but restoring the {found} state failed: {error}");
                 Err(Error::new("", Cause::StateUnknown(why)))
             }
-            // It does not answer, and nothing was sent that could have changed its state.
+            // The gauge does not answer, and nothing was sent that could have changed its state.
             (Err(first), Err(_)) if self.now == Some(self.found) => Err(first),
             (Err(first), Err(second)) => {
-                let why = format!("{first}; then the gauge could not be left {found} as it was: {second}");
+                let why = format!("{first}; then restoring the {found} state failed: {second}");
                 Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
     }
 }
 
-/// Waits for the end of a reset and goes back to a state in which data flash can be read.
+/// Waits for the end of a reset and returns to a state in which data flash can be read.
 pub(super) fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
     let access = &gauge.chip.access;
     let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
     gauge.wait(access.reset);
-    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to ask first.
+    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to read the state first.
     if found == Seal::Sealed && gauge.unseal().is_ok() {
         return Ok(goal);
     }
@@ -155,8 +154,8 @@ pub(super) fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
     }
 }
 
-/// Runs a transaction so that it answers within 30 s of being asked for, `waited` ago, and lifts the
-/// limit again.
+/// Runs a transaction with a time limit, so that it ends within 30 s of its request, which was made
+/// `waited` ago.
 pub(super) fn in_time<T>(
     gauge: &mut Gauge,
     waited: Duration,
