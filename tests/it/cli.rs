@@ -936,9 +936,9 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     let log = folder.file("log");
     let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
     let last_error = read(&at, "BAT0/gauge/last_error");
-    assert!(last_error.contains("a write was cut off"), "{last_error}");
+    assert!(last_error.contains("a write was interrupted"), "{last_error}");
     let log = fs::read_to_string(log).expect("the log");
-    assert!(log.contains("a write was cut off"), "{log}");
+    assert!(log.contains("a write was interrupted"), "{log}");
     assert!(log.contains(&foreign) && log.contains("journal of another gauge"), "{log}");
     let left: Vec<_> = files().map(|path| path.file_name().expect("a name").to_owned()).collect();
     assert_eq!(left, [&*foreign]);

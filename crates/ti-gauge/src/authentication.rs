@@ -1,8 +1,8 @@
 //! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
 //!
 //! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M.
-//! This is not the HMAC of RFC 2104. Here stand the sequence on the bus, which knows no key, and the
-//! computation of what a gauge with a key has to answer, which knows no gauge.
+//! This is not the HMAC of RFC 2104. This module has the sequence on the bus, which needs no key, and the
+//! computation of the expected answer, which needs no gauge.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use crate::error::{Cause, Error, Result};
 use crate::gauge::{Gauge, Seal, Statistics};
 use crate::text;
 
-/// DataFlashBlock(): 0 stands for challenge and digest.
+/// DataFlashBlock(): 0 selects challenge and digest.
 const DATA_FLASH_BLOCK: u8 = 0x3f;
 /// AuthenticateData().
 const AUTHENTICATE_DATA: u8 = 0x40;
@@ -28,13 +28,13 @@ pub const LENGTH: usize = 20;
 /// A challenge or a digest, the most significant byte first, as SHA-1 takes and gives it.
 pub type Message = [u8; LENGTH];
 
-/// How often the digest is looked for.
-const LOOKS: u32 = 4;
+/// Reads of the digest before the gauge is given up.
+const DIGEST_READS: u32 = 4;
 /// write(2) returns within 30 s.
 const LIMIT: Duration = Duration::from_secs(12);
 
-/// In which order challenge and digest pass over the bus. The manual does not say; drivers and traces of
-/// relatives have the least significant byte first.
+/// Byte order of challenge and digest on the bus. The manual does not say; drivers and traces of related
+/// parts have the least significant byte first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// The least significant byte first.
@@ -45,10 +45,10 @@ pub enum Order {
 }
 
 impl Order {
-    /// Both.
+    /// Both orders.
     pub const ALL: [Order; 2] = [Order::LsbFirst, Order::AsSent];
 
-    /// The word that stands for it.
+    /// The word for it.
     pub fn as_str(self) -> &'static str {
         match self {
             Order::LsbFirst => "lsb-first",
@@ -56,7 +56,7 @@ impl Order {
         }
     }
 
-    /// The order that a word stands for.
+    /// The order that a word names.
     pub fn by_name(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|order| order.as_str() == word)
     }
@@ -70,20 +70,20 @@ impl Order {
     }
 }
 
-/// What a gauge with that key answers to that challenge.
+/// The answer of a gauge with this key to a challenge.
 pub fn answer(key: &[u8; 16], challenge: &Message) -> Message {
     let inner = Sha1::new().chain_update(key).chain_update(challenge).finalize();
     Sha1::new().chain_update(key).chain_update(inner).finalize().into()
 }
 
-/// The order in which a gauge with that key answers so, where it was asked in the order `asked`; `None`
-/// where it answers so in neither.
+/// The byte order in which a gauge with this key gives this digest, if it was asked in the order `asked`;
+/// `None` if it does so in neither.
 pub fn fits(key: &[u8; 16], challenge: &Message, digest: &Message, asked: Order) -> Option<Order> {
     let (sent, got) = (asked.turn(*challenge), asked.turn(*digest));
     Order::ALL.into_iter().find(|order| answer(key, &order.turn(sent)) == order.turn(got))
 }
 
-/// Asks the gauge for its digest of a challenge. The seal stays as it is: no key is needed for it.
+/// Asks the gauge for its digest of a challenge. This needs no key and does not change the seal state.
 pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duration) -> Result<Message> {
     let Some(waits) = &gauge.chip.authentication else {
         let why = "this part has no authentication that gaugefs knows";
@@ -95,7 +95,7 @@ pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duratio
     outcome.map_err(|error| error.within("authenticate"))
 }
 
-/// The same inside of something larger, which has its own limit of time.
+/// Like [`ask`], within an operation that has its own time limit.
 pub(crate) fn answered(gauge: &mut Gauge, challenge: &Message, order: Order) -> Result<Message> {
     let waits = gauge.chip.authentication.as_ref().expect("asked of parts that have it");
     exchange_twice(gauge, waits, challenge, order)
@@ -108,7 +108,7 @@ fn exchange_twice(
     order: Order,
 ) -> Result<Message> {
     let sent = order.turn(*challenge);
-    // Nothing is stored by it, so all of it may be done again.
+    // The exchange stores nothing, so it can be repeated as a whole.
     let digest = attempt(gauge, waits, &sent).or_else(|_| {
         Statistics::count(&gauge.statistics.retries);
         attempt(gauge, waits, &sent)
@@ -117,13 +117,13 @@ fn exchange_twice(
 }
 
 fn attempt(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
-    // SEALED there is no BlockDataControl() (Table 7-8), and none is needed.
+    // A sealed gauge has no BlockDataControl() (Table 7-8) and needs none.
     let open = gauge.seal()? != Seal::Sealed;
     if open {
         gauge.write(BLOCK_DATA_CONTROL, &[1])?;
     }
     let digest = exchange(gauge, waits, sent);
-    // Data flash is not to be found in the window until this is 0 again.
+    // The window does not show data flash until this is 0 again.
     let closed = if open { gauge.write(BLOCK_DATA_CONTROL, &[0]) } else { Ok(()) };
     digest.and_then(|digest| closed.map(|()| digest))
 }
@@ -133,21 +133,21 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     gauge.wait(gauge.chip.access.select);
     gauge.write(AUTHENTICATE_DATA, sent)?;
     gauge.wait(waits.challenge);
-    // A challenge that arrived otherwise than it was sent starts nothing and stays where it is: what stands
-    // there now is no digest, whatever it is.
-    let mut standing = [0; LENGTH];
-    gauge.read(AUTHENTICATE_DATA, &mut standing)?;
-    // Sent once: a second one would be about the digest.
+    // A corrupted challenge starts no computation and stays in the buffer, so its present content, whatever it
+    // is, must not be taken for the digest.
+    let mut echo = [0; LENGTH];
+    gauge.read(AUTHENTICATE_DATA, &mut echo)?;
+    // Sent once: a second checksum would apply to the digest.
     let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
     started.map_err(|bus| Error::new("AuthenticateChecksum()", Cause::Bus(bus)))?;
-    // I2C has no check of its own, and no document says how long the gauge computes: a digest counts when
-    // it is read twice.
+    // I2C has no error detection, and the time that the gauge needs is not documented, so two reads of the
+    // digest must agree.
     let mut before = None;
-    for _ in 0..LOOKS {
+    for _ in 0..DIGEST_READS {
         gauge.wait(waits.digest);
         let mut digest = [0; LENGTH];
         gauge.read(AUTHENTICATE_DATA, &mut digest)?;
-        if digest != standing && before == Some(digest) {
+        if digest != echo && before == Some(digest) {
             return Ok(digest);
         }
         before = Some(digest);
@@ -161,7 +161,8 @@ pub fn to_hex(message: &Message) -> String {
     text::hex(message)
 }
 
-/// The same, read back; spaces around it are fine. The error does not repeat what may be a key.
+/// Parses a challenge or a digest; surrounding spaces are allowed. The error does not repeat the text, which
+/// may be a key.
 pub fn from_hex(digits: &[u8]) -> Result<Message> {
     let message = text::unhex(digits.trim_ascii()).and_then(|bytes| bytes.try_into().ok());
     message.ok_or_else(|| {

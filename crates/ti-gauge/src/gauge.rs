@@ -1,7 +1,7 @@
-//! A chip's table on a bus: registers, Control() subcommands, seal states.
+//! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
-//! Everything that is sent to a gauge passes through one method, where it is counted. Retries
-//! live here and only for what is idempotent; the checksum that commits a block is not.
+//! All transfers go through one method, which counts them. Only this module retries, and only idempotent
+//! transfers; the checksum that commits a block is not one.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,30 +29,30 @@ const RESET: u16 = 0x0041;
 /// of CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
-/// So many bytes behind Control() are read along with it at most.
+/// Most bytes following Control() that can be read in the same transfer.
 pub const BEHIND: usize = 14;
 
-/// The full-access key of every part that has one, as it leaves the factory.
+/// Factory default of the full-access key, the same for every part that has one.
 pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 
-/// How often an idempotent transfer is tried, and the pause before each further try: the gauge
-/// stretches the clock for some 20 ms while it programs flash, and adapters give up earlier.
+/// Attempts at an idempotent transfer, and the pause between them: the gauge stretches the clock for about
+/// 20 ms while it programs flash, and adapters give up earlier.
 const TRIES: u32 = 4;
 const PAUSE: Duration = Duration::from_millis(25);
 
 /// The seal state of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
-    /// Data flash is out of reach.
+    /// Data flash cannot be accessed.
     Sealed,
     /// Data flash can be read and written.
     Unsealed,
-    /// As UNSEALED, and keys can be changed.
+    /// Like UNSEALED, and keys can be changed.
     FullAccess,
 }
 
 impl Seal {
-    /// The word that stands for it in `gauge/seal`.
+    /// The word for it in `gauge/seal`.
     pub fn as_str(self) -> &'static str {
         match self {
             Seal::Sealed => "sealed",
@@ -62,14 +62,14 @@ impl Seal {
     }
 }
 
-/// What has passed since the gauge was opened.
+/// Counters since the gauge was opened.
 #[derive(Debug, Default)]
 pub struct Statistics {
     /// START...STOP transfers.
     pub transfers: AtomicU64,
     /// Bytes on the wire, address bytes included.
     pub bytes: AtomicU64,
-    /// Transfers that were tried again.
+    /// Transfers that were retried.
     pub retries: AtomicU64,
     /// Polls that succeeded.
     pub polls: AtomicU64,
@@ -79,33 +79,33 @@ pub struct Statistics {
     pub flash_writes: AtomicU64,
     /// Resets that were sent.
     pub resets: AtomicU64,
-    /// Writes that found their values there already.
+    /// Writes whose values were already stored.
     pub unchanged_writes: AtomicU64,
-    /// How far the write is that is being made.
+    /// Progress of the current write.
     pub progress: Progress,
 }
 
-/// Blocks that a write has programmed, of how many.
+/// Blocks that the current write has programmed, and their total.
 #[derive(Debug, Default)]
 pub struct Progress(AtomicU64);
 
 impl Progress {
-    /// A write has found that so many blocks are to be programmed.
+    /// Starts a write of `blocks` blocks.
     pub fn begin(&self, blocks: usize) {
         self.0.store(blocks as u64, Ordering::Relaxed);
     }
 
-    /// One more of them is programmed and verified.
+    /// Counts a block that was programmed and verified.
     pub fn step(&self) {
         self.0.fetch_add(1 << 32, Ordering::Relaxed);
     }
 
-    /// The write is over, whatever came of it.
+    /// Ends the write, whatever its outcome.
     pub fn end(&self) {
         self.0.store(0, Ordering::Relaxed);
     }
 
-    /// Blocks done, and all; `None` while none is being written.
+    /// Blocks done and total; `None` while no write is in progress.
     pub fn get(&self) -> Option<(u32, u32)> {
         let both = self.0.load(Ordering::Relaxed);
         (both != 0).then_some(((both >> 32) as u32, both as u32))
@@ -113,12 +113,12 @@ impl Progress {
 }
 
 impl Statistics {
-    /// What it has come to.
+    /// Value of a counter.
     pub fn read(counter: &AtomicU64) -> u64 {
         counter.load(Ordering::Relaxed)
     }
 
-    /// One more.
+    /// Adds one to a counter.
     pub fn count(counter: &AtomicU64) {
         counter.fetch_add(1, Ordering::Relaxed);
     }
@@ -139,27 +139,27 @@ impl Statistics {
     }
 }
 
-/// One gauge, in the hands of its owner.
+/// One gauge at one address.
 pub struct Gauge {
     /// Its table.
     pub chip: &'static Chip,
-    /// What has passed.
+    /// Counters of its traffic.
     pub statistics: Arc<Statistics>,
-    /// Time, to wait and to measure with.
+    /// Clock for waiting and for measuring time.
     pub clock: Arc<dyn Clock>,
     bus: Box<dyn Bus>,
     keys: Keys,
     byte_writes: bool,
-    /// The unseal key that would be sent has been refused; it is not sent again.
+    /// The gauge refused the unseal key; it is not sent again.
     refused: bool,
-    /// The seal state when it was last read, or that a command since then should have led to.
+    /// The seal state as last read, or as a later command should have set it.
     expected: Option<Seal>,
-    /// No transfer starts after this moment: a write(2) must have its answer in time.
+    /// No transfer starts after this time, so that write(2) returns in time.
     deadline: Option<Duration>,
 }
 
 impl Gauge {
-    /// A gauge with that table behind that bus. Nothing is sent yet.
+    /// A gauge with a chip's table on a bus. Nothing is sent yet.
     pub fn new(
         chip: &'static Chip,
         bus: Box<dyn Bus>,
@@ -181,12 +181,12 @@ impl Gauge {
         }
     }
 
-    /// From now on, no transfer starts later than `time` from now; `None` lifts the limit.
+    /// Lets no transfer start later than `time` from now; `None` removes the limit.
     pub fn limit(&mut self, time: Option<Duration>) {
         self.deadline = time.map(|time| self.clock.now() + time);
     }
 
-    /// Lets time pass without any transfer.
+    /// Waits without any transfer.
     pub fn wait(&self, time: Duration) {
         if !time.is_zero() {
             self.clock.sleep(time);
@@ -202,7 +202,7 @@ impl Gauge {
         self.bus.transfer(write, read)
     }
 
-    /// Tries an idempotent transfer a bounded number of times.
+    /// Retries an idempotent transfer a limited number of times.
     fn again(&mut self, mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>) -> Result<(), BusError> {
         let mut outcome = attempt(self);
         for _ in 1..TRIES {
@@ -224,7 +224,7 @@ impl Gauge {
         outcome
     }
 
-    /// Reads from an address on, as many bytes as `into` holds.
+    /// Fills `into` with the bytes starting at an address.
     pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
         self.again(|gauge| gauge.transfer(&[code], into))
             .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)).at(Step::Read))
@@ -257,7 +257,7 @@ impl Gauge {
         register.map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
     }
 
-    /// Sends a subcommand that has no answer, or whose answer nobody wants.
+    /// Sends a subcommand without reading an answer.
     pub fn command(&mut self, code: u16) -> Result<()> {
         let subject = self.subcommand_name(code);
         self.write(CONTROL, &code.to_le_bytes()).map_err(|error| error.about(subject).at(Step::Control))
@@ -273,7 +273,7 @@ impl Gauge {
         self.status_word(&mut [])
     }
 
-    /// CONTROL_STATUS, which has been asked for, and with it the registers behind Control().
+    /// Reads the answer to CONTROL_STATUS, and with it the registers following Control().
     fn status_word(&mut self, behind: &mut [u8]) -> Result<u16> {
         match self.answer(CONTROL_STATUS, CONTROL, behind)? {
             ANSWERED_ELSEWHERE if self.chip.identity.answer != CONTROL => {
@@ -283,9 +283,9 @@ impl Gauge {
         }
     }
 
-    /// Reads the word that a subcommand answers with, and what stands behind it.
+    /// Reads the answer to a subcommand and the bytes that follow it.
     fn answer(&mut self, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
-        // MACData() shows the answer before this one until the gauge has put it there.
+        // MACData() shows the previous answer until the gauge has stored the new one.
         if at != CONTROL {
             self.wait(self.chip.access.select);
         }
@@ -307,12 +307,12 @@ impl Gauge {
         self.bus.claim().map_err(|bus| Error::new(self.chip.name, Cause::Bus(bus)).at(Step::Check))
     }
 
-    /// Lets go of an adapter that has gone.
+    /// Releases an adapter that was removed.
     pub fn release_if_gone(&mut self) {
         self.bus.release_if_gone();
     }
 
-    /// Asks the gauge who it is.
+    /// Reads the type, firmware and versions that the gauge reports.
     pub fn identify(&mut self) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
         let device_type = self.ask(DEVICE_TYPE).map_err(named)?;
@@ -324,7 +324,7 @@ impl Gauge {
         Ok(Answers { device_type, firmware_version, hardware_version, chem_id, dm_code })
     }
 
-    /// The answer to a subcommand, where the table has one of that name.
+    /// The answer to a subcommand, if the table has one of that name.
     fn ask_named(&mut self, name: &str) -> Result<Option<u16>> {
         let known = self.chip.subcommands.iter().find(|subcommand| subcommand.name == name);
         known.map(|subcommand| self.ask(subcommand.code)).transpose()
@@ -339,7 +339,7 @@ impl Gauge {
     pub fn confirm_identity(&mut self) -> Result<()> {
         let expected = self.chip.identity.device_type;
         let mut found = expected;
-        // One lost bit makes no other part: an answer that is not the expected one is asked for again.
+        // A bit error is not another part, so an unexpected answer is requested again.
         for _ in 0..2 {
             found = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
             if found == expected {
@@ -362,8 +362,8 @@ impl Gauge {
 
     /// Reads the seal state and the CONTROL_STATUS word.
     ///
-    /// I2C has no check of its own, and a gauge whose state was misread would be left in that state. So an
-    /// answer that is not the expected one counts only when a second one agrees with it.
+    /// I2C has no error detection, and a gauge whose state was misread would be left in that state. So an
+    /// unexpected answer counts only if a second one agrees with it.
     pub fn control_status(&mut self) -> Result<(Seal, u16)> {
         self.control_status_and(&mut [])
     }
@@ -419,8 +419,8 @@ impl Gauge {
 
     /// Goes from SEALED to UNSEALED and confirms it.
     ///
-    /// The two words go out with nothing in between. Where the gauge still says SEALED they go out once
-    /// more after a silence, as TI advises, and then never again: a refused key is not sent in a loop.
+    /// The two words are sent with nothing in between. If the gauge stays SEALED they are sent once more after a
+    /// pause, as TI advises, and then never again: a refused key is not sent in a loop.
     pub fn unseal(&mut self) -> Result<()> {
         let refuse =
             |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
@@ -466,7 +466,7 @@ impl Gauge {
             .at(Step::Unseal))
     }
 
-    /// Sends a key, once more after a silence where it was refused, and tells whether the state followed.
+    /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.
     pub fn takes(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
         if self.try_key(key, goal)? {
             return Ok(true);
@@ -475,12 +475,12 @@ impl Gauge {
         self.try_key(key, goal)
     }
 
-    /// Sends both words of a key and tells whether the state followed.
+    /// Sends both words of a key and returns whether the state followed.
     pub fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
         self.bus.set_secret(true);
         let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
         self.bus.set_secret(false);
-        // A word that was not acknowledged is as good as a refused key: the state tells.
+        // A word that was not acknowledged counts as a refused key; the state read below shows it.
         if let Err(
             bus @ (BusError::Gone
             | BusError::Busy
@@ -491,8 +491,8 @@ impl Gauge {
         {
             return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
         }
-        // FULL ACCESS is refused without any fault when it comes too early, so that one misread state would
-        // pass for it: two readings have to agree.
+        // A key for FULL ACCESS that is sent too early is refused, so a single misread state could look like
+        // success: two reads must agree.
         self.expected = (goal != Seal::FullAccess).then_some(goal);
         Ok(self.seal().map_err(|error| error.at(Step::Unseal))? == goal)
     }
@@ -513,7 +513,7 @@ impl Gauge {
                 match self.seal().map_err(|error| error.at(Step::Seal))? {
                     Seal::Sealed => Ok(()),
                     other => {
-                        let why = format!("the gauge was told to seal and is still {}", other.as_str());
+                        let why = format!("the gauge was sent SEALED and is still {}", other.as_str());
                         Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
                     }
                 }
@@ -521,7 +521,7 @@ impl Gauge {
             (Seal::Sealed, Seal::Unsealed) => self.unseal(),
             (Seal::Sealed, Seal::FullAccess) => self.unseal().and_then(|()| self.full_access()),
             (_, Seal::FullAccess) => self.full_access(),
-            // There is no way down but through SEALED.
+            // UNSEALED is reached from FULL ACCESS only through SEALED.
             (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
         }
     }
@@ -533,7 +533,7 @@ impl Gauge {
         self.command(RESET).map_err(|error| error.at(Step::Reset))
     }
 
-    /// The key that would be sent: the one given, or the manual's where that may be tried.
+    /// The key to send: the configured one, or the manual's default if that is allowed.
     pub fn key(&self, name: Name) -> Option<Secret> {
         let default = match name {
             Name::Unseal => Some(self.chip.security.default_unseal),
@@ -544,13 +544,13 @@ impl Gauge {
         self.keys.secret(name).or(default)
     }
 
-    /// The gauge has another key now.
+    /// Sets the key that the gauge has now.
     pub fn set_key(&mut self, name: Name, key: &Secret) {
         self.keys.set(name, key);
         self.refused = false;
     }
 
-    /// What passes from now on is a secret (`true`), or no longer (`false`).
+    /// Marks the following transfers as secret (`true`) or not (`false`).
     pub fn set_secret(&mut self, secret: bool) {
         self.bus.set_secret(secret);
     }

@@ -1,12 +1,12 @@
-//! The journal: what a write is about to do to a gauge, on disk before it does it.
+//! The journal: records on disk what a write is about to do, before it does it.
 //!
-//! A host that loses its power in the middle of a write leaves the gauge open, or with data flash half
-//! written. With the journal the next start knows how the gauge was found and what its blocks held, and
-//! settles it. Keys are never in it.
+//! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal
+//! holds the seal state and the blocks from before the write, so that the next start can settle it. It never
+//! holds keys.
 //!
-//! A file is begun, as a whole, before the gauge is touched; what is about to be written is added to it
-//! before the first block is. A power cut in between leaves a plan without its last line, which is no
-//! plan: nothing had been written.
+//! The file is created before the gauge is touched; the plan is appended before the first block is written.
+//! A power cut in between leaves a plan without its last line, which is ignored because nothing had been
+//! written yet.
 
 use std::borrow::Cow;
 use std::fs::{self, DirBuilder, File};
@@ -24,36 +24,36 @@ use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
 const HEAD: &str = "gaugefs journal 1";
-/// No more bytes than this stand in a line for a block, and around those lines.
+/// Upper limit for the length of a block's line, and of the other lines together.
 const LINE: usize = 160;
 
 /// Where a gauge's journal is kept.
 #[derive(Clone, Debug)]
 pub struct Journal {
     folder: PathBuf,
-    /// The gauge's place; begins the file's name.
+    /// Where the gauge is connected; prefix of the file name.
     key: String,
-    /// What to call the gauge in the file.
+    /// Name of the gauge in the file.
     gauge: String,
 }
 
-/// One part at one firmware, and which one of them as far as the gauge can tell. A journal of another
-/// one is none of ours.
+/// Part, firmware and, if the part reports one, serial number. Journals with another identity belong to
+/// other gauges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
     pub(crate) chip: &'static str,
     pub(crate) device_type: u16,
     pub(crate) firmware: u16,
-    /// 0 where the part has no register for it.
+    /// 0 if the part has no register for it.
     pub(crate) serial: u16,
 }
 
-/// A write that was begun.
+/// A write that was started.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Entry {
-    /// How the gauge was found.
+    /// Seal state before the write.
     pub(crate) found: Seal,
-    /// `None` where the first block was not yet touched.
+    /// `None` if no block had been touched yet.
     pub(crate) plan: Option<Plan>,
 }
 
@@ -62,32 +62,32 @@ pub(crate) struct Entry {
 pub(crate) struct Plan {
     /// Whether the gauge needs a reset to work with the new values.
     pub(crate) reset: bool,
-    /// The serial number that the gauge has afterwards, where that is written.
+    /// The new serial number, if the write changes it.
     pub(crate) serial: Option<u16>,
-    pub(crate) blocks: Vec<Block>,
+    pub(crate) blocks: Vec<PlannedBlock>,
 }
 
 /// A block before and after.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Block {
+pub(crate) struct PlannedBlock {
     pub(crate) subclass: u8,
     pub(crate) base: u16,
-    /// From and to where the changed parameters stand.
+    /// Range that the changed parameters occupy: start and end.
     pub(crate) written: (usize, usize),
     pub(crate) old: [u8; WINDOW],
     pub(crate) new: [u8; WINDOW],
 }
 
-/// The journal of a write that is under way.
+/// The journal of a write in progress.
 #[derive(Debug)]
-pub(crate) struct Open {
+pub(crate) struct OpenJournal {
     file: File,
     path: PathBuf,
 }
 
 impl Journal {
-    /// In that folder, for the gauge at the place of that key, which no other gauge has. `gauge` is what
-    /// to call it in the file.
+    /// A journal in a folder. `key` identifies where the gauge is connected and must be unique; `gauge` names
+    /// it in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
         Self { folder, key, gauge }
     }
@@ -96,18 +96,18 @@ impl Journal {
         self.folder.join(format!("{}{:04x}.journal", self.alike(identity), identity.serial))
     }
 
-    /// What the names of all journals of such parts at this place begin with.
+    /// Prefix of the journals of all gauges of this part and firmware connected here.
     fn alike(&self, Identity { chip, device_type, firmware, .. }: Identity) -> String {
         format!("{}.{chip}-{device_type:04x}-{firmware:04x}-", self.key)
     }
 
-    /// Begins an entry, in place of the one before, and keeps room for a plan of so many blocks. When this
-    /// returns, a loss of power does not undo it.
-    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<Open> {
+    /// Starts an entry, replacing the previous one, and reserves space for a plan of `blocks` blocks. On
+    /// return the entry is on disk.
+    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
         let path = self.path(identity);
         let text = format!("{HEAD}\ngauge {}\nfound {}\n", self.gauge, found.as_str());
         match self.store(&path, &text, LINE * (blocks + 2)) {
-            Ok(file) => Ok(Open { file, path }),
+            Ok(file) => Ok(OpenJournal { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
@@ -123,12 +123,12 @@ impl Journal {
             .mode(0o600)
             .custom_flags(OFlags::NOFOLLOW.bits() as i32);
         let mut file = options.open(&temporary)?;
-        // Where the folder is a service's, the service has to be able to settle what root leaves there.
+        // If the folder belongs to a service, that service must be able to settle what root leaves there.
         let owner = fs::metadata(&self.folder)?;
         let owned =
             if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
         let stored = owned.and_then(|()| file.write_all(text.as_bytes())).and_then(|()| {
-            // File systems that cannot keep room find out later that there is none: before the first block.
+            // File systems that cannot reserve space report a full disk later, still before the first block.
             match fallocate(&file, FallocateFlags::KEEP_SIZE, 0, (text.len() + room) as u64) {
                 Err(error) if io::Error::from(error).kind() != ErrorKind::Unsupported => Err(error.into()),
                 _ => Ok(()),
@@ -136,7 +136,7 @@ impl Journal {
         });
         let stored = stored.and_then(|()| file.sync_all()).and_then(|()| fs::rename(&temporary, path));
         if let Err(error) = stored {
-            // What is left of it would only take up room where there is none.
+            // The rest would only take up space on a disk that may be full.
             let _ = fs::remove_file(&temporary);
             return Err(error);
         }
@@ -144,13 +144,13 @@ impl Journal {
         Ok(file)
     }
 
-    /// The entry that is left, where there is one, and its file's path.
+    /// The entry of an interrupted write, if there is one, and the path of its file.
     pub(crate) fn pending(&self, identity: Identity) -> Result<Option<(PathBuf, Entry)>> {
         let own = self.path(identity);
         if let Some(entry) = read(&own)? {
             return Ok(Some((own, entry)));
         }
-        // A write of the serial number that got so far has made another gauge of it.
+        // An interrupted write of the serial number may have changed the identity.
         let alike = self.alike(identity);
         Ok(self.others(identity).into_iter().filter(|path| name(path).starts_with(&alike)).find_map(|path| {
             let entry = read(&path).ok()??;
@@ -159,7 +159,7 @@ impl Journal {
         }))
     }
 
-    /// Journals of other gauges that have been in this one's place.
+    /// Journals of other gauges that were connected here before.
     pub(crate) fn others(&self, identity: Identity) -> Vec<PathBuf> {
         let (own, begins) = (self.path(identity), format!("{}.", self.key));
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -171,24 +171,24 @@ impl Journal {
     }
 }
 
-impl Open {
-    /// Goes on with an entry that was left behind.
-    pub(crate) fn again(path: PathBuf) -> Result<Self> {
+impl OpenJournal {
+    /// Opens the entry of an interrupted write again.
+    pub(crate) fn reopen(path: PathBuf) -> Result<Self> {
         match File::options().append(true).custom_flags(OFlags::NOFOLLOW.bits() as i32).open(&path) {
             Ok(file) => Ok(Self { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
 
-    /// Adds what is about to be written. When this returns, a loss of power does not undo it.
+    /// Appends what is about to be written. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
         let text = render(plan);
         let stored = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_all());
         stored.map_err(|error| refused(&self.path, &error))
     }
 
-    /// Removes the entry: what it tells of is over.
-    pub(crate) fn over(self) -> Result<()> {
+    /// Removes the entry once its write is complete or settled.
+    pub(crate) fn remove(self) -> Result<()> {
         let removed = fs::remove_file(&self.path);
         removed
             .and_then(|()| self.path.parent().map_or(Ok(()), sync))
@@ -205,8 +205,8 @@ fn sync(folder: &Path) -> io::Result<()> {
 }
 
 fn refused(path: &Path, error: &io::Error) -> Error {
-    let what = "nothing is written without a journal, and it cannot be kept here (--state-dir names another \
-                folder)";
+    let what = "cannot write the journal, so nothing was written to the gauge (choose another folder with \
+                --state-dir)";
     Error::io(path.display().to_string(), what, error)
 }
 
@@ -216,7 +216,7 @@ fn read(path: &Path) -> Result<Option<Entry>> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
     };
-    let why = "this is no journal of this version of gaugefs; see what it is and move it away";
+    let why = "not a journal of this version of gaugefs; inspect it and move it away";
     parse(&text).map(Some).ok_or_else(|| Error::new(name, Cause::BadChecksum(why.into())))
 }
 
@@ -226,14 +226,14 @@ fn render(plan: &Plan) -> String {
     if let Some(serial) = serial {
         text += &format!("serial {serial:04x}\n");
     }
-    for Block { subclass, base, written: (from, to), old, new } in blocks {
+    for PlannedBlock { subclass, base, written: (from, to), old, new } in blocks {
         text += &format!("block {subclass} {base} {from} {to} {} {}\n", hex(old), hex(new));
     }
     let sum = sum(&text);
     text + &format!("end {sum}\n")
 }
 
-/// Tells a plan that is whole from one whose pages reached the disk in part.
+/// Distinguishes a complete plan from one of which only some pages reached the disk.
 fn sum(text: &str) -> String {
     hex(&Sha1::digest(text))
 }
@@ -272,14 +272,14 @@ fn parse_plan(text: &str) -> Option<Plan> {
     Some(Plan { reset, serial, blocks })
 }
 
-fn parse_block(line: &str) -> Option<Block> {
+fn parse_block(line: &str) -> Option<PlannedBlock> {
     let mut words = line.split(' ');
     let subclass = words.next()?.parse().ok()?;
     let base = words.next()?.parse().ok()?;
     let written: (usize, usize) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
     let (old, new) = (parse_bytes(words.next()?)?, parse_bytes(words.next()?)?);
     let fits = written.0 < written.1 && written.1 <= WINDOW && words.next().is_none();
-    fits.then_some(Block { subclass, base, written, old, new })
+    fits.then_some(PlannedBlock { subclass, base, written, old, new })
 }
 
 fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
@@ -291,8 +291,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_plan_counts_when_it_is_whole() {
-        let block = Block { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
+    fn only_a_complete_plan_counts() {
+        let block = PlannedBlock { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
         let plan = Plan { reset: true, serial: Some(7), blocks: vec![block.clone(), block] };
         let head = format!("{HEAD}\ngauge i2c-1 address 0x55\nfound sealed\n");
         let text = head.clone() + &render(&plan);

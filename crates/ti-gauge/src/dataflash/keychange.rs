@@ -1,41 +1,44 @@
-//! A key changed: the one write to the Security subclass there is.
+//! Key changes: the only write to the Security subclass.
 //!
-//! A gauge whose key nobody knows is lost for ever, so nothing is taken for granted. The old key is proven
-//! by using it. What the gauge keeps is compared with the keys that it took: that tells, on this very
-//! gauge, that the table has the right place and the right order of bytes. The block is read back while
-//! FULL ACCESS still lets it be put right, and only then the gauge is sealed and opened with the new key.
+//! A gauge whose key is lost cannot be recovered, so every step is verified. The old key is proven by using
+//! it. The stored keys are compared with those the gauge accepted, which shows on this very gauge that the
+//! table has the right place and byte order. The block is read back while FULL ACCESS still allows a
+//! correction, and only then is the gauge sealed and opened with the new key.
 //!
 //! Until the block is committed an error means that no key was changed. From then on the answer is
-//! success, [`Cause::RolledBack`] (the old key is back, and was used) or [`Cause::Unknown`], which says what
+//! success, [`Cause::RolledBack`] (the old key is back, and was used) or [`Cause::StateUnknown`], which says what
 //! is known of the keys.
 
 use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::{DataFlash, Dirty, RESTORES, Window, sequence};
+use super::DataFlash;
+use super::blocks::{Dirty, Window};
+use super::schemes::sequence;
+use super::session::RESTORES;
 use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
-use crate::keys::{Change, Name, Secret, wipe_stack};
+use crate::keys::{Change as KeyChange, Name, Secret, wipe_stack};
 
-/// The way forward, and the way back, without the silences that a gauge wants before a key it refused.
+/// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
 const WAY: Duration = Duration::from_secs(8);
-/// As many of those there can be on either way.
+/// Most pauses that are needed in either direction.
 const SILENCES: u32 = 10;
-/// For so long a gauge that does not answer may be starting again.
+/// Time that a gauge may take to restart before it answers.
 const START: Duration = Duration::from_secs(3);
 /// After a start Voltage() is valid about 1 s later (E2E 1059347).
 const MEASURED: Duration = Duration::from_secs(1);
-/// Between two looks at a gauge that does not answer, or did not do as it was told.
-const LOOK: Duration = Duration::from_millis(200);
-/// Below this a word is, or may become, a subcommand of every part.
+/// Time between attempts while a gauge does not answer or did not follow a command.
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Words below this are, or may become, subcommands of any part.
 const SUBCOMMANDS: u16 = 0x0100;
 /// Words that ManufacturerAccessControl() takes for addresses.
 const ADDRESSES: std::ops::Range<u16> = 0x4000..0x4400;
-/// What flash holds that was erased and not programmed.
+/// Content of erased flash.
 const ERASED: u16 = 0xffff;
 
 /// The keys of a gauge, from SEALED up.
@@ -57,8 +60,8 @@ impl Ring {
 /// One change on its way.
 struct Task<'a> {
     block: &'a KeyBlock,
-    change: &'a Change,
-    /// Where in the window the key stands.
+    change: &'a KeyChange,
+    /// Position of the key in the window.
     at: usize,
     /// In which order challenges are sent.
     order: Order,
@@ -68,11 +71,11 @@ struct Task<'a> {
 }
 
 impl DataFlash {
-    /// Changes a key. `waited` is how long ago this was asked for.
+    /// Changes a key. `waited` is the time since the request was made.
     pub fn change_key(
         &mut self,
         gauge: &mut Gauge,
-        change: &Change,
+        change: &KeyChange,
         order: Order,
         waited: Duration,
     ) -> Result<()> {
@@ -87,7 +90,7 @@ impl DataFlash {
     fn change_key_unnamed(
         &mut self,
         gauge: &mut Gauge,
-        change: &Change,
+        change: &KeyChange,
         order: Order,
         waited: Duration,
     ) -> Result<()> {
@@ -103,7 +106,7 @@ impl DataFlash {
     }
 }
 
-/// Where the table says that a key is kept, or why it is not changed.
+/// Where the table places a key, or why it cannot be changed.
 fn place(chip: &'static Chip, name: Name) -> Result<(&'static KeyBlock, usize)> {
     let refuse = |why: &str| {
         let why = format!("cannot be changed here: {why}");
@@ -125,9 +128,9 @@ fn place(chip: &'static Chip, name: Name) -> Result<(&'static KeyBlock, usize)> 
     }
 }
 
-/// Keys with which a gauge would be open to all, or do something else. The manual's own are fine: whoever
-/// gives a pack away puts them back.
-fn check_new(gauge: &Gauge, change: &Change) -> Result<()> {
+/// Refuses keys that would leave a gauge open or be taken for something else. The manual's defaults are
+/// allowed, so that a pack can be handed on with them.
+fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     let refuse =
         |why: &str| Err(Error::new("", Cause::OutOfRange(format!("the new key {why}"))).at(Step::Check));
     if change.new == change.old {
@@ -183,7 +186,7 @@ impl Task<'_> {
         };
         let ring = self.ring(gauge, &held)?;
         self.compare_with(&before, &ring, &held)?;
-        // Whoever puts the gauge back as it was found needs it.
+        // Restoring the seal state needs this key.
         gauge.set_key(name, &held);
         if name != Name::Authentication && self.found != Seal::Sealed {
             self.moved = true;
@@ -235,10 +238,10 @@ impl Task<'_> {
     /// The key that the gauge has, where no key was needed to come here: the old one, the new one, or what
     /// a change left behind that was cut short.
     fn held(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
-        let Change { name, old, new } = self.change;
-        let stands = |key: &Secret| self.stands(window, key, self.at);
+        let KeyChange { name, old, new } = self.change;
+        let is_stored = |key: &Secret| self.is_stored(window, key, self.at);
         for key in [old, new] {
-            if stands(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
+            if is_stored(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
                 return Ok(Secret::clone_of(key));
             }
         }
@@ -247,7 +250,7 @@ impl Task<'_> {
         let word = |at: usize| {
             [&was[at..at + 2], &shall[at..at + 2], &ERASED.to_be_bytes()].contains(&&present[at..at + 2])
         };
-        if *name == Name::Authentication && (0..present.len()).step_by(2).all(word) && !stands(old) {
+        if *name == Name::Authentication && (0..present.len()).step_by(2).all(word) && !is_stored(old) {
             return Ok(Secret::of_bytes(present));
         }
         let why = "the gauge has neither the old key nor the new one; nothing was changed";
@@ -296,7 +299,7 @@ impl Task<'_> {
         if authentication::fits(&key, &challenge, &digest, self.order).is_some() {
             return Ok(());
         }
-        let why = "the gauge answers a challenge otherwise than with this key";
+        let why = "the answer to a challenge does not match this key";
         Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Verify))
     }
 
@@ -329,8 +332,8 @@ impl Task<'_> {
         bytes
     }
 
-    /// Whether a key stands there, as the table has it.
-    fn stands(&self, window: &[u8; WINDOW], key: &Secret, at: usize) -> bool {
+    /// Whether a key is stored at this position, in the byte order of the table.
+    fn is_stored(&self, window: &[u8; WINDOW], key: &Secret, at: usize) -> bool {
         let bytes = self.stored(key, self.block.order);
         window[at..at + bytes.len()] == **bytes
     }
@@ -340,8 +343,8 @@ impl Task<'_> {
         window[self.at..self.at + bytes.len()].copy_from_slice(&bytes);
     }
 
-    /// The keys that the gauge took stand where the table says, in the order that it says, and at least one
-    /// of them could not stand so in another.
+    /// Checks that the keys the gauge accepted are stored where, and in the byte order, the table says, and that
+    /// at least one of them would look different in another order.
     fn compare_with(&self, window: &[u8; WINDOW], ring: &Ring, held: &Secret) -> Result<()> {
         let refuse = |why: &str| {
             let why = format!("{why}; nothing was changed");
@@ -349,14 +352,17 @@ impl Task<'_> {
         };
         let KeyBlock { unseal, full_access, .. } = *self.block;
         let places = [(&ring.unseal, unseal), (&ring.full_access, full_access), (held, self.at)];
-        if !places.into_iter().all(|(key, at)| self.stands(window, key, at)) {
+        if !places.into_iter().all(|(key, at)| self.is_stored(window, key, at)) {
             return refuse("this gauge does not keep the keys it takes where and how its manual says");
         }
-        let tells = |key: &Secret| {
+        let shows_order = |key: &Secret| {
             let [a, b, c, d] = [0, 1, 2, 3].map(|at| key.bytes()[at]);
             ![[c, d, a, b], [b, a, d, c], [d, c, b, a]].contains(&[a, b, c, d])
         };
-        if self.change.name != Name::Authentication && !tells(&ring.unseal) && !tells(&ring.full_access) {
+        if self.change.name != Name::Authentication
+            && !shows_order(&ring.unseal)
+            && !shows_order(&ring.full_access)
+        {
             return refuse("neither of its keys shows in which order of bytes this gauge keeps them");
         }
         Ok(())
@@ -394,11 +400,11 @@ impl Task<'_> {
             let why = "the gauge keeps other keys than were written";
             Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
         });
-        // A checksum whose acknowledgement was lost may have done its work all the same.
+        // A checksum may take effect even if its acknowledgement was lost.
         matches.map_err(|error| committed.err().unwrap_or(error))
     }
 
-    /// After a failure behind the commit: finds out which keys open the gauge, puts the old block back and
+    /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and
     /// tries it. Always an error, which says what is known.
     fn back(&mut self, gauge: &mut Gauge, before: &[u8; WINDOW], error: &Error) -> Error {
         let (mut state, mut known) = (Keyhole::Silent, Worked::Neither);
@@ -417,7 +423,7 @@ impl Task<'_> {
                 .and_then(|()| self.prove(gauge, &self.change.old));
             if put_back.is_ok() {
                 gauge.set_key(self.change.name, &self.change.old);
-                let why = format!("{error}; the old key was put back, and the gauge takes it");
+                let why = format!("{error}; the old key was restored, and the gauge takes it");
                 return Error::new("", Cause::RolledBack(why));
             }
             if touched > 0 {
@@ -426,13 +432,13 @@ impl Task<'_> {
             // A gauge that has just started stores nothing before it has measured its voltage.
             gauge.wait(MEASURED);
         }
-        let Change { name, new, .. } = self.change;
+        let KeyChange { name, new, .. } = self.change;
         let known = match (state, known) {
             (Keyhole::Open(_), Worked::Old) => {
                 "the gauge took the old key, but what it keeps could not be put in order and tried again"
             }
             (Keyhole::Open(_), Worked::New) => {
-                // Whatever stands in the key file, the daemon can go on.
+                // Lets the daemon continue even if the key file has the old key.
                 gauge.set_key(*name, new);
                 "the gauge takes the new key, and the old one could not be put back"
             }
@@ -452,13 +458,13 @@ impl Task<'_> {
         Error::new("", Cause::StateUnknown(format!("{error}; {known}")))
     }
 
-    /// Goes to FULL ACCESS by whatever key leads there.
+    /// Goes to FULL ACCESS with any key that works.
     fn open_again(&mut self, gauge: &mut Gauge) -> Keyhole {
         let limit = gauge.clock.now() + START;
         let now = loop {
             match gauge.seal() {
                 Ok(now) => break now,
-                Err(_) if gauge.clock.now() < limit => gauge.wait(LOOK),
+                Err(_) if gauge.clock.now() < limit => gauge.wait(POLL_INTERVAL),
                 Err(_) => return Keyhole::Silent,
             }
         };
@@ -501,7 +507,7 @@ impl Task<'_> {
             return Ok(None);
         }
         let ([old_first, old_second], [first, second]) = (self.change.old.words(), self.change.new.words());
-        // Stored word by word, the one that stands first before the other.
+        // Flash is programmed word by word, in ascending order.
         let candidates = match self.block.order {
             KeyOrder::Reversed => [[first, second], [old_first, second], [ERASED, second]],
             KeyOrder::AsSent => [[first, second], [first, old_second], [first, ERASED]],
@@ -515,13 +521,13 @@ impl Task<'_> {
         Ok(None)
     }
 
-    /// The way out: the gauge is left sealed, or open, as it was found.
+    /// Restores the seal state and reports both errors if there are two.
     fn close(self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
         let limit = gauge.clock.now() + START;
         let mut closed = gauge.go_to(self.found);
         while closed.is_err() && gauge.clock.now() < limit {
-            gauge.wait(LOOK);
+            gauge.wait(POLL_INTERVAL);
             gauge.forget_refusal();
             closed = gauge.go_to(self.found);
         }
@@ -532,7 +538,7 @@ impl Task<'_> {
             (Err(first), Err(_)) if !self.moved => Err(first),
             (Ok(()), Err(error)) => {
                 let why =
-                    format!("the gauge takes the new key, but could not be left {found} as it was: {error}");
+                    format!("the gauge takes the new key, but restoring the {found} state failed: {error}");
                 Err(Error::new("", Cause::StateUnknown(why)))
             }
             (Err(first), Err(second)) => {
@@ -540,7 +546,7 @@ impl Task<'_> {
                     Cause::RolledBack(_) | Cause::StateUnknown(_) => "",
                     _ => "no key was changed, but ",
                 };
-                let why = format!("{first}; {key}the gauge could not be left {found} as it was: {second}");
+                let why = format!("{first}; {key}restoring the {found} state failed: {second}");
                 Err(Error::new("", Cause::StateUnknown(why)))
             }
         }
@@ -565,15 +571,15 @@ enum Worked {
     Neither,
 }
 
-/// Runs what carries keys over the bus: nothing of it is recorded, and no error repeats what it read.
+/// Runs transfers that carry keys: they are not recorded, and no error repeats what was read.
 fn quietly<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
     gauge.set_secret(true);
     let outcome = run(gauge);
     gauge.set_secret(false);
     outcome.map_err(|error| {
         let cause = match error.cause() {
-            Cause::BadChecksum(_) => Cause::BadChecksum("the block of the keys does not add up".into()),
-            Cause::Protocol(_) => Cause::Protocol("the block of the keys is not what it should be".into()),
+            Cause::BadChecksum(_) => Cause::BadChecksum("the checksum of the key block is wrong".into()),
+            Cause::Protocol(_) => Cause::Protocol("the key block could not be read correctly".into()),
             cause => cause.clone(),
         };
         let plain = Error::new("", cause);

@@ -1,10 +1,11 @@
-//! What is looked at before a write unseals anything: is it still the gauge whose values were read, is it in
-//! nobody else's hands, and would the write end what the gauge is in the middle of?
+//! Checks before a write unseals the gauge: whether it is still the gauge whose values were read, whether
+//! another master is using it, and whether the write would interrupt a calibration or a learning cycle.
 //!
-//! I2C has no check of its own, so nothing is refused for one answer: what speaks against a write is read a
-//! second time first.
+//! I2C has no error detection, so a reading that would block a write is repeated first.
 
-use super::{Change, DataFlash, Outcome, read_byte, sequence};
+use super::io::read_byte;
+use super::schemes::sequence;
+use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Answers, BEHIND, Gauge, Seal, Statistics};
@@ -14,15 +15,15 @@ const ROM_MODE: u16 = 0x0F00;
 
 /// The gauge whose values were read.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Met {
+pub(super) struct KnownPack {
     pub(super) firmware_version: u16,
-    /// What the table says tells packs apart; `None` until it has been read.
+    /// The word that distinguishes packs; `None` until it has been read.
     pack: Option<u16>,
-    /// Whether it told of a loss of power then, where data memory is RAM.
+    /// Whether it reported a loss of power then; only for parts with data memory in RAM.
     lost: Option<bool>,
 }
 
-/// The gauge as a write finds it.
+/// State of the gauge before a write.
 pub(super) struct Found {
     pub(super) seal: Seal,
     /// CONTROL_STATUS.
@@ -34,68 +35,68 @@ pub(super) struct Found {
 }
 
 impl DataFlash {
-    /// A gauge has come, or has come back, and answers so: what it holds is read anew.
+    /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
     pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
         self.forget();
         (self.doubts, self.identity) = (false, None);
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
-            // All subcommands that tell packs apart are called CHEM_ID.
+            // All subcommands that distinguish packs are named CHEM_ID.
             Some(Word::Answer(_)) => answers.chem_id,
             _ => None,
         };
-        self.met = Some(Met { firmware_version: answers.firmware_version, pack, lost: None });
+        self.known_pack = Some(KnownPack { firmware_version: answers.firmware_version, pack, lost: None });
     }
 
-    /// Whether another gauge has answered in the place of the one whose values were read.
+    /// Whether another gauge has answered instead of the one whose values were read.
     pub fn doubts(&self) -> bool {
         self.doubts
     }
 
-    /// Takes note of a poll, whose registers `value` tells by their address. Whether another pack answers now.
+    /// Notes a poll; `value` returns a register by its address. Returns whether another pack answers now.
     pub fn polled(&mut self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
         let flags = chip.register(Role::Flags).and_then(|flags| value(flags.code));
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             Some(Word::Register(code)) => value(code),
             _ => None,
         };
-        let Some(met) = &mut self.met else { return false };
+        let Some(known_pack) = &mut self.known_pack else { return false };
         if let (Some(bit), Some(flags)) = (chip.volatile, flags) {
-            met.lost = Some(flags & bit != 0);
+            known_pack.lost = Some(flags & bit != 0);
         }
-        match (met.pack, pack) {
+        match (known_pack.pack, pack) {
             (Some(old), Some(new)) if old != new => self.doubts = true,
-            (None, Some(new)) => met.pack = Some(new),
+            (None, Some(new)) => known_pack.pack = Some(new),
             _ => {}
         }
         self.doubts
     }
 
-    /// All that can be looked at without unsealing.
+    /// Runs the checks that do not need an unsealed gauge.
     pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
-        let found = look(gauge)?;
+        let found = read_state(gauge)?;
         if self.check(gauge.chip, &found, changes).is_ok() {
             return Ok(found);
         }
-        let found = look(gauge)?;
+        let found = read_state(gauge)?;
         self.check(gauge.chip, &found, changes).inspect_err(|error| self.doubt(error))?;
         Ok(found)
     }
 
-    /// Makes sure that the gauge is the one whose values were read: type, firmware, and what tells its pack from
-    /// others. Where that is a register the type needs no question of its own: a part of another type
-    /// would have to answer this firmware and hold this number at an address where it has something else.
+    /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
+    /// distinguishes packs. If that word is a register the type is not asked for: another part would have to
+    /// report this firmware and hold this number at an address where it has something else.
     fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;
         let pack = chip.preflight.pack.as_ref();
         if !pack.is_some_and(|pack| matches!(pack.word, Word::Register(_))) {
             gauge.confirm_identity().inspect_err(|error| self.doubt(error))?;
         }
-        let firmware_version = match self.met {
-            Some(met) => {
-                let other = differs(gauge, Gauge::firmware_version, met.firmware_version)?;
-                self.same(chip, "firmware", met.firmware_version, other)?;
-                met.firmware_version
+        let firmware_version = match self.known_pack {
+            Some(known_pack) => {
+                let other = differs(gauge, Gauge::firmware_version, known_pack.firmware_version)?;
+                self.same(chip, "firmware", known_pack.firmware_version, other)?;
+                known_pack.firmware_version
             }
             None => {
                 let known =
@@ -105,18 +106,20 @@ impl DataFlash {
                     version = gauge.firmware_version()?;
                 }
                 if !known(version) {
-                    let why =
-                        format!("firmware is 0x{version:04x}, which this table is not for; mount it anew");
+                    let why = format!(
+                        "firmware is 0x{version:04x}, which this table does not cover; mount it anew"
+                    );
                     return Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify));
                 }
                 version
             }
         };
-        let met = self.met.get_or_insert(Met { firmware_version, pack: None, lost: None });
+        let known_pack =
+            self.known_pack.get_or_insert(KnownPack { firmware_version, pack: None, lost: None });
         let Some(pack) = pack else { return Ok(()) };
         let ask = |gauge: &mut Gauge| read_word(gauge, pack.word);
-        match met.pack {
-            None => met.pack = Some(ask(gauge)?),
+        match known_pack.pack {
+            None => known_pack.pack = Some(ask(gauge)?),
             Some(expected) => {
                 let other = differs(gauge, ask, expected)?;
                 self.same(chip, pack.name, expected, other)?;
@@ -128,8 +131,8 @@ impl DataFlash {
     fn same(&mut self, chip: &Chip, what: &str, expected: u16, other: Option<u16>) -> Result<()> {
         let Some(other) = other else { return Ok(()) };
         let why = format!(
-            "{what} is 0x{other:04x} and was 0x{expected:04x} when its values were read: another pack answers; look \
-             at its values before you write"
+            "{what} is 0x{other:04x} and was 0x{expected:04x} when its values were read: another pack answers; check \
+             its values before you write"
         );
         let error = Error::new(chip.model, Cause::Gone(why)).at(Step::Identify);
         self.doubt(&error);
@@ -140,15 +143,15 @@ impl DataFlash {
         self.doubts |= matches!(error.cause(), Cause::Gone(_));
     }
 
-    /// Whether anything that was found speaks against a write.
+    /// Whether the state found allows a write.
     fn check(&self, chip: &Chip, found: &Found, changes: &[Change]) -> Result<()> {
         let flags = chip.volatile.zip(chip.register(Role::Flags));
         if let Some((bit, flags)) = flags
             && found.register(flags.code) & bit != 0
-            && self.met.is_some_and(|met| met.lost == Some(false))
+            && self.known_pack.is_some_and(|known_pack| known_pack.lost == Some(false))
         {
             let why = "set, and was not when its values were read: the gauge has lost its power, and its data memory \
-                       with it; look at its values before you write";
+                       with it; check its values before you write";
             return Err(Error::new("Flags() [ITPOR]", Cause::Gone(why.into())).at(Step::Check));
         }
         for mode in chip.preflight.modes {
@@ -161,13 +164,13 @@ impl DataFlash {
                 off(mode, word)?;
             }
         }
-        // What a gauge that was empty is given again does no harm to RAM.
+        // Restoring a saved configuration to a gauge with RAM that lost power is harmless at any voltage.
         let (voltage_mv, restored) = (found.voltage_mv, changes.iter().all(|change| change.saved));
         match chip.preflight.voltage_mv {
             Some((min, max)) if !(min..=max).contains(&voltage_mv) && !restored => {
                 let why = format!(
-                    "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or look how it is \
-                     connected"
+                    "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or check its \
+                     connection"
                 );
                 Err(Error::new("Voltage()", Cause::NotNow(why)).at(Step::Check))
             }
@@ -175,8 +178,8 @@ impl DataFlash {
         }
     }
 
-    /// Why these changes, should they come to a reset, have to wait until the gauge has learned. Asked before
-    /// any block is read: Update Status may need the window.
+    /// Returns why these changes, if they need a reset, must wait for the end of a learning cycle. Called
+    /// before any block is read because reading Update Status may use the window.
     pub(super) fn learning(
         &self,
         gauge: &mut Gauge,
@@ -205,32 +208,32 @@ impl DataFlash {
                 return Ok(None);
             }
         }
-        let why = "a learning cycle is on, and the reset that this write needs ends it: wait until Qmax and Ra are \
+        let why = "a learning cycle is active, and the reset that this write needs would end it: wait until Qmax and Ra are \
                    learned, or mount with --allow-learning";
         Ok(Some(Error::new(learning.name, Cause::Busy(why.into())).at(Step::Check)))
     }
 
-    /// What a write tells about the gauge from then on.
+    /// Updates what is known of the gauge after a write.
     pub(super) fn learn_from(&mut self, gauge: &Gauge, changes: &[Change], outcome: &Result<Outcome>) {
         let rows = gauge.chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
         let touched = changes.iter().any(|change| rows.iter().any(|&row| change.is_at(row)));
-        let Some(met) = &mut self.met else { return };
+        let Some(known_pack) = &mut self.known_pack else { return };
         match outcome {
             Ok(Outcome::Unchanged) => Statistics::count(&gauge.statistics.unchanged_writes),
             Ok(Outcome::Written { .. }) => {
                 self.ours = false;
-                // The end of CONFIG UPDATE clears it.
-                met.lost = gauge.chip.volatile.map(|_| false);
+                // The end of CONFIG UPDATE clears [ITPOR].
+                known_pack.lost = gauge.chip.volatile.map(|_| false);
             }
             Err(error) => {
                 self.ours |= matches!(error.cause(), Cause::StateUnknown(_));
                 if matches!(error.cause(), Cause::StateUnknown(_) | Cause::RolledBack(_)) {
-                    met.lost = None;
+                    known_pack.lost = None;
                 }
             }
         }
         if touched && !matches!(outcome, Ok(Outcome::Unchanged)) {
-            met.pack = None;
+            known_pack.pack = None;
         }
     }
 }
@@ -249,7 +252,7 @@ impl Found {
     }
 }
 
-/// What an answer is, where it is not the expected one even when it is asked for again.
+/// The answer, if it differs from the expected one twice in a row.
 fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected: u16) -> Result<Option<u16>> {
     if ask(gauge)? == expected {
         return Ok(None);
@@ -270,7 +273,7 @@ pub(super) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
 }
 
 /// Seal, voltage and flags, in the one read that the seal needs.
-fn look(gauge: &mut Gauge) -> Result<Found> {
+fn read_state(gauge: &mut Gauge) -> Result<Found> {
     let chip = gauge.chip;
     let voltage = chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code;
     let modes = chip.preflight.modes.iter().filter_map(|mode| match mode.word {
@@ -285,7 +288,7 @@ fn look(gauge: &mut Gauge) -> Result<Found> {
     Ok(found)
 }
 
-/// The modes that only an unsealed gauge tells of.
+/// Checks the modes that only an unsealed gauge reports.
 pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
         let Word::Answer(code) = mode.word else { continue };
@@ -304,7 +307,7 @@ fn off(mode: &Mode, word: u16) -> Result<()> {
     Err(Error::new(mode.name, Cause::Busy(why)).at(Step::Check))
 }
 
-/// A gauge that is not there may be where flash programmers have left it.
+/// A gauge that does not answer may have been left in ROM mode by a flash programmer.
 fn in_rom(chip: &Chip, error: Error) -> Error {
     let has_rom = chip.subcommands.iter().any(|subcommand| subcommand.code == ROM_MODE);
     if !has_rom || *error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {

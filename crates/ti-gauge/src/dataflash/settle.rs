@@ -1,18 +1,22 @@
-//! What a write has left behind that was cut off, by the host's loss of power or a gauge that did not
-//! come back in time: the journal says how the gauge was found and what its blocks held.
+//! Settles interrupted writes: those cut short by a power loss of the host or by a gauge that did not
+//! return in time. The journal holds the seal state and the blocks from before the write.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::DataFlash;
+use super::blocks::{Dirty, Window, locate};
+use super::io::verify_written;
 use super::preflight::read_word;
-use super::{DataFlash, Dirty, Visit, Window, in_time, locate, sequence, verify_written};
+use super::schemes::sequence;
+use super::session::{Session, in_time};
 use crate::chip::{Chip, FLAT, Kind, Role, Word};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{self, Identity, Open, Plan};
+use crate::journal::{Identity, OpenJournal, Plan, PlannedBlock};
 
-/// What one block holds.
+/// Which content a block has.
 enum Held {
     Old,
     New,
@@ -21,13 +25,13 @@ enum Held {
 }
 
 impl DataFlash {
-    /// Whose journal it is, for the first time since the gauge came.
+    /// Identity of the gauge for the journal, read on first use after the gauge was connected.
     pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
         if let Some(identity) = self.identity {
             return Ok(identity);
         }
-        let firmware = match self.met {
-            Some(met) => met.firmware_version,
+        let firmware = match self.known_pack {
+            Some(known_pack) => known_pack.firmware_version,
             None => gauge.firmware_version()?,
         };
         let chip = gauge.chip;
@@ -41,54 +45,54 @@ impl DataFlash {
         Ok(identity)
     }
 
-    /// Settles a write that was cut off: data flash is then as it was before that write, or as it should
-    /// be after it, and the gauge no more open than that write had found it. Returns what was found, for
-    /// the log; `None` where there was nothing to settle.
+    /// Settles an interrupted write: data flash then holds all old values or all new ones, and the gauge is
+    /// sealed at least as it was before the write. Returns a message for the log; `None` if there was
+    /// nothing to settle.
     pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let Some(journal) = self.journal.clone() else { return Ok(None) };
         let identity = self.identity(gauge)?;
         let Some((path, entry)) = journal.pending(identity)? else { return Ok(None) };
-        let told = in_time(gauge, waited, |gauge| {
+        let settled = in_time(gauge, waited, |gauge| {
             gauge.claim()?;
             gauge.confirm_identity()?;
             let now = gauge.seal()?;
-            // What was found open and has closed since is left closed.
-            let mut visit = Visit::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
-            visit.now = None;
-            visit.journal = Some(Open::again(path)?);
+            // A gauge that was unsealed and has been sealed since stays sealed.
+            let mut session = Session::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
+            session.now = None;
+            session.journal = Some(OpenJournal::reopen(path)?);
             let outcome = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
             let outcome = outcome
                 .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| settle(gauge, &mut visit, entry.plan.as_ref()));
+                .and_then(|()| settle(gauge, &mut session, entry.plan.as_ref()));
             if outcome.is_err() {
                 // The file stays: nothing has been settled.
-                visit.journal = None;
+                session.journal = None;
             }
-            visit.close(gauge, outcome)
+            session.close(gauge, outcome)
         });
-        // It may be the serial number that was settled.
+        // The settled write may have changed the serial number.
         self.identity = None;
-        told.map(Some).map_err(|error| error.within("a write that was cut off cannot be settled"))
+        settled.map(Some).map_err(|error| error.within("cannot settle an interrupted write"))
     }
 
-    /// The same before a write, which says it in the log alone. Returns how long ago that write was asked for
-    /// by then.
+    /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
+    /// requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         let begun = gauge.clock.now();
-        if let Some(told) = self.settle(gauge, waited)? {
-            log::warn!("{}: {told}", gauge.chip.name);
+        if let Some(message) = self.settle(gauge, waited)? {
+            log::warn!("{}: {message}", gauge.chip.name);
         }
         Ok(waited + (gauge.clock.now() - begun))
     }
 
-    /// Journals of other gauges that have been at this one's place; they are left alone.
+    /// Journals of other gauges that were connected here before; they are not touched.
     pub fn journals_of_others(&mut self, gauge: &mut Gauge) -> Result<Vec<PathBuf>> {
         let Some(journal) = self.journal.clone() else { return Ok(Vec::new()) };
         Ok(journal.others(self.identity(gauge)?))
     }
 }
 
-/// What the next start has to know of a write. Keys are left out.
+/// What the next start needs to settle this write, without keys.
 pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
     let blocks = dirty.iter().map(|block| {
         let (mut old, mut new) = (block.old, block.new);
@@ -96,7 +100,7 @@ pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
             (old[at], new[at]) = (0, 0);
         }
         let Window { subclass, base } = block.place;
-        journal::Block { subclass, base, written: (block.written.start, block.written.end), old, new }
+        PlannedBlock { subclass, base, written: (block.written.start, block.written.end), old, new }
     });
     let serial = serial(gauge.chip).and_then(|(_, (subclass, offset))| {
         let (place, at) = locate(subclass, 0, offset);
@@ -106,7 +110,7 @@ pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
     Plan { reset, serial, blocks: blocks.collect() }
 }
 
-/// The register that tells packs apart, and the row that it shows. A chemistry is no serial number.
+/// The register that distinguishes packs, and the row it shows. A chemistry ID is no serial number.
 fn serial(chip: &Chip) -> Option<(u8, (u8, u16))> {
     let pack = chip.preflight.pack.as_ref()?;
     match pack.word {
@@ -115,7 +119,7 @@ fn serial(chip: &Chip) -> Option<(u8, (u8, u16))> {
     }
 }
 
-/// The serial number that the gauge shows; read until two agree, as I2C has no check of its own.
+/// The serial number, read until two reads agree because I2C has no error detection.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     let Some((register, _)) = serial(gauge.chip) else { return Ok(0) };
     let mut read = || read_word(gauge, Word::Register(register));
@@ -131,12 +135,14 @@ fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
 }
 
-fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<String> {
+fn settle(gauge: &mut Gauge, session: &mut Session, plan: Option<&Plan>) -> Result<String> {
     let Some(plan) = plan else {
-        return Ok("a write was cut off before anything was written".into());
+        return Ok("a write was interrupted before anything was written".into());
     };
     if has_lost_memory(gauge)? {
-        return Ok("a write was cut off, and the gauge has lost its data memory with its power since".into());
+        return Ok(
+            "a write was interrupted, and the gauge has since lost power and with it its data memory".into()
+        );
     }
     let (mut torn, mut old, mut new) = (Vec::new(), Vec::new(), Vec::new());
     for block in &plan.blocks {
@@ -147,45 +153,44 @@ fn settle(gauge: &mut Gauge, visit: &mut Visit, plan: Option<&Plan>) -> Result<S
         for at in (0..WINDOW).filter(|&at| is_secret(gauge, place, at)) {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
-        match look(gauge, &block, &stored) {
+        match classify(gauge, &block, &stored) {
             Held::Old => old.push(block),
             Held::New => new.push(block),
             Held::Torn => torn.push(block),
         }
     }
-    // The mode that a write begins may still be on; to begin it again is to find it.
+    // The mode that the write started may still be on; `begin` detects that.
     if sequence(gauge).always_finishes() {
-        visit.begin(gauge)?;
+        session.begin(gauge)?;
     }
     let finishes = plan.reset || sequence(gauge).always_finishes();
     if torn.is_empty() && new.is_empty() {
-        return Ok("a write was cut off; data flash holds the old values".into());
+        return Ok("a write was interrupted; data flash holds the old values".into());
     }
     if torn.is_empty() && old.is_empty() {
         if finishes {
-            visit.finish(gauge)?;
+            session.finish(gauge)?;
             new.iter().try_for_each(|block| verify_written(gauge, block))?;
         }
-        return Ok("a write was cut off when all was written; it has been finished and verified".into());
+        return Ok("a write was interrupted after its last block; it has been finished and verified".into());
     }
-    let unknown = |error: Error| {
-        Error::new("", Cause::StateUnknown(format!("{error}: what data flash holds is not known")))
-    };
-    // Whole where a block is torn; else what was written and nothing more, so that what the gauge has
-    // learned since stays.
-    visit.restore(gauge, &torn, false).map_err(unknown)?;
-    visit.restore(gauge, &new, true).map_err(unknown)?;
+    let unknown =
+        |error: Error| Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
+    // Torn blocks are restored as a whole; of the others only the written bytes, which keeps what the gauge
+    // has learned since.
+    session.restore(gauge, &torn, false).map_err(unknown)?;
+    session.restore(gauge, &new, true).map_err(unknown)?;
     if finishes {
-        visit.finish(gauge).map_err(unknown)?;
+        session.finish(gauge).map_err(unknown)?;
     }
     for block in torn.into_iter().chain(new).chain(old) {
         let back = Dirty { new: block.old, ..block };
         verify_written(gauge, &back).map_err(|error| unknown(error.at(Step::Restore)))?;
     }
-    Ok("a write was cut off half way; the old values were put back and verified".into())
+    Ok("a write was interrupted half way; the old values were restored and verified".into())
 }
 
-fn look(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
+fn classify(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
     let Dirty { place, old, new, .. } = block;
     let (mut all_old, mut all_new) = (true, true);
     for at in 0..WINDOW {
@@ -203,14 +208,14 @@ fn look(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
     }
 }
 
-/// Whether the gauge's data memory is RAM and is not what it was.
+/// Whether the gauge's data memory is RAM and was lost.
 fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((lost, flags)) = chip.volatile.zip(chip.register(Role::Flags)) else { return Ok(false) };
     Ok(read_word(gauge, Word::Register(flags.code))? & lost != 0)
 }
 
-/// Whether a byte of a window is a key's. Only a flat window can reach beyond its own subclass.
+/// Whether a byte of a window belongs to a key. Only a flat window can extend beyond its own subclass.
 fn is_secret(gauge: &Gauge, place: Window, at: usize) -> bool {
     let address = usize::from(place.base) + at;
     gauge.chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(
@@ -221,7 +226,7 @@ fn is_secret(gauge: &Gauge, place: Window, at: usize) -> bool {
     )
 }
 
-/// Whether the gauge itself rewrites a byte of a window.
+/// Whether the gauge itself updates a byte of a window.
 fn is_learned(gauge: &Gauge, place: Window, at: usize) -> bool {
     let offset = usize::from(place.base) + at;
     let rows = gauge.chip.subclasses.iter().filter(|row| row.id == place.subclass);

@@ -1,5 +1,5 @@
-//! How often data flash is programmed. Its cells last for 20,000 cycles (SLUSBZ5D 6.12), and nothing in
-//! a gauge keeps a script that runs wild from using them up.
+//! Limits how often data flash is programmed. Its cells last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge
+//! itself does not stop a runaway script from using them up.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -8,18 +8,18 @@ use super::DataFlash;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
-/// The span in which blocks are counted.
+/// The period over which blocks are counted.
 const HOUR: Duration = Duration::from_secs(3600);
 
-/// The blocks that were programmed in the last hour, of this daemon's life.
+/// The blocks that this process programmed within the last hour.
 #[derive(Debug, Default)]
 pub(super) struct Wear {
-    /// When, and how many; oldest first.
+    /// Time and number of blocks, oldest first.
     spent: VecDeque<(Duration, u64)>,
 }
 
 impl DataFlash {
-    /// Refuses while flash has been programmed too often; RAM does not wear.
+    /// Refuses a write while the limit is reached. RAM does not wear out, so parts with RAM have no limit.
     pub(super) fn check_wear(&mut self, gauge: &Gauge) -> Result<()> {
         match self.limits.writes_per_hour {
             0 => Ok(()),
@@ -28,7 +28,7 @@ impl DataFlash {
         }
     }
 
-    /// Does what may program flash, and counts what it has, whatever came of it.
+    /// Runs what may program flash and counts the blocks programmed, whatever the outcome.
     pub(super) fn counted<T>(
         &mut self,
         gauge: &mut Gauge,
@@ -43,16 +43,15 @@ impl DataFlash {
 }
 
 impl Wear {
-    /// So many blocks have been programmed now.
+    /// Records blocks that have just been programmed.
     pub(super) fn record(&mut self, now: Duration, blocks: u64) {
         if blocks > 0 {
             self.spent.push_back((now, blocks));
         }
     }
 
-    /// Refuses a transaction while as many blocks as the limit allows have been programmed within the last
-    /// hour. The limit is not asked again within a transaction, so that one of any size is possible as a
-    /// whole.
+    /// Refuses a transaction while the limit has been reached within the last hour. The limit is checked only
+    /// before a transaction, so one of any size can complete.
     pub(super) fn check(&mut self, now: Duration, limit: u32) -> Result<()> {
         while self.spent.front().is_some_and(|(at, _)| *at + HOUR <= now) {
             self.spent.pop_front();
@@ -66,7 +65,7 @@ impl Wear {
         let Some((at, _)) = frees.filter(|_| spent >= u64::from(limit)) else { return Ok(()) };
         let seconds = (*at + HOUR - now).as_secs() + 1;
         let why = format!(
-            "{spent} blocks were programmed within the last hour, and {limit} are the limit, because flash wears \
+            "{spent} blocks were programmed within the last hour; the limit is {limit}, because flash wears \
              out: the next write may come in {} min {} s; --writes-per-hour sets another limit",
             seconds / 60,
             seconds % 60

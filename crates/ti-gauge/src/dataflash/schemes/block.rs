@@ -3,8 +3,9 @@
 
 use std::time::Duration;
 
-use super::{Dirty, Sequence, Window};
+use super::Sequence;
 use crate::codec::{WINDOW, checksum};
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -16,13 +17,13 @@ const BLOCK_DATA: u8 = 0x40;
 const CHECKSUM: u8 = 0x60;
 /// BlockDataControl().
 const BLOCK_DATA_CONTROL: u8 = 0x61;
-/// BlockDataControl() for the blocks that a sealed gauge shows.
+/// BlockDataControl() value that selects the blocks a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
 
-/// Time between two readings of the window that have to agree. A window that is not ready yet still shows the
-/// block before, or a blank one, with a checksum that is valid for it.
-const APART: Duration = Duration::from_millis(20);
-/// Readings of one selection before the gauge is given up.
+/// Time between two reads of the window that must agree. A window that is not ready yet still shows the
+/// previous block, or a blank one, with a valid checksum.
+const READ_INTERVAL: Duration = Duration::from_millis(20);
+/// Reads after one selection before giving up.
 const READINGS: u32 = 4;
 
 pub(super) struct Block;
@@ -44,15 +45,15 @@ impl Sequence for Block {
         if first.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Protocol(_))) {
             self.enable(gauge)?;
         }
-        // The window was read too early, or a bit was lost in a selection and another block is in it.
-        // What does not echo its selection counts when a second selection leads to the same bytes.
+        // The window was read too early, or a bit error in the selection loaded another block. A block that
+        // does not echo its selection is accepted if a second selection gives the same bytes.
         Statistics::count(&gauge.statistics.retries);
         gauge.wait(gauge.chip.access.select * 4);
         let (window, echoed) = load_settled(gauge, place)?;
         if echoed || first.is_ok_and(|(first, _)| first == window) {
             return Ok(window);
         }
-        let why = format!("{}: two selections of one block read differently", place.name(0));
+        let why = format!("{}: the block reads differently when selected again", place.name(0));
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
@@ -96,12 +97,12 @@ fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
-/// Selects a block and reads it until two readings, some time apart, agree.
+/// Selects a block and reads it until two consecutive reads agree.
 fn load_settled(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     select(gauge, place)?;
     let mut before = read_window(gauge, place);
     for _ in 1..READINGS {
-        gauge.wait(APART);
+        gauge.wait(READ_INTERVAL);
         let now = read_window(gauge, place);
         if now.is_ok() && now == before {
             return now;
@@ -112,22 +113,23 @@ fn load_settled(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)
     before.and(Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock)))
 }
 
-/// The block, its checksum in order, and whether the gauge says that this block was selected. With
-/// BlockDataControl() at 1, where a lost bit can put it, the window has nothing to do with data flash,
-/// and all the rest is in order: so that is read as well.
+/// Reads the block, verifies its checksum, and returns whether the gauge echoes the selection.
+/// BlockDataControl() is read too: a bit error can set it to 1, and the window then does not show data
+/// flash although everything else looks valid.
 fn read_window(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];
     window.copy_from_slice(&bytes[2..2 + WINDOW]);
     if bytes[2 + WINDOW + 1] == MANUFACTURER_BLOCKS {
-        let why = format!("{}: BlockDataControl() is 1, which data flash is not reached by", place.name(0));
+        let why =
+            format!("{}: BlockDataControl() is 1, so the window does not show data flash", place.name(0));
         return Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock));
     }
-    let (sum, told) = (checksum(&window), bytes[2 + WINDOW]);
-    if sum == told {
+    let (sum, reported) = (checksum(&window), bytes[2 + WINDOW]);
+    if sum == reported {
         return Ok((window, bytes[..2] == [place.subclass, block_of(place)]));
     }
-    let why = format!("{}: checksum is 0x{told:02x}, the block adds up to 0x{sum:02x}", place.name(0));
+    let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
     Err(Error::new("", Cause::BadChecksum(why)).at(Step::ReadBlock))
 }

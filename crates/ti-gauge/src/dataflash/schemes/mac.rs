@@ -1,8 +1,9 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
-//! MACDataSum and MACDataLen. The gauge echoes the address, and what it echoes is checked.
+//! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 
-use super::{Dirty, Sequence, Window};
+use super::Sequence;
 use crate::codec::{WINDOW, checksum};
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -12,7 +13,7 @@ const MAC: u8 = 0x3e;
 const MAC_DATA: u8 = 0x40;
 /// MACDataSum(); MACDataLen() follows it.
 const MAC_DATA_SUM: u8 = 0x60;
-/// What MACDataLen() counts beside the data: the address, the sum and itself.
+/// Bytes that MACDataLen() counts besides the data: the address, the sum and itself.
 const OVERHEAD: usize = 4;
 
 pub(super) struct Mac;
@@ -28,7 +29,7 @@ impl Sequence for Mac {
 
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         let mut outcome = load_once(gauge, place);
-        // Read too early, the answer is the one before; it is asked for once more.
+        // If read too early, the answer is the previous one, so the block is requested once more.
         let early = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
         if outcome.as_ref().is_err_and(early) {
             Statistics::count(&gauge.statistics.retries);
@@ -53,7 +54,7 @@ impl Sequence for Mac {
         let address = block.place.base + range.start as u16;
         let at = |error: Error| error.at(Step::WriteBlock);
         gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
-        // The gauge fetches what stands there, over anything that is in MACData() before.
+        // The gauge loads the present bytes into MACData() and overwrites anything sent earlier.
         gauge.wait(gauge.chip.access.select);
         gauge.write(MAC_DATA, &block.new[range]).map_err(at)
     }
@@ -90,7 +91,7 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
     let mut answer = [0; 2 + WINDOW + 2];
     gauge.read(MAC, &mut answer).map_err(at)?;
     let echo = u16::from_le_bytes([answer[0], answer[1]]);
-    let (told, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
+    let (reported, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
     let refuse = |cause: Cause| Err(Error::new("", cause).at(Step::ReadBlock));
     if echo != address {
         let why = format!("{}: the gauge echoes address 0x{echo:04x}", place.name(0));
@@ -101,12 +102,14 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
     }
     let data = &answer[2..2 + length - OVERHEAD];
     let adds_up = sum(address, data);
-    if adds_up != told {
-        let why =
-            format!("{}: MACDataSum() is 0x{told:02x}, the data adds up to 0x{adds_up:02x}", place.name(0));
+    if adds_up != reported {
+        let why = format!(
+            "{}: MACDataSum() is 0x{reported:02x}, the data adds up to 0x{adds_up:02x}",
+            place.name(0)
+        );
         return refuse(Cause::BadChecksum(why));
     }
-    // Past the end of data flash the window is shorter; nobody asks for what is not there.
+    // At the end of data flash the answer is shorter than a window; the missing bytes are never used.
     let mut window = [0; WINDOW];
     window[..data.len()].copy_from_slice(data);
     Ok(window)

@@ -1,13 +1,13 @@
 //! CONFIG UPDATE (SLUUAC9A 3.1): the block access of the flash parts, between SET_CFGUPDATE and
-//! SOFT_RESET. Data memory is RAM; while the mode lasts the gauge does not gauge, and it is never left
-//! set by any way out.
+//! SOFT_RESET. Data memory is RAM. The gauge does not gauge in this mode, so every exit ends it.
 
 use std::time::Duration;
 
+use super::Sequence;
 use super::block::Block;
-use super::{Dirty, Sequence, Window};
 use crate::chip::Role;
 use crate::codec::WINDOW;
+use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -17,8 +17,8 @@ const SET_CFGUPDATE: u16 = 0x0013;
 const SOFT_RESET: u16 = 0x0042;
 /// Flags() `[CFGUPMODE]`.
 const CFGUPMODE: u16 = 0x0010;
-/// Between two looks at `[CFGUPMODE]`, which takes up to a second to come or go.
-const LOOK: Duration = Duration::from_millis(100);
+/// Time between two reads of `[CFGUPMODE]`, which takes up to a second to come or go.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub(super) struct CfgUpdate;
 
@@ -28,13 +28,13 @@ impl Sequence for CfgUpdate {
     }
 
     fn begin(&self, gauge: &mut Gauge) -> Result<()> {
-        if settles(gauge, true, Duration::ZERO)? {
+        if reaches(gauge, true, Duration::ZERO)? {
             return Ok(());
         }
         gauge.command(SET_CFGUPDATE).map_err(|error| error.at(Step::WriteBlock))?;
         gauge.wait(gauge.chip.access.enter);
         wait_for(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::WriteBlock))?;
-        // SLUUAC9A 3.1 opens the window after the mode has come.
+        // SLUUAC9A 3.1 enables block access after the mode is on.
         Block.enable(gauge)
     }
 
@@ -59,9 +59,9 @@ impl Sequence for CfgUpdate {
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
-        // SOFT_RESET does nothing before the mode has come, and the mode then comes all the same. After a
-        // loss of power it does not come at all.
-        settles(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::Reset))?;
+        // SOFT_RESET is ignored before the mode is on, and the mode is then entered anyway. After a loss of
+        // power it is never entered.
+        reaches(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::Reset))?;
         Statistics::count(&gauge.statistics.resets);
         gauge.command(SOFT_RESET).map_err(|error| error.at(Step::Reset))?;
         wait_for(gauge, false, gauge.chip.access.reset_limit).map_err(|error| error.at(Step::Reset))
@@ -79,18 +79,18 @@ fn in_mode(gauge: &mut Gauge) -> Result<bool> {
     Ok(u16::from_le_bytes(word) & CFGUPMODE != 0)
 }
 
-/// Waits until the mode is on, or off. I2C has no check of its own, and a mode that was misread would be
-/// left on: what is seen counts when it is seen twice.
+/// Waits until the mode is on, or off. I2C has no error detection, and a misread flag would leave the mode
+/// on, so two reads must agree.
 fn wait_for(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<()> {
-    if settles(gauge, on, limit)? {
+    if reaches(gauge, on, limit)? {
         return Ok(());
     }
-    let why = if on { "[CFGUPMODE] does not come" } else { "[CFGUPMODE] stays" };
+    let why = if on { "[CFGUPMODE] was not set in time" } else { "[CFGUPMODE] was not cleared in time" };
     Err(Error::new("Flags()", Cause::TimedOut(why.into())))
 }
 
-/// The same; whether it came to that.
-fn settles(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
+/// Like `wait_for`, but returns whether the mode was reached.
+fn reaches(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
     let limit = gauge.clock.now() + limit;
     loop {
         if in_mode(gauge)? == on && in_mode(gauge)? == on {
@@ -99,6 +99,6 @@ fn settles(gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
         if gauge.clock.now() >= limit {
             return Ok(false);
         }
-        gauge.wait(LOOK);
+        gauge.wait(POLL_INTERVAL);
     }
 }

@@ -1,0 +1,106 @@
+//! Changes as blocks: which windows of data flash they touch, and what those hold before and after.
+
+use std::ops::Range;
+
+use super::Change;
+use super::schemes::sequence;
+use crate::chip::{FLAT, Parameter, Safe};
+use crate::codec::WINDOW;
+use crate::error::Result;
+use crate::gauge::Gauge;
+
+/// A 32-byte piece of data flash, as the gauge shows it in its window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Window {
+    /// Subclass id, or [`FLAT`].
+    pub(super) subclass: u8,
+    /// Offset, or flat address, of the window's first byte.
+    pub(super) base: u16,
+}
+
+/// A block that a change touches.
+pub(super) struct Dirty {
+    pub(super) place: Window,
+    /// Content as read.
+    pub(super) old: [u8; WINDOW],
+    /// Content to be written.
+    pub(super) new: [u8; WINDOW],
+    /// Range of the window that the changed parameters occupy.
+    pub(super) written: Range<usize>,
+}
+
+impl Dirty {
+    /// The range from the first byte that differs to the last.
+    pub(super) fn differing(&self) -> Option<Range<usize>> {
+        let differs = |&at: &usize| self.old[at] != self.new[at];
+        Some((0..WINDOW).find(differs)?..(0..WINDOW).rfind(differs)? + 1)
+    }
+}
+
+impl Window {
+    /// Names the byte at a position of the window, for a message.
+    pub(super) fn name(self, at: usize) -> String {
+        let offset = usize::from(self.base) + at;
+        match self.subclass {
+            FLAT => format!("address 0x{offset:04x}"),
+            subclass => format!("subclass {subclass} offset {offset}"),
+        }
+    }
+}
+
+impl Change {
+    /// For each byte, its window and its position there.
+    pub(super) fn windows(&self) -> impl Iterator<Item = (Window, usize)> {
+        let start = self.row.map_or(0, |(subclass, _)| subclass.start());
+        let offsets = (self.place.offset..).take(self.bytes.len());
+        offsets.map(move |offset| locate(self.place.subclass, start, offset))
+    }
+}
+
+/// The window that shows an offset of a subclass starting at `start`, and the position in that window.
+pub(super) fn locate(subclass: u8, start: u16, offset: u16) -> (Window, usize) {
+    let at = usize::from(offset - start) % WINDOW;
+    (Window { subclass, base: offset - at as u16 }, at)
+}
+
+/// Reads every block that the changes touch and applies them to a copy.
+pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
+    let mut dirty: Vec<Dirty> = Vec::new();
+    for change in changes {
+        for (number, ((place, at), &byte)) in change.windows().zip(&change.bytes).enumerate() {
+            let index = match dirty.iter().position(|block| block.place == place) {
+                Some(index) => index,
+                None => {
+                    let old = sequence(gauge).load(gauge, place)?;
+                    dirty.push(Dirty { place, old, new: old, written: at..at });
+                    dirty.len() - 1
+                }
+            };
+            let block = &mut dirty[index];
+            let kept = if change.saved { kept_bits(change, number) } else { 0 };
+            block.new[at] = byte & !kept | block.old[at] & kept;
+            block.written = block.written.start.min(at)..block.written.end.max(at + 1);
+        }
+    }
+    // Windows of a part with flat addresses may overlap: each is verified before the next one is written.
+    dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
+    Ok(dirty)
+}
+
+/// The bits of byte `number` of a change that a write must not change.
+pub(super) fn kept_bits(change: &Change, number: usize) -> u8 {
+    let Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) = change.row else { return 0 };
+    let behind = change.bytes.len() - 1 - number;
+    (mask >> (8 * behind)) as u8
+}
+
+/// Number of blocks that the changes touch.
+pub(super) fn blocks(changes: &[Change]) -> usize {
+    let places: Vec<Window> = changes.iter().flat_map(Change::windows).map(|(place, _)| place).collect();
+    (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()
+}
+
+pub(super) fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
+    let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
+    change.windows().filter_map(byte).collect()
+}
