@@ -34,7 +34,7 @@ fn opens(at: &str, gauge: &str) -> bool {
 }
 
 #[test]
-fn a_key_is_changed_through_the_mount_and_stays_changed() {
+fn a_key_is_changed_through_the_mount_and_survives_a_remount() {
     if !can_mount() {
         return;
     }
@@ -65,7 +65,7 @@ fn a_key_is_changed_through_the_mount_and_stays_changed() {
 }
 
 #[test]
-fn a_change_that_cannot_be_made_says_why() {
+fn a_refused_key_change_reports_the_reason() {
     if !can_mount() {
         return;
     }
@@ -143,7 +143,7 @@ fn typed(arguments: &[&str], answers: &[(&str, &str)]) -> Ran {
 }
 
 #[test]
-fn keys_are_typed_without_being_shown() {
+fn typed_keys_are_not_echoed() {
     if !can_mount() {
         return;
     }
@@ -251,7 +251,7 @@ fn shows<'a>(content: &[u8], keys: &'a [&'a str]) -> Option<String> {
 }
 
 #[test]
-fn a_slip_would_be_found() {
+fn the_search_finds_keys_in_every_notation() {
     let keys = [SEALS[0], AUTHENTICATION[0]];
     for text in [
         "a 8d3e b7c5",

@@ -157,7 +157,7 @@ fn walk(folder: &Path, seen: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn attributes_are_the_kernels() {
+fn attributes_match_those_of_the_kernel() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     assert_eq!(mount.cat("type"), "Battery");
     assert_eq!(mount.cat("present"), "1");
@@ -226,7 +226,7 @@ fn data_flash_reads_and_writes() {
 }
 
 #[test]
-fn refusals_have_their_errno_and_change_nothing() {
+fn refused_writes_return_their_errno_and_change_nothing() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let before = mount.sim.flash();
     let transfers = mount.transfers();
@@ -262,7 +262,7 @@ fn refusals_have_their_errno_and_change_nothing() {
 }
 
 #[test]
-fn below_the_flash_voltage_nothing_is_stored() {
+fn writes_below_the_flash_voltage_are_refused() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     mount.sim.set("voltage_mv", "2700").expect("a knob");
     let before = mount.sim.flash();
@@ -272,7 +272,7 @@ fn below_the_flash_voltage_nothing_is_stored() {
 }
 
 #[test]
-fn without_keys_a_sealed_gauge_shows_all_but_data_flash() {
+fn without_keys_a_sealed_gauge_shows_everything_but_data_flash() {
     let keys = Keys { no_default: true, ..Keys::default() };
     let Some(mount) = Mount::new("bq34z100-g1", Duration::from_secs(3600), keys) else { return };
     let before = mount.sim.flash();
@@ -291,7 +291,7 @@ fn without_keys_a_sealed_gauge_shows_all_but_data_flash() {
 }
 
 #[test]
-fn the_index_holds_every_value() {
+fn the_index_lists_every_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let index = mount.cat("df/index");
     let mut lines = index.lines();
@@ -327,7 +327,7 @@ fn seal_and_control() {
 }
 
 #[test]
-fn extended_attributes_say_what_a_parameter_is() {
+fn extended_attributes_describe_a_parameter() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let output = std::process::Command::new("getfattr").arg("-d").arg(mount.path("df/80/53")).output();
     let Ok(output) = output else {
@@ -349,7 +349,7 @@ fn extended_attributes_say_what_a_parameter_is() {
 
 /// A monitor keeps its files open and reads them again at offset 0.
 #[test]
-fn a_file_held_open_follows() {
+fn an_open_file_shows_new_values() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let file = fs::File::open(mount.path("current_now")).expect("opens");
     let before = file.metadata().and_then(|file| file.modified()).expect("a time");
@@ -372,7 +372,7 @@ fn a_file_held_open_follows() {
 
 /// A value that comes and goes is a file that comes and goes, and its line in uevent with it.
 #[test]
-fn values_come_and_go() {
+fn files_appear_and_disappear_with_their_values() {
     let Some(mount) = Mount::new("bq34z100-g1", Duration::from_millis(500), Keys::default()) else { return };
     let listed = || {
         fs::read_dir(mount.path(""))
@@ -407,7 +407,7 @@ fn values_come_and_go() {
 
 /// Not everybody may read data flash, and nobody but the owner may write.
 #[test]
-fn modes_keep_others_out() {
+fn file_modes_restrict_other_users() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let mode = |name: &str| fs::metadata(mount.path(name)).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode("df/80/53"), 0o600);
@@ -424,7 +424,7 @@ fn modes_keep_others_out() {
 
 /// `>` truncates before it writes. What cannot be written cannot be truncated, for root neither.
 #[test]
-fn nobody_empties_an_attribute() {
+fn a_read_only_file_cannot_be_truncated() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     for name in ["capacity", "uevent", "gauge/registers/voltage", "gauge/age_ms"] {
         assert!(!mount.cat(name).is_empty());
@@ -436,7 +436,7 @@ fn nobody_empties_an_attribute() {
 
 /// Who writes and reads through one open file reads what came of the write, not what was written.
 #[test]
-fn a_writer_reads_what_came_of_it() {
+fn a_writer_reads_the_stored_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let file = OpenOptions::new().read(true).write(true).open(mount.path("df/80/53")).expect("opens");
     let read = || {
@@ -460,7 +460,7 @@ fn a_writer_reads_what_came_of_it() {
 
 /// All simulated gauges show what monitors need, and take a write and show it.
 #[test]
-fn every_gauge_is_mounted() {
+fn every_chip_can_be_mounted_read_and_written() {
     for (chip, parameter, value) in [
         ("bq27520-g3", "df/48/10", "1200"),
         ("bq27441-g1", "df/82/10", "1200"),
@@ -490,7 +490,7 @@ fn every_gauge_is_mounted() {
 
 /// A row whose address is not sure is read-only, whoever asks.
 #[test]
-fn unproven_rows_are_read_only() {
+fn unproven_parameters_are_read_only() {
     let Some(mount) = quiet("bq34110") else { return };
     let index = mount.cat("df/index");
     let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");
@@ -503,7 +503,7 @@ fn unproven_rows_are_read_only() {
 
 /// The data memory is RAM: gone with the power, told, and given back from an exported image.
 #[test]
-fn a_ram_gauge_gets_its_configuration_back() {
+fn a_ram_gauge_gets_its_configuration_restored() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
     drop(mount);
@@ -529,7 +529,7 @@ fn a_ram_gauge_gets_its_configuration_back() {
 }
 
 #[test]
-fn an_inverted_cc_gain_is_told_with_its_remedy() {
+fn an_inverted_cc_gain_is_reported_with_its_remedy() {
     let prepare = |sim: &Sim| sim.set("cc_gain_inverted", "on").expect("a knob");
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
     let Some(mount) =
@@ -578,7 +578,7 @@ fn a_sibling_shows_standard_commands_only() {
 /// Until it has been read nobody knows a value's size. Readers who come while it is on its way get it
 /// whole, and nothing after it.
 #[test]
-fn the_first_readers_of_a_value_come_together() {
+fn simultaneous_first_readers_get_the_whole_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     for (name, text) in
         [("df/80/53", Some("3000\n")), ("df/48/43", Some("Texas Inst.\n")), ("df/index", None)]
@@ -610,7 +610,7 @@ fn the_first_readers_of_a_value_come_together() {
 
 /// Programs read in pieces of all sizes.
 #[test]
-fn a_first_read_in_pieces_is_whole() {
+fn a_first_read_in_pieces_is_complete() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let whole = mount.cat("df/index");
     for (name, whole) in [("df/index", &whole[..]), ("df/80/53", "3000")] {
@@ -651,7 +651,7 @@ fn files_can_be_copied() {
 
 /// What is listed is there, whatever the gauge has or has not just now, from the first moment on, and only what the part has.
 #[test]
-fn what_is_listed_is_there() {
+fn listed_files_exist() {
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
     for (chip, itpor) in [("bq34110", false), ("bq27441-g1", true)] {
         let Some(mount) =
@@ -674,7 +674,7 @@ fn what_is_listed_is_there() {
 
 /// The RAM is gone although no poll has missed the gauge: what was kept of it is not shown any more.
 #[test]
-fn a_short_power_loss_of_a_ram_gauge_is_seen() {
+fn a_short_power_loss_of_a_ram_gauge_is_detected() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
     assert_eq!(mount.cat("df/82/10"), "1234");
@@ -689,7 +689,7 @@ fn a_short_power_loss_of_a_ram_gauge_is_seen() {
 
 /// As `{ echo begin; echo ...; } > df/transaction` does: one open file, many writes.
 #[test]
-fn a_transaction_in_several_writes() {
+fn a_transaction_can_be_sent_in_several_writes() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let mode = fs::metadata(mount.path("df/transaction")).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode, 0o600);
@@ -756,7 +756,7 @@ fn a_challenge_is_answered_sealed_and_unsealed() {
 }
 
 #[test]
-fn only_a_part_whose_authentication_is_known_has_the_file() {
+fn only_parts_with_known_authentication_have_the_file() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert!(!mount.path("gauge/authenticate").exists());
     assert!(!mount.path("gauge/auth_order").exists());

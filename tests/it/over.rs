@@ -110,7 +110,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn the_kernels_supplies_show_through_as_they_are() {
+fn the_kernels_supplies_stay_visible_and_unchanged() {
     let tree = Tree::new();
     let _folder = tree.keep_underneath();
     tree.bind("BAT0", "81\n");
@@ -128,7 +128,7 @@ fn the_kernels_supplies_show_through_as_they_are() {
 }
 
 #[test]
-fn supplies_that_come_and_go_show_at_once() {
+fn added_and_removed_supplies_show_at_once() {
     let tree = Tree::new();
     let _folder = tree.keep_underneath();
     let Some(_mounted) = mount(&tree, "BAT1") else { return };
@@ -152,7 +152,7 @@ fn supplies_that_come_and_go_show_at_once() {
 }
 
 #[test]
-fn the_gauge_keeps_a_name_that_the_kernel_has_too() {
+fn a_gauge_keeps_its_name_although_the_kernel_uses_it_too() {
     let tree = Tree::new();
     symlink("../../devices/bus/BAT0", tree.supplies().join("BAT0")).expect("a link");
     symlink("../../devices/bus/AC", tree.supplies().join("AC")).expect("a link");

@@ -29,7 +29,7 @@ impl Bus for Swap {
 /// A pack is exchanged for another one with the same part, between a look at its values and a write, and
 /// back again between two polls.
 #[test]
-fn a_swapped_pack_is_noticed() {
+fn a_swapped_pack_is_detected() {
     let mut other = Rig::new("bq34z100-g1");
     assert_eq!(other.write(48, 4, "0x0007"), WRITTEN);
     let clock: Arc<SimClock> = other.clock.clone();

@@ -96,7 +96,7 @@ fn each_block_is_programmed_once() {
 }
 
 #[test]
-fn a_flat_part_is_addressed_as_below_df() {
+fn a_flat_part_is_addressed_by_its_path_in_df() {
     let tree = tree("bq34110");
     assert_eq!(tree.stage("begin\nflash/0x41f5 3100\n"), Ok(()));
     let staged = tree.read("df/transaction").expect("readable");
@@ -142,7 +142,7 @@ fn lines_are_checked_at_once() {
 }
 
 #[test]
-fn an_unproven_row_is_not_staged() {
+fn an_unproven_parameter_is_not_staged() {
     let tree = tree("bq34110");
     let rows = Chip::by_name("bq34110").expect("a table").subclasses.iter();
     let row = rows.flat_map(|row| row.parameters).find(|row| row.unproven).expect("there are some");
@@ -150,7 +150,7 @@ fn an_unproven_row_is_not_staged() {
 }
 
 #[test]
-fn after_ten_minutes_it_is_dropped() {
+fn a_transaction_is_dropped_after_ten_minutes() {
     let tree = tree("bq34z100-g1");
     assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
     tree.clock.sleep(Duration::from_secs(590));
@@ -165,7 +165,7 @@ fn after_ten_minutes_it_is_dropped() {
 
 /// The second block fails: the first is put back, and the transaction is over.
 #[test]
-fn all_or_none() {
+fn a_failed_commit_changes_nothing() {
     let tree = tree("bq34z100-g1");
     let flash = tree.sim.flash();
     assert_eq!(tree.stage("begin\n80/53 3100\n48/11 2200\n"), Ok(()));
@@ -192,7 +192,7 @@ fn a_sealed_gauge_refuses_the_commit() {
 
 /// The bytes of Pack Configuration D's neighbours, and a subclass that the table does not have.
 #[test]
-fn bytes_without_a_parameter_are_written_on_request() {
+fn undocumented_bytes_are_written_on_request() {
     let tree = tree("bq27427");
     assert_eq!(tree.read_bytes("df/64/raw")[10..13], [0x09, 0x04, 0x27]);
     assert_eq!(tree.stage("begin\nraw 64/10 0a05\nraw 64/12 28\n64/0 0x6479\n"), Ok(()));
@@ -224,7 +224,7 @@ fn a_subclass_that_is_not_in_the_table_is_written_on_request() {
 
 /// No key, no limit and no other block is reached by bytes.
 #[test]
-fn bytes_reach_what_has_no_parameter_and_nothing_else() {
+fn raw_lines_reach_undocumented_bytes_only() {
     let tree = tree("bq34z100-g1");
     let transfers = tree.count("transfers");
     assert_eq!(tree.stage("begin"), Ok(()));

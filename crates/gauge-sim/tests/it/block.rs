@@ -167,7 +167,7 @@ mod registers {
     use super::*;
 
     #[test]
-    fn identity_is_that_of_slua790() {
+    fn identity_matches_slua790() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 00 2 -> 00 01");
         bench.replay("W 00 08 00 ; R 00 2 -> 07 01");
@@ -178,7 +178,7 @@ mod registers {
     }
 
     #[test]
-    fn control_remembers_the_answer_and_the_last_code() {
+    fn control_returns_the_last_answer_and_the_last_code() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 00 1 -> 00 ; R 01 1 -> 01 ; R 00 2 -> 00 01");
         bench.replay("W 00 07 00 ; R 00 2 -> 01 00 ; W 00 07 00 ; R 00 2 -> 07 00");
@@ -190,13 +190,13 @@ mod registers {
     }
 
     #[test]
-    fn copies_of_flash_stand_where_table_7_8_has_them() {
+    fn registers_copy_the_flash_values_of_table_7_8() {
         let bench = Bench::new();
         bench.replay("R 28 2 -> 01 00 ; R 2C 2 -> 00 00 ; R 3A 2 -> 61 01 ; R 3C 2 -> E8 03");
     }
 
     #[test]
-    fn reading_goes_on_and_wraps() {
+    fn reads_continue_from_the_pointer_and_wrap() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 7E 4 -> 00 00 00 01");
         let mut all = [0; 0x80];
@@ -211,7 +211,7 @@ mod registers {
     }
 
     #[test]
-    fn what_cannot_be_taken_is_not_acknowledged() {
+    fn invalid_writes_are_not_acknowledged() {
         let bench = Bench::unsealed();
         let flash = bench.sim.flash();
         bench.replay("W 80 -> NACK ; R FF 1 -> NACK ; W 7F");
@@ -223,7 +223,7 @@ mod registers {
     }
 
     #[test]
-    fn nothing_answers_elsewhere() {
+    fn other_addresses_do_not_answer() {
         let bench = Bench::new();
         for address in (0x03..0x78).filter(|&address| address != 0x55) {
             assert_eq!(
@@ -236,7 +236,7 @@ mod registers {
     }
 
     #[test]
-    fn the_bus_takes_its_time_and_is_counted() {
+    fn transfers_take_bus_time_and_are_counted() {
         let bench = Bench::new();
         bench.replay("R 02 12 -> 3C .. ; R 18 4 -> FF FF FF FF ; R 24 C -> ..");
         // 396 bit times at 100 kHz.
@@ -251,7 +251,7 @@ mod security {
     use super::*;
 
     #[test]
-    fn levels_follow_the_keys() {
+    fn keys_change_the_seal_state() {
         let bench = Bench::new();
         assert_eq!(bench.status() & 0x6000, 0x6000);
         bench.replay(UNSEAL);
@@ -264,7 +264,7 @@ mod security {
     }
 
     #[test]
-    fn only_consecutive_halves_in_order_and_in_time_unseal() {
+    fn both_key_words_must_follow_each_other_in_order_and_in_time() {
         for wrong in [
             "W 00 72 36 ; W 00 14 04",
             "W 00 14 04 ; W 00 00 00 ; W 00 72 36",
@@ -283,7 +283,7 @@ mod security {
     }
 
     #[test]
-    fn a_gauge_may_want_silence_before_keys() {
+    fn a_gauge_may_require_silence_before_keys() {
         let bench = Bench::new();
         bench.set("key_quiet_ms", "4000");
         bench.replay("R 08 2 -> ..");
@@ -322,7 +322,7 @@ mod security {
     }
 
     #[test]
-    fn keys_change_in_full_access_only() {
+    fn keys_can_be_changed_in_full_access_only() {
         let bench = Bench::unsealed();
         bench.write(112, 0, &[0x11, 0x22, 0x33, 0x44]);
         // The buffer shows the new bytes all the same.
@@ -338,7 +338,7 @@ mod security {
     }
 
     #[test]
-    fn a_new_gauge_may_have_another_key() {
+    fn a_new_gauge_can_be_given_another_key() {
         let bench = Bench::with(&Options { unseal_key: Some([0x1234, 0x5678]), ..Options::default() });
         bench.replay(UNSEAL);
         assert_eq!(bench.sim.get("seal").unwrap(), "sealed");
@@ -349,7 +349,7 @@ mod security {
     /// Digests computed with SHA-1 outside gaugefs from the default key; the scheme itself is that of
     /// SLUAAQ0's example.
     #[test]
-    fn challenges_are_answered() {
+    fn challenges_get_the_right_digest() {
         let counting: String = (0..20).map(|byte| format!("{byte:02X} ")).collect();
         let zeros = "00 ".repeat(20);
         for (challenge, sum, lsb_first, as_sent) in [
@@ -381,7 +381,7 @@ mod security {
 
     /// SLUAAQ0's example, with the key written as SLUSBZ5D 7.3.15.2 has it at its right offset.
     #[test]
-    fn the_authentication_key_can_be_changed_unsealed() {
+    fn the_authentication_key_can_be_changed_while_unsealed() {
         let bench = Bench::unsealed();
         bench.write(112, 8, &hex(&packed("42C5413DB9EDBBA212DFB96B7440433C")));
         bench.set("auth_order", "as-sent");
@@ -395,7 +395,7 @@ mod flash {
     use super::*;
 
     #[test]
-    fn voltsel_is_set_as_slusbz5d_7_3_3_1_does() {
+    fn voltsel_is_set_as_in_slusbz5d_7_3_3_1() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 40 ; W 3F 00 ; R 40 1 -> 01 ; R 60 1 -> 6D ; W 40 09 ; W 60 65");
         bench.replay("X 20 ; R 3A 2 -> 61 01 ; W 00 41 00 ; X 200 ; R 3A 2 -> 61 09");
@@ -404,7 +404,7 @@ mod flash {
     }
 
     #[test]
-    fn serial_number_and_chemistry_are_those_of_slua790() {
+    fn serial_number_and_chemistry_match_slua790() {
         let bench = Bench::unsealed();
         bench.replay(&format!("W 61 00 ; W 3E 30 ; W 3F 00 ; R 40 20 -> {DATA_0} ; R 60 1 -> BF"));
         let before =
@@ -416,13 +416,13 @@ mod flash {
     }
 
     #[test]
-    fn cc_offset_lies_at_48() {
+    fn cc_offset_is_at_48() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 68 ; W 3F 00 ; R 48 2 -> FB 50 ; R 4E 2 -> 13 88");
     }
 
     #[test]
-    fn the_window_is_not_the_flash() {
+    fn writes_to_the_window_do_not_reach_flash_without_a_commit() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 3A ; W 3F 00 ; W 40 01 ; W 41 02 ; W 42 03");
         bench.replay("W 3F 00 ; R 40 3 -> 00 00 00");
@@ -461,7 +461,7 @@ mod flash {
     }
 
     #[test]
-    fn below_the_limit_a_commit_is_acknowledged_and_dropped() {
+    fn a_commit_below_the_voltage_limit_is_acknowledged_and_dropped() {
         let bench = Bench::unsealed();
         let flash = bench.sim.flash();
         for (voltage, stored) in [("2799", false), ("2800", true)] {
@@ -485,7 +485,7 @@ mod flash {
     }
 
     #[test]
-    fn a_divider_of_0_shuts_the_gate_and_calibration_opens_it() {
+    fn a_divider_of_0_blocks_writes_until_calibration() {
         let bench = Bench::unsealed();
         bench.write(104, 14, &[0, 0]);
         assert_eq!(bench.word(0x08), 0);
@@ -500,7 +500,7 @@ mod flash {
     }
 
     #[test]
-    fn the_clock_is_held_while_a_block_is_programmed() {
+    fn the_clock_is_stretched_while_a_block_is_programmed() {
         let bench = Bench::unsealed();
         bench.write(48, 11, &[0x0D, 0x48]);
         let before = bench.clock.now();
@@ -524,7 +524,7 @@ mod reset {
     use super::*;
 
     #[test]
-    fn flash_takes_effect_and_the_gauge_is_sealed() {
+    fn a_reset_applies_flash_and_seals_the_gauge() {
         let bench = Bench::unsealed();
         bench.write(48, 11, &[0x0D, 0x48]);
         bench.write(48, 4, &[0xBE, 0xEF]);
@@ -539,7 +539,7 @@ mod reset {
     }
 
     #[test]
-    fn it_may_hold_the_clock_instead() {
+    fn a_reset_may_stretch_the_clock_instead() {
         let bench = Bench::unsealed();
         bench.set("reset_busy", "stretch");
         bench.replay("W 00 41 00");
@@ -549,7 +549,7 @@ mod reset {
     }
 
     #[test]
-    fn power_comes_back_sealed_after_a_while() {
+    fn after_power_up_the_gauge_starts_late_and_sealed() {
         let bench = Bench::unsealed();
         bench.set("power", "off");
         assert!(!bench.acknowledged());
@@ -578,7 +578,7 @@ mod reset {
     }
 
     #[test]
-    fn rom_mode_is_another_address() {
+    fn in_rom_mode_the_gauge_answers_at_another_address() {
         let bench = Bench::unsealed();
         bench.replay("W 00 00 0F");
         assert!(bench.acknowledged(), "only in FULL ACCESS");
@@ -596,7 +596,7 @@ mod reset {
     }
 
     #[test]
-    fn hdq_is_the_end_of_i2c() {
+    fn after_the_switch_to_hdq_i2c_does_not_answer() {
         let bench = Bench::new();
         bench.replay("W 00 40 7C");
         assert!(!bench.acknowledged());
@@ -665,7 +665,7 @@ mod faults {
     }
 
     #[test]
-    fn a_lost_acknowledgement_has_its_effect() {
+    fn a_transfer_takes_effect_although_its_acknowledgement_is_lost() {
         let bench = Bench::new();
         bench.set("fault", "lost 2");
         bench.replay("W 00 14 04 ; W 00 72 36 -> NACK");
@@ -698,7 +698,7 @@ mod faults {
     }
 
     #[test]
-    fn power_that_fails_while_programming_tears_the_block() {
+    fn power_loss_while_programming_tears_the_block() {
         let old = hex(DATA_0);
         for (ms, words) in [(0, 0), (9, 4), (31, 15), (33, 16)] {
             let bench = Bench::unsealed();
@@ -728,7 +728,7 @@ mod faults {
     }
 
     #[test]
-    fn bad_texts_change_nothing() {
+    fn invalid_fault_texts_change_nothing() {
         let bench = Bench::new();
         for (knob, text, invalid) in [
             ("load_ma", "", true),
@@ -758,7 +758,7 @@ mod faults {
     }
 
     #[test]
-    fn every_knob_reads_and_those_that_say_so_take_back_what_they_show() {
+    fn every_knob_is_readable_and_writable_knobs_accept_their_own_text() {
         let bench = Bench::new();
         for knob in bench.sim.knobs() {
             let shown = bench.sim.get(knob.name).unwrap_or_else(|| panic!("{}", knob.name));
@@ -773,7 +773,7 @@ mod faults {
     }
 
     #[test]
-    fn the_log_shows_what_passed_and_hides_keys() {
+    fn the_log_shows_transfers_and_hides_keys() {
         let bench = Bench::new();
         bench.replay("R 08 2 -> ..");
         assert!(bench.sim.log().is_empty());
@@ -826,7 +826,7 @@ mod state {
     }
 
     #[test]
-    fn a_key_is_for_a_new_gauge() {
+    fn a_key_can_be_given_to_a_new_gauge_only() {
         let path = file("key");
         let options = Options { unseal_key: Some([0x1234, 0x5678]), ..with(&path) };
         Bench::with(&options);
@@ -837,7 +837,7 @@ mod state {
     }
 
     #[test]
-    fn a_file_that_is_not_a_whole_state_of_the_part_is_refused() {
+    fn an_incomplete_or_foreign_state_file_is_refused() {
         let path = file("bad");
         Bench::with(&with(&path));
         let good = fs::read_to_string(&path).unwrap();
@@ -859,7 +859,7 @@ mod state {
     }
 
     #[test]
-    fn a_commit_that_cannot_be_kept_is_not_stored() {
+    fn a_commit_that_cannot_be_saved_is_not_stored() {
         let folder = file("folder");
         fs::create_dir(&folder).unwrap();
         let bench = Bench::with(&with(&folder.join("state")));
@@ -872,7 +872,7 @@ mod state {
     }
 
     #[test]
-    fn unknown_chips_are_refused_with_the_known_ones() {
+    fn an_unknown_chip_is_refused_with_a_list_of_the_known_ones() {
         let error = Sim::new("bq1", &Options::default(), Arc::new(SimClock::new())).unwrap_err();
         assert!(error.to_string().contains("bq34z100-g1"), "{error}");
     }
@@ -977,7 +977,7 @@ mod battery {
 
     /// SLUSBZ5D table 7-17, `[RMFCC]`: a taper current of 400 mA ends the charge before the pack is full.
     #[test]
-    fn termination_makes_remaining_capacity_full_where_it_is_set_so() {
+    fn rmfcc_sets_remaining_capacity_to_full_at_termination() {
         for (pack_configuration, full) in [([0x01, 0x61], true), ([0x01, 0x41], false)] {
             let bench = Bench::unsealed();
             bench.write(36, 0, &[0x01, 0x90]);
@@ -996,7 +996,7 @@ mod battery {
     }
 
     #[test]
-    fn cycles_count_discharge_and_are_kept() {
+    fn cycles_count_discharge_and_survive_a_reset() {
         let bench = Bench::new();
         for _ in 0..2 {
             bench.set("soc", "100");
@@ -1077,7 +1077,7 @@ mod battery {
     }
 
     #[test]
-    fn a_pack_has_as_many_cells_as_the_flash_says() {
+    fn the_number_of_cells_is_taken_from_flash() {
         let bench = Bench::unsealed();
         bench.write(64, 7, &[4]);
         bench.write(82, 0, &[0x13, 0x88]);
@@ -1102,7 +1102,7 @@ mod battery {
     }
 
     #[test]
-    fn long_times_cost_little_and_stay_right() {
+    fn long_times_are_simulated_quickly_and_accurately() {
         let bench = Bench::new();
         bench.set("load_ma", "1");
         bench.sleep(100 * 3600);
@@ -1116,7 +1116,7 @@ mod battery {
     }
 
     #[test]
-    fn measurements_hold_still_within_a_second() {
+    fn measurements_stay_constant_within_a_second() {
         let bench = Bench::new();
         bench.set("load_ma", "32000");
         bench.sleep(2);

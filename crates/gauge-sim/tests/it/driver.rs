@@ -30,7 +30,7 @@ fn connect() -> (Sim, Arc<SimClock>, Driver) {
 }
 
 #[test]
-fn a_published_driver_reads_what_the_simulated_gauge_holds() {
+fn a_published_driver_reads_the_simulated_gauge() {
     let (sim, _, mut driver) = connect();
     assert_eq!(driver.control_read(ControlCmd::DeviceType).expect("an answer"), 0x0421);
     assert_eq!(driver.voltage().expect("a word"), 3855);

@@ -39,7 +39,7 @@ mod protocol {
 
     /// SLUA790 section 3: Operation Config A, read and set to the end-of-service mode.
     #[test]
-    fn operation_config_a_of_slua790() {
+    fn operation_config_a_as_in_slua790() {
         let bench = unsealed("bq35100");
         bench.replay("W 3E B1 41 ; R 40 1 -> 80");
         bench.replay("W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 05 ; X 100");
@@ -49,7 +49,7 @@ mod protocol {
 
     /// SLUUBH1C 12.1.3: two words at 0x4000, either way.
     #[test]
-    fn two_words_of_12_1_3() {
+    fn two_words_as_in_sluubh1c_12_1_3() {
         for traffic in [
             "W 3E 00 40 ; W 40 12 34 56 78 ; W 60 AB ; W 61 08",
             "W 3E 00 40 12 34 56 78 ; W 60 AB 08",
@@ -62,7 +62,7 @@ mod protocol {
     }
 
     #[test]
-    fn a_read_has_echo_sum_and_length() {
+    fn a_read_returns_echo_checksum_and_length() {
         for chip in ["bq34110", "bq35100"] {
             let bench = unsealed(chip);
             for (address, length) in [(0x4000u16, 36), (0x41F5, 36), (0x43E0, 36), (0x43E1, 35), (0x43FF, 5)]
@@ -82,7 +82,7 @@ mod protocol {
 
     /// Nothing is stored, and nothing says so.
     #[test]
-    fn a_wrong_sum_length_or_order_stores_nothing() {
+    fn a_wrong_checksum_length_or_order_stores_nothing() {
         let bench = unsealed("bq35100");
         let flash = bench.sim.flash();
         for wrong in [
@@ -111,7 +111,7 @@ mod protocol {
 
     /// SLUUBH1C 12.1.3 has 1 to 32 bytes; they may stand in two of what the gauge erases at once.
     #[test]
-    fn any_length_at_any_address() {
+    fn writes_of_any_length_at_any_address() {
         let bench = unsealed("bq34110");
         for (address, count) in [(0x4036u16, 32usize), (0x401F, 2), (0x43FF, 1)] {
             let [low, high] = address.to_le_bytes();
@@ -141,7 +141,7 @@ mod protocol {
     }
 
     #[test]
-    fn an_early_read_shows_the_answer_before() {
+    fn an_early_read_shows_the_previous_answer() {
         let bench = unsealed("bq35100");
         bench.set("load_ms", "10");
         bench.replay("W 3E 03 00 ; X 20 ; R 40 2 -> A8 00 ; W 3E 01 00 ; R 3E 4 -> 01 00 A8 00");
@@ -154,7 +154,7 @@ mod protocol {
     }
 
     #[test]
-    fn voltage_below_the_gate_drops_writes() {
+    fn writes_below_the_voltage_limit_are_dropped() {
         for (chip, address) in [("bq34110", "57 41"), ("bq35100", "B6 41")] {
             let bench = unsealed(chip);
             bench.replay(&format!("W 3E {address} ; R 40 2 -> 0A F0"));
@@ -169,7 +169,7 @@ mod protocol {
     }
 
     #[test]
-    fn power_lost_while_programming_tears_what_was_written() {
+    fn power_loss_while_programming_tears_the_write() {
         let bench = unsealed("bq35100");
         bench.set("fault", "torn-commit 1");
         bench.replay("W 3E 00 40 ; W 40 12 34 56 78 ; W 60 AB 08 ; R 08 1 -> NACK");
@@ -198,7 +198,7 @@ mod security {
 
     /// E2E 888302, with the pause without which the second key is refused.
     #[test]
-    fn levels_of_the_bq35100() {
+    fn seal_states_of_the_bq35100() {
         let bench = bench("bq35100");
         bench.replay("R 00 2 -> 80 60");
         bench.replay(UNSEAL);
@@ -213,7 +213,7 @@ mod security {
     }
 
     #[test]
-    fn levels_of_the_bq34110() {
+    fn seal_states_of_the_bq34110() {
         let bench = bench("bq34110");
         bench.replay("R 3A 2 -> 06 02 ; R 00 2 -> 00 00");
         bench.replay(UNSEAL);
@@ -225,7 +225,7 @@ mod security {
     }
 
     #[test]
-    fn other_words_between_break_a_key() {
+    fn another_word_between_the_key_words_invalidates_the_key() {
         let bench = bench("bq34110");
         bench.replay("W 00 14 04 ; W 3E 00 40 ; W 00 72 36 ; R 3A 1 -> 06");
         bench.replay("W 00 72 36 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 72 36");
@@ -233,7 +233,7 @@ mod security {
     }
 
     #[test]
-    fn keys_change_in_full_access_only() {
+    fn keys_can_be_changed_in_full_access_only() {
         let write = "W 3E CC 41 11 11 22 22 ; W 60 8C 08 ; X 100";
         let bench = unsealed("bq35100");
         bench.replay(write);
@@ -254,7 +254,7 @@ mod security {
     }
 
     #[test]
-    fn a_new_gauge_may_have_another_key() {
+    fn a_new_gauge_can_be_given_another_key() {
         for chip in ["bq34110", "bq35100"] {
             let key = Some([0x1234, 0x5678]);
             let bench = with(chip, &Options { unseal_key: key, ..Options::default() });
@@ -329,7 +329,7 @@ mod traffic {
 
     /// E2E 668766 and FRED's: some parts have data flash one byte lower than printed.
     #[test]
-    fn shifted_parts() {
+    fn parts_with_data_flash_one_byte_lower() {
         let bench = unsealed("bq35100");
         bench.set("df_shift", "1");
         bench.replay("W 3E CC 41 ; R 40 4 -> 14 36 72 FF ; W 3E CB 41 ; R 40 4 -> 04 14 36 72");
@@ -385,14 +385,14 @@ mod bq35100 {
     }
 
     #[test]
-    fn nobody_charges_it() {
+    fn a_primary_cell_cannot_be_charged() {
         let bench = bench("bq35100");
         assert!(bench.sim.set("load_ma", "-10").is_err());
         assert_eq!(bench.sim.get("soc").unwrap(), "100.0");
     }
 
     #[test]
-    fn the_end_of_service_mode_tells_health_and_impedance() {
+    fn end_of_service_mode_reports_health_and_impedance() {
         let bench = unsealed("bq35100");
         bench.replay("W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 05 ; X 100");
         bench.set("soc", "70");
@@ -404,7 +404,7 @@ mod bq35100 {
     }
 
     #[test]
-    fn alerts_are_latched_and_taken_back() {
+    fn alerts_are_latched_and_cleared() {
         let bench = unsealed("bq35100");
         bench.replay("R 0A 2 -> 00 00");
         // ALERT Configuration: BATLOW and G_DONE.
@@ -444,7 +444,7 @@ mod bq34110 {
     }
 
     #[test]
-    fn calibration_shows_in_its_bits() {
+    fn calibration_sets_its_status_bits() {
         let bench = unsealed("bq34110");
         bench.replay("W 00 09 00 ; R 00 2 -> 30 00 ; X 6000 ; R 00 2 -> 00 00");
         bench.replay("W 00 0A 00 ; R 00 2 -> 20 00 ; X 6000 ; W 00 0B 00 ; X 100");
@@ -454,7 +454,7 @@ mod bq34110 {
 }
 
 #[test]
-fn every_knob_of_the_part_reads_and_takes_back_what_it_shows() {
+fn every_knob_is_readable_and_accepts_its_own_text() {
     for chip in ["bq34110", "bq35100"] {
         let bench = bench(chip);
         for knob in bench.sim.knobs() {

@@ -156,7 +156,7 @@ mod bq27441 {
 
     /// Blocks of a part that nobody has sealed, as derived from the manual's defaults.
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::fresh("bq27441-g1");
         for (class, block, bytes, sum) in [
             (
@@ -189,7 +189,7 @@ mod bq27441 {
     }
 
     #[test]
-    fn blocks_are_taken_in_config_update_only() {
+    fn blocks_can_be_written_in_config_update_only() {
         let bench = Bench::fresh("bq27441-g1");
         let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0 ; W 60 39 ; W 3F 00";
         bench.replay(write);
@@ -204,7 +204,7 @@ mod bq27441 {
     }
 
     #[test]
-    fn a_sealed_gauge_withholds_the_window() {
+    fn a_sealed_gauge_hides_the_data_window() {
         let bench = Bench::new("bq27441-g1");
         bench.replay(
             "W 3E 52 -> NACK ; W 3F 00 -> NACK ; W 60 00 -> NACK ; W 61 00 -> NACK ; W 40 00 -> NACK",
@@ -219,7 +219,7 @@ mod bq27441 {
 
     /// SLUUAC9A 2.4.3, 4.1.17 to 4.1.19.
     #[test]
-    fn ways_out_of_config_update() {
+    fn commands_that_end_config_update() {
         for (code, itpor) in [("42", 0), ("43", 0), ("44", 0)] {
             let bench = Bench::fresh("bq27441-g1");
             assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR);
@@ -238,7 +238,7 @@ mod bq27441 {
 
     /// A way out that comes before the mode is for nothing.
     #[test]
-    fn an_early_soft_reset_is_lost() {
+    fn a_soft_reset_before_config_update_is_ignored() {
         let bench = Bench::fresh("bq27441-g1");
         bench.replay("W 00 13 00 ; X 500 ; W 00 42 00 ; X 1500");
         assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
@@ -246,7 +246,7 @@ mod bq27441 {
 
     /// SLUUAC9A 4.1.14, 6.4.2.3.2 and 6.4.5.1.1.
     #[test]
-    fn a_gauge_that_was_sealed_seals_itself_and_takes_no_key_for_4_s() {
+    fn a_sealed_gauge_seals_itself_again_and_refuses_keys_for_4_s() {
         let bench = Bench::fresh("bq27441-g1");
         bench.shows("seal", "unsealed");
         bench.replay("W 00 20 00");
@@ -288,7 +288,7 @@ mod bq27441 {
     }
 
     #[test]
-    fn reset_and_power_take_data_memory_back_to_rom() {
+    fn reset_and_power_loss_restore_data_memory_from_rom() {
         let bench = Bench::fresh("bq27441-g1");
         for lose in ["W 00 41 00 ; X 1000", "cycle"] {
             bench.replay(BEGIN);
@@ -384,7 +384,7 @@ mod bq27427 {
 
     /// A trace of a part, byte for byte, with the mistakes of its host: the gauge checks nothing.
     #[test]
-    fn a_trace_of_the_state_block() {
+    fn the_state_block_matches_a_recorded_trace() {
         let bench = Bench::fresh("bq27427");
         bench.replay(UNSEAL);
         bench.replay("W 00 13 00 ; X 1000");
@@ -407,7 +407,7 @@ mod bq27427 {
     }
 
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::fresh("bq27427");
         for (class, block, sum) in [
             (0x02, 0, 0xA5),
@@ -439,7 +439,7 @@ mod bq27427 {
 
     /// The sign of CC Gain: wrong in ROM, put right in RAM by clearing one bit, wrong again with power.
     #[test]
-    fn an_inverted_specimen() {
+    fn a_part_with_inverted_cc_gain() {
         let bench = Bench::fresh("bq27427");
         bench.set("load_ma", "300");
         bench.replay("X 120000");
@@ -482,7 +482,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn levels() {
+    fn seal_states() {
         let bench = Bench::new("bq27520-g3");
         let level = || {
             bench.replay("W 00 00 00");
@@ -498,7 +498,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(KEYS);
         for (class, bytes, sum) in [
@@ -528,7 +528,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn the_gate_compares_voltage_as_it_is() {
+    fn the_write_limit_compares_the_unscaled_voltage() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(KEYS);
         bench.set("voltage_mv", "2799");
@@ -544,7 +544,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn the_code_of_config_update_is_sleep_plus() {
+    fn subcommand_0x13_sets_sleep_plus_and_not_config_update() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(
             "W 00 13 00 ; X 2000 ; W 00 00 00 ; R 00 1 -> B3 ; W 00 14 00 ; W 00 00 00 ; R 00 1 -> 93",
@@ -560,7 +560,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn registers_of_the_map() {
+    fn registers_are_those_of_the_register_map() {
         let bench = Bench::new("bq27520-g3");
         bench.set("load_ma", "300");
         bench.replay("X 120000");

@@ -12,7 +12,7 @@ use crate::rig::Rig;
 /// Two independent readings of the manuals, the tables and the simulator's bytes, agree on the default of
 /// every proven row. A difference is named here or it is a mistake of one of the two.
 #[test]
-fn a_new_gauge_holds_the_tables_defaults() {
+fn defaults_of_the_simulator_match_the_tables() {
     use ti_gauge::chip::{Kind, Range};
     use ti_gauge::codec;
     use ti_gauge::value::Value;
@@ -59,7 +59,7 @@ fn a_new_gauge_holds_the_tables_defaults() {
 /// The tables' defaults are what a new gauge holds, read through the engine. The simulated gauges have
 /// nothing from the tables, so a difference is a mistake in one of them.
 #[test]
-fn defaults_of_the_tables_are_a_new_gauges() {
+fn a_new_gauge_read_through_the_engine_holds_the_tables_defaults() {
     let intended: &[(&str, u16)] = &[];
     let mut compared = 0;
     for name in ["bq34110", "bq35100"] {

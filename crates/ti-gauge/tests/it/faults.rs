@@ -95,7 +95,7 @@ fn faults(n: u64) -> Vec<String> {
 }
 
 #[test]
-fn one_fault_at_every_transfer_never_lies() {
+fn a_fault_at_any_transfer_of_a_write_causes_no_false_success() {
     let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown) = (0, 0, 0, 0, 0);
     let folder = Folder::new("faults");
     for case in CASES {
@@ -175,7 +175,7 @@ fn one_fault_at_every_transfer_never_lies() {
 
 /// A challenge is answered rightly or not at all, nothing is programmed, and the seal stays.
 #[test]
-fn one_fault_at_every_transfer_of_a_challenge_makes_no_false_answer() {
+fn a_fault_at_any_transfer_of_a_challenge_causes_no_false_answer() {
     use ti_gauge::authentication::{Order, answer, ask};
 
     let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";

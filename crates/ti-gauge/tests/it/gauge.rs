@@ -37,7 +37,7 @@ impl Bus for Wire {
 }
 
 #[test]
-fn the_word_that_stands_in_for_control_status_once_is_no_seal_state() {
+fn an_invalid_control_status_is_not_taken_for_a_seal_state() {
     for name in ["bq34110", "bq35100"] {
         let chip = Chip::by_name(name).expect("a chip in the tables");
         let device_type = chip.identity.device_type;

@@ -172,7 +172,7 @@ fn check(case: &Case, rig: &mut Rig, folder: &Folder, (old, new): &(Vec<u8>, Vec
 }
 
 #[test]
-fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
+fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
     let (mut runs, mut nothing, mut undone, mut finished, mut again) = (0, 0, 0, 0, 0);
     for case in CASES {
         let model = case.model();
@@ -222,7 +222,7 @@ fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
 
 /// What cannot be settled now stays on record until it can be.
 #[test]
-fn regression_a_journal_outlives_a_settling_that_failed() {
+fn regression_a_journal_is_kept_until_settling_succeeds() {
     let case = &CASES[0];
     let (old, new) = case.model();
     let folder = Folder::new("kept");
@@ -279,7 +279,7 @@ impl<B: Bus> Bus for Sinks<B> {
 
 /// The gauge acknowledges everything and stores nothing from some transfer on, the way back included.
 #[test]
-fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
+fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
     let (mut runs, mut done, mut refused, mut back, mut unknown) = (0, 0, 0, 0, 0);
     for case in CASES.iter().filter(|case| Chip::by_name(case.chip).is_some_and(|chip| chip.gate.is_some())) {
         let (old, new) = case.model();
@@ -326,7 +326,7 @@ fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
 
 /// A gauge that loses its power while it programs a block, and comes back after the write was given up.
 #[test]
-fn what_a_write_had_to_leave_unknown_is_settled_at_the_next_start() {
+fn an_unknown_outcome_is_settled_at_the_next_start() {
     for (torn, settled) in [("torn-commit 1", "3000"), ("torn-commit 5", "3000"), ("torn-commit 40", "3100")]
     {
         let folder = Folder::new("torn");

@@ -80,7 +80,7 @@ fn goes_up(gauge: &mut Gauge) -> bool {
 }
 
 #[test]
-fn a_changed_key_opens_the_gauge_and_the_old_one_no_longer_does() {
+fn after_a_change_only_the_new_key_opens_the_gauge() {
     for case in cases() {
         let at = case.name();
         let mut rig = case.rig();
@@ -103,7 +103,7 @@ fn a_changed_key_opens_the_gauge_and_the_old_one_no_longer_does() {
 }
 
 #[test]
-fn both_seal_keys_can_be_others() {
+fn both_seal_keys_can_be_changed() {
     let mut rig = Rig::new("bq34z100-g1");
     run(&mut rig, "unseal 0414 3672 8d3e b7c5").expect("changed");
     run(&mut rig, "full-access ffff ffff 1a2b 3c4d").expect("changed");
@@ -115,7 +115,7 @@ fn both_seal_keys_can_be_others() {
 
 /// The bytes on the wire, from SLUSBZ5D 7.3.3.1 and Table 7-11: the key 1234 5678 is stored as 56 78 12 34.
 #[test]
-fn the_bytes_are_those_of_the_manuals() {
+fn the_bytes_on_the_wire_match_the_manuals() {
     let bytes = |chip: &str| {
         let mut rig = Rig::new(chip);
         let before = rig.sim.flash();
@@ -144,7 +144,7 @@ fn refused(rig: &mut Rig, text: &str, expected: &str, why: &str) {
 }
 
 #[test]
-fn a_wrong_old_key_changes_nothing_however_the_gauge_is_found() {
+fn a_wrong_old_key_changes_nothing_in_any_seal_state() {
     for case in cases() {
         let mut rig = case.rig();
         let change = parse(case.text);
@@ -180,7 +180,7 @@ fn a_dangerous_key_is_refused() {
 }
 
 #[test]
-fn what_no_document_proves_is_not_done() {
+fn an_undocumented_key_change_is_refused() {
     for (chip, why) in [
         ("bq34110", "no document at hand"),
         ("bq27441-g1", "in ROM"),
@@ -198,7 +198,7 @@ fn what_no_document_proves_is_not_done() {
 
 /// Where a part keeps its keys elsewhere than the manual says, as one owner's bq35100 did.
 #[test]
-fn keys_that_stand_elsewhere_are_left_alone() {
+fn keys_at_another_address_than_documented_are_not_changed() {
     let mut rig = Rig::new("bq35100");
     rig.sim.set("df_shift", "1").expect("a knob");
     let before = rig.sim.flash();
@@ -209,7 +209,7 @@ fn keys_that_stand_elsewhere_are_left_alone() {
 
 /// Where both keys read the same in two orders, the gauge cannot tell which one it uses.
 #[test]
-fn an_order_that_does_not_show_is_not_guessed() {
+fn an_ambiguous_byte_order_is_not_guessed() {
     let options = gauge_sim::Options { unseal_key: Some([0x1212, 0x1212]), ..Default::default() };
     let clock = std::sync::Arc::new(gauge_bus::clock::SimClock::new());
     let sim = gauge_sim::Sim::new("bq34z100-g1", &options, clock.clone()).expect("a chip");
@@ -222,7 +222,7 @@ fn an_order_that_does_not_show_is_not_guessed() {
 }
 
 #[test]
-fn a_key_block_is_what_the_tables_call_keys() {
+fn key_blocks_contain_only_keys_according_to_the_tables() {
     for chip in CHIPS {
         let KeyStorage::Flash(block) = &chip.security.storage else { continue };
         assert!(block.length <= 32 && chip.security.full_access, "{}", chip.name);
@@ -243,7 +243,7 @@ fn a_key_block_is_what_the_tables_call_keys() {
 
 /// Nothing that passes while the keys are in the window is recorded.
 #[test]
-fn the_log_of_the_bus_has_no_key() {
+fn the_bus_log_contains_no_key() {
     for case in cases() {
         let mut rig = case.rig();
         run(&mut rig, case.text).expect("changed");
@@ -268,7 +268,7 @@ impl<B: Bus> Bus for Dying<B> {
 
 /// The host loses its power at any moment, and the gauge does not: the same change once more does it.
 #[test]
-fn a_change_that_the_host_did_not_survive_is_made_again() {
+fn an_interrupted_change_can_be_repeated() {
     let (mut runs, mut begun, mut made) = (0, 0, 0);
     for case in cases() {
         let change = parse(case.text);
@@ -322,7 +322,7 @@ fn faults(found: Seal, (n, length): (u64, usize)) -> Vec<String> {
 }
 
 #[test]
-fn one_fault_at_every_transfer_of_a_key_change_never_lies() {
+fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
     let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown, mut lost) = (0, 0, 0, 0, 0, 0);
     for case in cases() {
         let change = parse(case.text);

@@ -100,7 +100,7 @@ impl Rig {
 }
 
 #[test]
-fn a_mode_that_somebody_left_on_is_not_written_into() {
+fn no_write_in_a_mode_that_someone_else_set() {
     let minute = Duration::from_secs(60);
     // How it is begun, what the refusal says, and how it ends: by subcommands, and by itself after a while.
     type Case = (&'static str, &'static [u16], [&'static str; 2], &'static [u16], Duration);
@@ -133,7 +133,7 @@ fn a_mode_that_somebody_left_on_is_not_written_into() {
 
 /// Bits that no simulated RAM gauge sets by itself.
 #[test]
-fn calibration_of_a_ram_gauge_is_not_written_into() {
+fn no_write_during_calibration_of_a_ram_gauge() {
     let cases: [(Tamper, &str); 3] = [
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x10 } else { 0 }, "[CALMODE]"),
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x08 } else { 0 }, "[CCA]"),
@@ -148,7 +148,7 @@ fn calibration_of_a_ram_gauge_is_not_written_into() {
 
 /// What a transaction of ours left on is ours to end.
 #[test]
-fn a_mode_that_we_left_on_is_settled() {
+fn a_mode_left_by_our_own_failed_write_is_cleared() {
     let left_on = (1..60).find_map(|first: u64| {
         let mut rig = Rig::new("bq27441-g1");
         let faults: Vec<_> = (first..first + 2000).map(|n| format!("nack {n}")).collect();
@@ -167,7 +167,7 @@ fn a_mode_that_we_left_on_is_settled() {
 }
 
 #[test]
-fn a_gauge_in_rom_mode_is_named() {
+fn a_gauge_in_rom_mode_is_reported() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.dataflash.go_to(&mut rig.gauge, Seal::FullAccess, Duration::ZERO).expect("the default keys");
     rig.gauge.command(0x0F00).expect("it is sent");
@@ -302,7 +302,7 @@ fn an_unknown_firmware_is_not_written_to() {
 
 /// I2C has no check of its own: one lost bit is neither another pack nor a mode.
 #[test]
-fn one_lost_bit_refuses_nothing() {
+fn a_single_bit_error_blocks_no_write() {
     // The answers to FW_VERSION, SerialNumber() and CONTROL_STATUS, by the log of a write.
     for fault in ["flip 2 0 4", "flip 3 0 2", "flip 5 1 4"] {
         let mut rig = Rig::new("bq34z100-g1");
@@ -316,7 +316,7 @@ fn one_lost_bit_refuses_nothing() {
 
 /// The pack's own serial number is written like any other parameter.
 #[test]
-fn a_new_serial_number_makes_no_other_pack() {
+fn a_changed_serial_number_is_not_taken_for_another_pack() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.meet();
     assert_eq!(rig.write(48, 4, "0x0102"), WRITTEN);
@@ -327,7 +327,7 @@ fn a_new_serial_number_makes_no_other_pack() {
 
 /// Between two polls a RAM gauge has lost its power, or is another one.
 #[test]
-fn a_lost_configuration_is_looked_at_before_it_is_written() {
+fn a_ram_gauge_that_lost_power_is_read_again_before_a_write() {
     for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
         let mut rig = Rig::new(chip);
         rig.meet();
@@ -342,7 +342,7 @@ fn a_lost_configuration_is_looked_at_before_it_is_written() {
 }
 
 #[test]
-fn a_ram_gauge_is_written_at_a_sane_voltage() {
+fn a_ram_gauge_is_written_only_between_2450_and_4500_mv() {
     for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
         for mv in ["0", "2449", "4501"] {
             let mut rig = Rig::new(chip);
@@ -369,7 +369,7 @@ fn a_ram_gauge_is_written_at_a_sane_voltage() {
 const SAYS: &[&str] = &["learning", "LearnedStatus()", "--allow-learning"];
 
 #[test]
-fn a_learning_cycle_is_not_ended_by_accident() {
+fn a_write_that_would_end_a_learning_cycle_is_refused() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     refused(&mut rig, "Busy", SAYS);
@@ -384,7 +384,7 @@ fn a_learning_cycle_is_not_ended_by_accident() {
 }
 
 #[test]
-fn a_learning_cycle_is_ended_by_who_wants_to() {
+fn a_learning_cycle_can_be_ended_on_request() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     let limits = Limits { allow_learning: true, ..Limits::default() };
@@ -394,7 +394,7 @@ fn a_learning_cycle_is_ended_by_who_wants_to() {
 
 /// Update Status among other parameters, as in a golden image, is no wish to end the cycle.
 #[test]
-fn a_golden_image_waits_for_the_cycle() {
+fn a_golden_image_is_refused_during_a_learning_cycle() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     let before = rig.sim.flash();
@@ -406,7 +406,7 @@ fn a_golden_image_waits_for_the_cycle() {
 
 /// On a RAM gauge Update Status stands in data memory only, and the host begins and ends the cycle there.
 #[test]
-fn a_learning_cycle_of_a_ram_gauge() {
+fn a_write_during_a_learning_cycle_of_a_ram_gauge_is_refused() {
     for chip in ["bq27441-g1", "bq27427"] {
         // [VOK], which the simulated ones do not set. Bit 7 of Update Status seals the gauge.
         let mut rig = Rig::tampered(chip, |asked, at, read| {
@@ -423,7 +423,7 @@ fn a_learning_cycle_of_a_ram_gauge() {
 
 /// The promise of what a write costs holds for a pack in service too, where Impedance Track runs.
 #[test]
-fn a_write_to_a_pack_in_service_costs_no_more() {
+fn a_write_to_a_pack_in_service_needs_no_more_transfers() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
@@ -446,7 +446,7 @@ fn a_write_to_a_pack_in_service_costs_no_more() {
 
 /// What the engine takes for granted of the tables.
 #[test]
-fn the_tables_can_be_looked_at() {
+fn the_tables_have_what_the_checks_need() {
     for chip in CHIPS {
         let name = chip.name;
         let near =
@@ -498,7 +498,7 @@ fn count(rig: &Rig, wanted: &str) -> u64 {
 }
 
 #[test]
-fn a_script_that_runs_wild_is_stopped_before_the_gauge_is_touched() {
+fn writes_over_the_hourly_limit_are_refused_before_any_transfer() {
     let mut rig = limited("bq34z100-g1", 3);
     for text in ["3001", "3002", "3003"] {
         assert_eq!(rig.write(80, 53, text), WRITTEN);
@@ -522,7 +522,7 @@ fn a_script_that_runs_wild_is_stopped_before_the_gauge_is_touched() {
 }
 
 #[test]
-fn what_is_there_already_does_not_wear() {
+fn unchanged_values_do_not_count_as_wear() {
     let mut rig = limited("bq34z100-g1", 1);
     for _ in 0..5 {
         assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
@@ -539,7 +539,7 @@ fn what_is_there_already_does_not_wear() {
 
 /// All or none: a golden image is not stopped half-way, and what it took is counted after it.
 #[test]
-fn a_transaction_passes_as_a_whole() {
+fn a_transaction_is_not_stopped_half_way_by_the_limit() {
     let mut rig = limited("bq34z100-g1", 2);
     let changes = [(80, 53, "3100"), (48, 11, "2200"), (36, 0, "110"), (58, 3, "0x5a")];
     let changes = changes.map(|(subclass, offset, text)| rig.change(subclass, offset, text));
@@ -551,7 +551,7 @@ fn a_transaction_passes_as_a_whole() {
 
 /// What is put back wears as well, and is never refused.
 #[test]
-fn a_rollback_counts_and_is_not_refused() {
+fn a_rollback_counts_but_is_never_refused() {
     let mut rig = limited("bq34z100-g1", 1);
     rig.sim.set("fault", "corrupt-commit").expect("a fault");
     let before = rig.sim.flash();
@@ -563,7 +563,7 @@ fn a_rollback_counts_and_is_not_refused() {
 }
 
 #[test]
-fn ram_does_not_wear_and_0_is_no_limit() {
+fn ram_has_no_limit_and_0_means_no_limit() {
     let mut rig = limited("bq27441-g1", 1);
     for text in ["1001", "1002", "1003"] {
         assert_eq!(rig.write(82, 10, text), WRITTEN);

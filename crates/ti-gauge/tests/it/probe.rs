@@ -23,7 +23,7 @@ impl Bus for Eeprom {
 }
 
 #[test]
-fn an_eeprom_is_read_and_left_alone() {
+fn an_eeprom_is_read_but_never_written() {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     for byte in [0x00, 0x41, 0xff] {
         let open = || Ok(Box::new(Eeprom(byte)) as Box<dyn Bus>);
@@ -36,7 +36,7 @@ fn an_eeprom_is_read_and_left_alone() {
 }
 
 #[test]
-fn each_simulated_gauge_is_found_by_asking_it() {
+fn each_simulated_gauge_is_identified() {
     for chip in CHIPS {
         let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
         let Ok(sim) = Sim::new(chip.name, &Options::default(), clock.clone()) else { continue };
@@ -82,7 +82,7 @@ impl Bus for Sister {
 }
 
 #[test]
-fn each_sibling_is_named_and_asked_for_its_name_only() {
+fn each_sibling_is_identified_and_only_its_type_is_requested() {
     for sibling in SIBLINGS {
         // Those without a chip that they are like: what has the registers of their time.
         let chip = match (sibling.like, sibling.identity.device_type) {
@@ -143,7 +143,7 @@ fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
 }
 
 #[test]
-fn an_empty_address_is_told_as_such() {
+fn an_empty_address_is_reported() {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
     let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);

@@ -99,7 +99,7 @@ fn registers_are_in_order_and_do_not_overlap() {
 }
 
 #[test]
-fn every_role_that_a_power_supply_needs_is_there() {
+fn every_role_that_a_power_supply_needs_is_present() {
     for chip in CHIPS {
         for role in [Role::VoltageNow, Role::Temp] {
             assert!(chip.register(role).is_some(), "{} lacks {role:?}", chip.name);
@@ -147,7 +147,7 @@ fn a_primary_cell_is_never_charged_or_full() {
 }
 
 #[test]
-fn a_poll_takes_the_bursts_that_it_should() {
+fn a_poll_reads_the_expected_bursts() {
     for chip in CHIPS {
         let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
@@ -172,7 +172,7 @@ fn a_poll_takes_the_bursts_that_it_should() {
 }
 
 #[test]
-fn bits_are_single_named_once_and_inside_their_word() {
+fn bits_are_single_uniquely_named_and_inside_their_word() {
     fn check(at: &str, bits: &[Bit], size: usize) {
         assert_unique(at, bits.iter().map(|bit| bit.name));
         assert_unique(at, bits.iter().map(|bit| bit.mask));
@@ -214,7 +214,7 @@ fn bits_are_single_named_once_and_inside_their_word() {
 }
 
 #[test]
-fn bits_without_a_name_keep_their_value() {
+fn unnamed_bits_are_reserved() {
     for (_, parameter, at) in CHIPS.iter().copied().flat_map(parameters) {
         if parameter.bits.is_empty() {
             continue;
@@ -306,7 +306,7 @@ fn default_bytes(parameter: &Parameter) -> Option<Vec<u8>> {
 }
 
 #[test]
-fn a_signature_is_a_row_that_fits_and_no_key() {
+fn a_signature_is_an_existing_parameter_and_not_a_key() {
     for chip in CHIPS {
         for signature in chip.signature {
             let at = format!("{} {}/0x{:04x}", chip.name, signature.subclass, signature.offset);
@@ -337,7 +337,7 @@ fn fits(signature: &Signature, bytes: &[u8]) -> bool {
 
 /// Owners of the parts with a flat address space met data flash in which rows stood one address lower.
 #[test]
-fn a_signature_tells_a_flat_map_that_is_off_by_one() {
+fn a_signature_detects_a_flat_map_that_is_off_by_one() {
     let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme == Scheme::Mac);
     for chip in flat {
         let mut told = 0;
@@ -400,7 +400,7 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
 }
 
 #[test]
-fn no_key_has_a_default_to_show() {
+fn keys_have_no_default() {
     let keys = CHIPS.iter().copied().flat_map(parameters).filter(|(class, ..)| class.kind == Kind::Security);
     let mut found = 0;
     for (_, parameter, at) in keys {
@@ -414,7 +414,7 @@ fn no_key_has_a_default_to_show() {
 }
 
 #[test]
-fn the_flash_gate_refers_to_parameters_that_are_there() {
+fn the_flash_voltage_check_refers_to_existing_parameters() {
     for chip in CHIPS {
         let Some(gate) = &chip.gate else { continue };
         let limit = chip.parameter(gate.limit.0, gate.limit.1).expect(chip.name);
@@ -428,7 +428,7 @@ fn the_flash_gate_refers_to_parameters_that_are_there() {
 }
 
 #[test]
-fn a_quirk_is_about_a_byte_of_a_parameter() {
+fn a_quirk_refers_to_a_byte_of_a_parameter() {
     for chip in CHIPS {
         for quirk in chip.quirks {
             let at = format!("{} {}/{}", chip.name, quirk.subclass, quirk.offset);
@@ -445,7 +445,7 @@ fn a_quirk_is_about_a_byte_of_a_parameter() {
 }
 
 #[test]
-fn data_memory_that_is_ram_says_when_it_is_lost() {
+fn ram_data_memory_has_a_bit_that_reports_its_loss() {
     for chip in CHIPS {
         let Some(lost) = chip.volatile else {
             assert_ne!(chip.access.scheme, Scheme::CfgUpdate, "{}", chip.name);
@@ -459,7 +459,7 @@ fn data_memory_that_is_ram_says_when_it_is_lost() {
 }
 
 #[test]
-fn no_sibling_answers_like_a_chip() {
+fn no_sibling_has_the_identity_of_a_chip() {
     assert_unique("sibling", SIBLINGS.iter().map(|sibling| sibling.name));
     for chip in CHIPS {
         let Identity { device_type, hardware, dm_codes, .. } = chip.identity;
@@ -483,7 +483,7 @@ fn no_sibling_answers_like_a_chip() {
 }
 
 #[test]
-fn waits_are_those_that_a_gauge_needs() {
+fn waits_are_at_least_those_that_a_gauge_needs() {
     for chip in CHIPS {
         assert!(chip.security.key_silence.as_secs() >= 4, "{}", chip.name);
         let access = &chip.access;
@@ -499,7 +499,7 @@ fn waits_are_those_that_a_gauge_needs() {
 }
 
 #[test]
-fn each_chip_has_as_many_rows_as_its_manual() {
+fn each_chip_has_the_number_of_rows_of_its_manual() {
     let counts: BTreeMap<&str, [usize; 6]> = CHIPS
         .iter()
         .map(|chip| {
@@ -570,7 +570,7 @@ fn unproven(chip: &'static Chip) -> usize {
 }
 
 #[test]
-fn bq34z100_g1_reads_like_table_7_11() {
+fn bq34z100_g1_matches_table_7_11() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(
@@ -605,7 +605,7 @@ Security | Codes | 112 20 H4 | Authen Key0 | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
+fn bq34z100_g1_safe_limits_exclude_values_that_ruin_a_pack() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     // The reserved bits of Tables 7-17, 7-18 and 7-22 among them; Table 7-19 has none.
     assert_eq!(
@@ -625,7 +625,7 @@ fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
 }
 
 #[test]
-fn bq34z100_g1_flags_read_like_their_tables() {
+fn bq34z100_g1_flags_match_their_tables() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let register = |name| chip.registers.iter().find(|register| register.name == name).unwrap();
     assert_eq!(
@@ -643,7 +643,7 @@ fn bq34z100_g1_flags_read_like_their_tables() {
 }
 
 #[test]
-fn bq27441_g1_reads_like_tables_4_3_to_6_9() {
+fn bq27441_g1_matches_tables_4_3_to_6_9() {
     let chip = Chip::by_name("bq27441-g1").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 36, 48, 49, 64, 68, 80, 81, 82, 89, 104, 105, 107, 112]);
@@ -691,7 +691,7 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
+fn bq27421_g1_has_the_rows_of_bq27441_g1_and_marks_the_unproven_ones() {
     let rows = |name| {
         let chip = Chip::by_name(name).unwrap();
         let key =
@@ -707,7 +707,7 @@ fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
 }
 
 #[test]
-fn bq27427_has_the_state_block_of_the_trace() {
+fn bq27427_has_the_state_block_of_a_recorded_trace() {
     let chip = Chip::by_name("bq27427").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 36, 49, 64, 68, 80, 81, 82, 89, 109, 104, 105, 107, 112]);
@@ -754,7 +754,7 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq27520_g3_has_what_drivers_agree_on_and_marks_the_rest() {
+fn bq27520_g3_matches_published_drivers_and_marks_the_rest_unproven() {
     let chip = Chip::by_name("bq27520-g3").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 32, 34, 36, 48, 49, 57, 64, 68, 80, 81, 87, 88, 91, 92, 93, 94, 104, 107, 112]);
@@ -806,7 +806,7 @@ Security | Codes | 112 6 H2 | Full-Access Key 1 | 0 65535 ? | hex
 }
 
 #[test]
-fn two_classes_of_one_name_get_the_manuals_class_in_front() {
+fn equal_class_names_are_prefixed_with_the_manuals_class() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let dir = |id| chip.class_dir(chip.subclass(id).unwrap());
     assert_eq!(dir(48), "configuration-data");
@@ -816,7 +816,7 @@ fn two_classes_of_one_name_get_the_manuals_class_in_front() {
 }
 
 #[test]
-fn bq34110_reads_like_what_its_drivers_agree_on() {
+fn bq34110_matches_published_drivers() {
     let chip = Chip::by_name("bq34110").unwrap();
     // 16384 is 0x4000. Design Capacity's address and byte order are those of E2E 797502.
     let golden = "\
@@ -841,7 +841,7 @@ Gas Gauging | CEDV Config | 0 17054 U1 | RemCap Init Percent | 0 100 ? | %
 }
 
 #[test]
-fn bq35100_reads_like_its_documents() {
+fn bq35100_matches_its_documents() {
     let chip = Chip::by_name("bq35100").unwrap();
     // 16817 is 0x41B1, the address of SLUA790's example; SLUUBH1C chapters 7 and 8; SLUAAL7, section 7.
     let golden = "\
@@ -867,7 +867,7 @@ Accumulator Table | Table1 | 0 17144 I4 | Table1 Fractional Part 8 | -2147483648
 }
 
 #[test]
-fn bq34110_and_bq35100_flags_read_like_their_sources() {
+fn bq34110_and_bq35100_flags_match_their_sources() {
     let bits = |chip: &str, name| {
         let register = Chip::by_name(chip).unwrap().registers.iter().find(|one| one.name == name);
         listed(register.unwrap().bits)
@@ -891,7 +891,7 @@ fn bq34110_and_bq35100_flags_read_like_their_sources() {
 }
 
 #[test]
-fn flat_groups_of_one_name_get_their_class_in_front() {
+fn equal_names_of_flat_groups_are_prefixed_with_their_class() {
     let chip = Chip::by_name("bq35100").unwrap();
     let dirs: Vec<String> = chip.subclasses.iter().map(|class| chip.class_dir(class)).collect();
     for name in ["calibration-data", "configuration-data", "lifetime-data", "registers", "values", "table0"] {
