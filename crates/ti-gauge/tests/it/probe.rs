@@ -1,4 +1,4 @@
-//! Finding a gauge on a bus: what is asked of what, and what is left alone.
+//! Finding a gauge on a bus: which transfers each device gets, and which devices are never written.
 
 use std::sync::{Arc, Mutex};
 
@@ -11,7 +11,7 @@ use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, check, find, identify};
 
-/// An EEPROM: a pointer, bytes, and no patience for writes.
+/// An EEPROM with an address pointer, which must not be written.
 struct Eeprom(u8);
 
 impl Bus for Eeprom {
@@ -48,7 +48,7 @@ fn each_simulated_gauge_is_identified() {
     }
 }
 
-/// A gauge that answers as its sibling does, and takes down which questions were put to it.
+/// A gauge that answers as one of the siblings, and records the subcommands that it gets.
 struct Sister {
     inner: Box<dyn Bus>,
     sibling: &'static Sibling,
@@ -84,7 +84,7 @@ impl Bus for Sister {
 #[test]
 fn each_sibling_is_identified_and_only_its_type_is_requested() {
     for sibling in SIBLINGS {
-        // Those without a chip that they are like: what has the registers of their time.
+        // Siblings that resemble no supported chip get a gauge with registers of the same generation.
         let chip = match (sibling.like, sibling.identity.device_type) {
             (Some(like), _) => like,
             (None, 0x0520) => Chip::by_name("bq27520-g3").expect("a chip"),
@@ -129,7 +129,7 @@ fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
     clock.sleep(std::time::Duration::from_secs(1));
     let mut rom = sim.bus_at(ROM_ADDRESS);
     assert_eq!(answers_in_rom(&mut rom), Ok(false));
-    // FULL ACCESS with the manual's keys, then told to go there, as a flash programmer does.
+    // FULL ACCESS with the manual's keys, then the subcommand for ROM mode, as a flash programmer sends it.
     for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
         let [low, high] = word.to_le_bytes();
         sim.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");

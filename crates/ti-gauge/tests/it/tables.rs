@@ -1,4 +1,4 @@
-//! The tables of all chips: whole, free of overlaps, and as the manuals print them.
+//! The tables of all chips: complete, free of overlaps, and as in the manuals.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Debug;
@@ -13,7 +13,7 @@ use ti_gauge::codec::{self, WINDOW};
 use ti_gauge::gauge::bursts;
 use ti_gauge::value::{Type, Value};
 
-/// Fails with the first item that is there twice.
+/// Fails with the first duplicate.
 #[track_caller]
 fn assert_unique<T: Eq + Hash + Debug>(what: &str, items: impl IntoIterator<Item = T>) {
     let mut seen = HashSet::new();
@@ -64,7 +64,7 @@ fn names_are_unique() {
         assert_unique("subcommand", chip.subcommands.iter().map(|subcommand| subcommand.name));
         assert_unique("subcommand word", chip.subcommands.iter().map(|one| snake_case(one.name)));
         assert_unique("role", chip.registers.iter().filter_map(|register| register.role));
-        // One by one or all of one address space, as the access scheme has it.
+        // All by subclass, or all in one flat address space, depending on the access scheme.
         if chip.access.scheme == Scheme::Mac {
             assert!(chip.subclasses.iter().all(|subclass| subclass.id == FLAT), "{}", chip.name);
         } else {
@@ -153,10 +153,10 @@ fn a_poll_reads_the_expected_bursts() {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
             "bq27441-g1" | "bq27421-g1" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
-            // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
-            // cost more than the three of a transfer.
+            // Two bytes between 0x06 and 0x19 are read without need. The gap of 16 bytes is not read, because
+            // it would cost more than the three bytes of another transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
-            // No byte is read for nothing.
+            // No byte is read without need.
             "bq35100" => (&[(0x02, 0x0C), (0x2E, 1)], 19),
             name => panic!("{name} has no bursts listed here"),
         };
@@ -240,8 +240,8 @@ fn no_subcommand_that_may_be_sent_is_dangerous() {
             if harmful.contains(&subcommand.code) || keys.contains(&subcommand.code) {
                 assert_eq!(subcommand.effect, Effect::Never, "{at}");
             }
-            // What is sent again because its acknowledgement was lost must not undo itself, and an answer
-            // must not be a key.
+            // A subcommand may be repeated after a lost acknowledgement, so it must not toggle; and its answer
+            // must not contain a key.
             if subcommand.name.contains("TOGGLE") || subcommand.name.contains("KEY") {
                 assert_eq!(subcommand.effect, Effect::Guarded, "{at}");
             }
@@ -260,7 +260,7 @@ fn parameters_are_in_order_inside_their_subclass_and_do_not_overlap() {
             assert!(!subclass.parameters.is_empty(), "{} {} is empty", chip.name, subclass.id);
             assert!(subclass.length > 0, "{} {}", chip.name, subclass.id);
         }
-        // Groups of a flat address space have one id, so that they are held apart as well.
+        // All groups of a flat address space have the same id, so they are compared with each other as well.
         let mut last: Option<(u8, usize)> = None;
         for (subclass, parameter, at) in parameters(chip) {
             let start = usize::from(parameter.offset);
@@ -285,9 +285,9 @@ fn flat_groups_end_with_their_last_parameter_and_lie_in_data_flash() {
         let last = subclass.parameters.last().expect("not empty");
         let end = last.offset + last.kind.size() as u16;
         assert_eq!(subclass.start() + subclass.length, end, "{}", subclass.name);
-        // Elsewhere in the same 16 bits are subcommands.
+        // The other addresses in these 16 bits are subcommands.
         assert!(subclass.start() >= 0x4000 && end <= 0x4400, "{}", subclass.name);
-        // What lies between two parameters is read for nothing, and no more than a window of it.
+        // Gaps between parameters are read without need, so they must not be larger than one window.
         for pair in subclass.parameters.windows(2) {
             let gap = usize::from(pair[1].offset - pair[0].offset) - pair[0].kind.size();
             assert!(gap < WINDOW, "{}: {gap} bytes before {}", subclass.name, pair[1].name);
@@ -295,7 +295,7 @@ fn flat_groups_end_with_their_last_parameter_and_lie_in_data_flash() {
     }
 }
 
-/// The bytes of a parameter's default, where it has one.
+/// The bytes of a parameter's default, if it has one.
 fn default_bytes(parameter: &Parameter) -> Option<Vec<u8>> {
     let value = match &parameter.range {
         Range::Int { default, .. } => Value::Int((*default)?),
@@ -335,7 +335,7 @@ fn fits(signature: &Signature, bytes: &[u8]) -> bool {
     (signature.min..=signature.max).contains(&value)
 }
 
-/// Owners of the parts with a flat address space met data flash in which rows stood one address lower.
+/// Owners of parts with a flat address space have found parameters one address lower than documented.
 #[test]
 fn a_signature_detects_a_flat_map_that_is_off_by_one() {
     let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme == Scheme::Mac);
@@ -466,7 +466,7 @@ fn no_sibling_has_the_identity_of_a_chip() {
         // A table without firmware versions takes any.
         let firmware = chip.identity.firmware;
         for &firmware_version in if firmware.is_empty() { &[0xeeee] } else { firmware } {
-            // A code that no part claims stands for a part that names none.
+            // A code that no chip has stands for a sibling without a code of its own.
             for dm_code in if dm_codes.is_empty() { &[0xee] } else { dm_codes } {
                 let answers = Answers {
                     device_type,
@@ -511,7 +511,7 @@ fn each_chip_has_the_number_of_rows_of_its_manual() {
             (chip.name, counts)
         })
         .collect();
-    // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
+    // Subclasses, parameters, parameters that the gauge updates, parameters with safe limits, registers, subcommands.
     let expected = BTreeMap::from([
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
@@ -551,7 +551,7 @@ fn flags(chip: &'static Chip, name: &str) -> String {
     listed(chip.registers.iter().find(|register| register.name == name).unwrap().bits)
 }
 
-/// Safe limits, each with its place.
+/// Safe limits, each with its address.
 fn limits(chip: &'static Chip) -> Vec<String> {
     parameters(chip)
         .filter_map(|(class, parameter, _)| {
@@ -607,7 +607,7 @@ Security | Codes | 112 20 H4 | Authen Key0 | 0 4294967295 ? | hex
 #[test]
 fn bq34z100_g1_safe_limits_exclude_values_that_ruin_a_pack() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
-    // The reserved bits of Tables 7-17, 7-18 and 7-22 among them; Table 7-19 has none.
+    // They include the reserved bits of Tables 7-17, 7-18 and 7-22; Table 7-19 has none.
     assert_eq!(
         limits(chip),
         [
@@ -740,8 +740,8 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
             "82/6 at least 1",
         ]
     );
-    // As a part had it in ROM, complete, with the checksum it gave: the defaults of the table and two
-    // words without a name make the same sum.
+    // The whole block as recorded from a part's ROM, with its checksum: the defaults of the table and two
+    // undocumented words give the same checksum.
     let state = chip.subclass(82).unwrap();
     let mut block = [0_u8; 32];
     block[12..16].copy_from_slice(&[0x00, 0xC8, 0x00, 0x32]);
