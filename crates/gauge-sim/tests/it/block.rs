@@ -1,5 +1,5 @@
-//! The simulated gauge against the manuals: bytes in, bytes out. These tests trust nothing else of
-//! gaugefs, so that they fail when the simulator is wrong and not when the engine is.
+//! The simulated bq34z100-G1, compared byte by byte with the manuals. These tests use no other code of
+//! gaugefs, so they fail only if the simulator is wrong.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Bench {
     }
 
     /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
-    /// `X ms` to wait. Numbers are hexadecimal but for X; `..` stands for any further bytes.
+    /// `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
     #[track_caller]
     pub(crate) fn replay(&self, text: &str) {
         let mut bus = self.sim.bus();
@@ -78,7 +78,7 @@ impl Bench {
         }
     }
 
-    /// Selects a block and returns it with its checksum.
+    /// Selects a block, and returns its bytes and checksum.
     #[track_caller]
     fn block(&self, class: u8, block: u8) -> ([u8; 32], u8) {
         let mut bus = self.sim.bus();
@@ -182,10 +182,10 @@ mod registers {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 00 1 -> 00 ; R 01 1 -> 01 ; R 00 2 -> 00 01");
         bench.replay("W 00 07 00 ; R 00 2 -> 01 00 ; W 00 07 00 ; R 00 2 -> 07 00");
-        // Byte by byte it is the same: the high byte executes.
+        // The same, byte by byte: writing the high byte executes the subcommand.
         bench.replay("W 00 08 ; R 00 2 -> 07 00 ; W 01 00 ; R 00 2 -> 07 01");
         bench.replay("W 00 0C 00 ; R 00 2 -> 00 00 ; W 00 05 00 ; R 00 2 -> 00 00");
-        // Codes that nobody knows are taken and do nothing.
+        // Unknown codes are acknowledged and do nothing.
         bench.replay("W 00 08 00 ; W 00 34 12 ; R 00 2 -> 07 01");
     }
 
@@ -202,7 +202,7 @@ mod registers {
         let mut all = [0; 0x80];
         bench.sim.bus().transfer(&[0], &mut all).unwrap();
         assert_eq!(u16::from_le_bytes([all[0x3C], all[0x3D]]), 1000);
-        // Without a register the pointer stands where it stood.
+        // A read without a register continues at the pointer.
         let mut bus = bench.sim.bus();
         bus.transfer(&[0x3C], &mut []).unwrap();
         let mut read = [0; 2];
@@ -216,7 +216,7 @@ mod registers {
         let flash = bench.sim.flash();
         bench.replay("W 80 -> NACK ; R FF 1 -> NACK ; W 7F");
         bench.replay("W 08 00 -> NACK ; W 3A 00 -> NACK ; W 7F 00 -> NACK ; W 62 00 -> NACK");
-        // Bytes beyond what a register takes.
+        // More bytes than a register has.
         bench.replay("W 00 01 00 00 -> NACK ; R 00 2 -> 00 01");
         bench.replay("W 61 00 00 -> NACK ; W 60 00 00 -> NACK ; W 3E 30 00 00 -> NACK");
         assert_eq!(bench.sim.flash(), flash);
@@ -276,7 +276,7 @@ mod security {
             bench.replay(wrong);
             assert_eq!(bench.status() & 0x6000, 0x6000, "{wrong}");
         }
-        // Reading between the halves is harmless: nothing is written to Control().
+        // Reads between the key words are allowed, because they do not write to Control().
         let bench = Bench::new();
         bench.replay("W 00 14 04 ; R 00 2 -> 00 00 ; X 3900 ; W 00 72 36");
         assert_eq!(bench.status() & 0x6000, 0x4000);
@@ -301,13 +301,13 @@ mod security {
         bench.replay("X 100 ; W 00 20 00");
         let flash = bench.sim.flash();
         bench.replay("W 61 00 -> NACK ; W 3E 30 -> NACK ; R 3E 1 -> 00 ; R 61 1 -> 00");
-        // 0x3F picks the manufacturer's block, which can be read but not changed.
+        // 0x3F selects the manufacturer's block, which can be read but not changed.
         bench.replay("W 3F 01 ; X 30 ; R 40 5 -> 6D 61 6B 65 72");
         let (mut block, at) = ([0; 32], 0x40);
         block[..5].copy_from_slice(b"Maker");
         bench.replay(&format!("W {at:02X} 4D ; W 60 {:02X}", sum(&block)));
         assert_eq!(bench.sim.flash(), flash);
-        // What is not for a sealed gauge is taken and ignored.
+        // Writes that a sealed gauge does not allow are acknowledged and ignored.
         bench.replay("W 00 41 00 ; R 08 1 -> .. ; W 00 2D 00 ; W 00 21 00");
         assert_eq!(bench.status() & 0x1003, 0);
         bench.set("sealed_writes", "ignore");
@@ -325,7 +325,7 @@ mod security {
     fn keys_can_be_changed_in_full_access_only() {
         let bench = Bench::unsealed();
         bench.write(112, 0, &[0x11, 0x22, 0x33, 0x44]);
-        // The buffer shows the new bytes all the same.
+        // The buffer shows the new bytes nevertheless.
         bench.replay("R 40 4 -> 11 22 33 44");
         assert_eq!(bench.block(112, 0).0[..4], [0x36, 0x72, 0x04, 0x14]);
         bench.replay(FULL_ACCESS);
@@ -346,7 +346,7 @@ mod security {
         assert_eq!(bench.sim.get("seal").unwrap(), "unsealed");
     }
 
-    /// Digests computed with SHA-1 outside gaugefs from the default key; the scheme itself is that of
+    /// Digests computed from the default key with another implementation of SHA-1; the scheme is that of
     /// SLUAAQ0's example.
     #[test]
     fn challenges_get_the_right_digest() {
@@ -371,7 +371,7 @@ mod security {
             bench.replay(&(ask.clone() + &packed(lsb_first)));
             bench.set("auth_order", "as-sent");
             bench.replay(&(ask.clone() + &packed(as_sent)));
-            // Unsealed, BlockDataControl() has to say so.
+            // While unsealed, BlockDataControl() must select authentication.
             bench.replay(UNSEAL);
             bench.replay(&format!("W 61 01 ; {ask}{}", packed(as_sent)));
             // A wrong checksum starts nothing.
@@ -379,7 +379,7 @@ mod security {
         }
     }
 
-    /// SLUAAQ0's example, with the key written as SLUSBZ5D 7.3.15.2 has it at its right offset.
+    /// SLUAAQ0's example, with the key written as in SLUSBZ5D 7.3.15.2, at the correct offset.
     #[test]
     fn the_authentication_key_can_be_changed_while_unsealed() {
         let bench = Bench::unsealed();
@@ -441,7 +441,7 @@ mod flash {
         bench.replay("W 48 FF FF ; R 48 2 -> 00 00 ; W 60 6D");
         assert_eq!(bench.sim.flash(), flash);
         assert_eq!(bench.sim.get("wear").unwrap(), "64/0 1");
-        // Neither classes nor blocks that do not exist store anything.
+        // Subclasses and blocks that do not exist store nothing.
         for place in ["W 3E 03 ; W 3F 00", "W 3E 40 ; W 3F 01"] {
             bench.replay(&format!("X 50 ; {place} ; W 40 01 ; R 40 1 -> 00 ; W 60 FE ; W 60 FF"));
             assert_eq!(bench.sim.flash(), flash);
@@ -470,8 +470,8 @@ mod flash {
             bench.replay("R 40 1 -> 78");
             assert_eq!(bench.sim.flash() != flash, stored, "{voltage}");
         }
-        // For several cells the stack is scaled back: 3062 mV of 5000 at a divider of 32000 (SLUSBZ5D
-        // 8.2.2.1.3 has the limit for seven cells).
+        // For several cells the limit applies to the scaled voltage: 3062 mV of 5000 at a divider of 32000
+        // (SLUSBZ5D 8.2.2.1.3 has the limit for seven cells).
         bench.set("voltage_mv", "30000");
         bench.write(68, 0, &[0x0B, 0xF6]);
         bench.write(104, 14, &[0x7D, 0x00]);
@@ -556,7 +556,7 @@ mod reset {
         assert_eq!(bench.sim.get("mode").unwrap(), "off");
         bench.set("power", "on");
         bench.replay("X 240 ; R 08 2 -> NACK ; X 10");
-        // Voltage() is not valid for the first second, and flash not writable.
+        // For the first second Voltage() is not valid and flash cannot be written.
         bench.replay("R 08 2 -> 00 00");
         bench.replay(UNSEAL);
         bench.write(58, 0, b"x");
@@ -710,7 +710,7 @@ mod faults {
                 window[..2 * words].iter().all(|&byte| byte == 0xAA)
                     && window[2 * words..] == old[2 * words..]
             });
-            // Subclasses 2, 32, 34 and 36 come before.
+            // Subclasses 2, 32, 34 and 36 are before it.
             let place = if words == 16 { flash[57..89] == [0xAA; 32] } else { at.is_some() };
             assert!(place, "{ms} ms");
         }
@@ -815,7 +815,7 @@ mod state {
         first.replay(UNSEAL);
         first.write(48, 11, &[0x0D, 0x48]);
         let (flash, wear) = (first.sim.flash(), first.sim.get("wear"));
-        // The first one is not told to stop: a killed process is not either.
+        // The first gauge is not shut down, as when its process is killed.
         let second = Bench::with(&with(&path));
         assert_eq!((second.sim.flash(), second.sim.get("wear")), (flash, wear));
         assert_eq!(second.sim.get("seal").unwrap(), "sealed");
@@ -892,7 +892,7 @@ mod battery {
         assert_eq!((bench.word(0x18), bench.word(0x1A)), (65535, 65535));
         assert_eq!(bench.word(0x2E), 100);
         assert_eq!((bench.word(0x30), bench.word(0x32)), (4200, 500));
-        // OCV taken, charging allowed.
+        // OCV has been measured, and charging is allowed.
         assert_eq!(bench.word(FLAGS), 0x0180);
         let energy = bench.word(0x24);
         assert!((2150..2300).contains(&energy), "{energy}");
@@ -916,7 +916,7 @@ mod battery {
         assert_eq!(bench.word(0x1A), 65535);
         let power = f64::from(bench.word(0x26));
         assert!((power - 0.5 * f64::from(bench.word(0x08))).abs() < 2.0, "{power}");
-        // Losses warm the cell, by little.
+        // Losses warm the cell slightly.
         assert!((2982..3000).contains(&bench.word(0x0C)));
     }
 
@@ -964,7 +964,7 @@ mod battery {
         assert!(tapered);
         assert_eq!((bench.percent(), bench.word(0x04)), (100, 1000));
         assert_eq!(bench.word(FLAGS) & CHG, 0);
-        // Both flags have their hysteresis: FC clears at 98 %, CHG comes back at 95 %.
+        // Both flags have hysteresis: FC clears at 98 %, CHG is set again at 95 %.
         bench.set("load_ma", "1000");
         let mut seen = Vec::new();
         while bench.percent() > 90 {
@@ -985,7 +985,7 @@ mod battery {
             bench.reset();
             bench.set("soc", "97");
             bench.set("load_ma", "-500");
-            // FlagsB() [DODEOC]: the end of charge was seen.
+            // FlagsB() [DODEOC]: the end of charge was detected.
             while bench.word(0x12) & 0x0400 == 0 {
                 assert!(bench.word(0x04) < 999 && bench.clock.now() < Duration::from_secs(1800));
                 bench.sleep(1);
@@ -1004,7 +1004,7 @@ mod battery {
             bench.sleep(3600);
         }
         assert_eq!(bench.word(0x2C), 2);
-        // 900 mAh a cycle: one write of flash each, no more.
+        // A cycle is 900 mAh, and causes one flash write.
         assert_eq!(bench.sim.get("wear").unwrap(), "48/0 2");
         bench.replay("X 100");
         bench.reset();
@@ -1038,18 +1038,18 @@ mod battery {
             bench.word(FLAGS) & 0xCC00
         };
         assert_eq!(flags("250", "0"), 0);
-        // Charge inhibit at rest outside 0 to 45 degrees, back 5 degrees inside.
+        // At rest, charging is inhibited outside 0 to 45 degrees, with a hysteresis of 5 degrees.
         assert_eq!(flags("451", "0"), 0x0800);
         assert_eq!(flags("420", "0"), 0x0800);
         assert_eq!(flags("400", "0"), 0);
         assert_eq!(flags("-1", "0"), 0x0800);
         assert_eq!(flags("250", "0"), 0);
-        // Charging: suspended and too hot above 55 degrees.
+        // While charging: suspended and over temperature above 55 degrees.
         assert_eq!(flags("250", "-500"), 0);
         assert_eq!(flags("551", "-500"), 0x8400);
         assert_eq!(bench.word(FLAGS) & CHG, 0);
         assert_eq!(flags("250", "-500"), 0);
-        // Discharging: too hot at 60 degrees, until it is 55 again.
+        // While discharging: over temperature from 60 degrees until 55 degrees.
         assert_eq!(flags("590", "200") & 0x4000, 0);
         assert_eq!(flags("600", "200") & 0x4000, 0x4000);
         assert_eq!(flags("570", "200") & 0x4000, 0x4000);
@@ -1106,7 +1106,7 @@ mod battery {
         let bench = Bench::new();
         bench.set("load_ma", "1");
         bench.sleep(100 * 3600);
-        // Below the deadband the current does not show, the charge is gone all the same.
+        // A current below the deadband is not shown, but the charge decreases.
         assert_eq!(bench.signed(0x10), 0);
         assert!((i32::from(bench.word(0x04)) - 500).abs() <= 1);
         bench.set("load_ma", "0");
