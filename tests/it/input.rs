@@ -1,5 +1,5 @@
-//! Bad input, for every parameter of every chip as its table has it: the boundary values are taken, one
-//! beyond each is refused, and so is what is no value of the type.
+//! Input for every parameter of every chip: the limits of its range are accepted; values beyond them, and text
+//! that is not a value of its type, are refused.
 
 use gaugefs::error::Error;
 use nix::errno::Errno;
@@ -11,7 +11,7 @@ fn refused(parameter: &Parameter, text: &str) -> Option<Errno> {
     text::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())
 }
 
-/// The texts of a parameter that must be taken, and those that must be refused with an errno.
+/// The texts that a parameter must accept, and those that must be refused with an errno.
 fn texts(parameter: &Parameter) -> (Vec<String>, Vec<(String, Errno)>) {
     let no_number = ["", " ", "abc", "1 2", "1,5", "0x", "0b2", "1e", "٣", "1\0"];
     let mut bad: Vec<_> = no_number.iter().map(|text| (text.to_string(), Errno::EINVAL)).collect();
@@ -55,7 +55,7 @@ fn texts(parameter: &Parameter) -> (Vec<String>, Vec<(String, Errno)>) {
 }
 
 #[test]
-fn every_parameter_of_every_chip_takes_its_range_and_nothing_else() {
+fn every_parameter_accepts_its_range_and_nothing_else() {
     let mut tried = 0;
     for chip in CHIPS {
         for subclass in chip.subclasses {
@@ -76,7 +76,7 @@ fn every_parameter_of_every_chip_takes_its_range_and_nothing_else() {
     assert!(tried > 10_000, "{tried}");
 }
 
-/// Integers are read in hexadecimal and binary as well, and render to what was read.
+/// Integers are also accepted in hexadecimal and binary, and their text parses to the same value.
 fn hexadecimal(parameter: &Parameter, at: &str) {
     let Range::Int { max, .. } = parameter.range else { return };
     for text in [format!("{max:#x}"), format!("{max:#X}").replace('X', "x"), format!("{max:#b}")] {

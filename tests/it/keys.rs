@@ -1,5 +1,5 @@
-//! `gaugefs keys change` as its users meet it: key files with sections, the terminal, and where keys must
-//! not appear.
+//! `gaugefs keys change`: key files with sections, input on the terminal, and the places where keys must not
+//! appear.
 
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
@@ -34,13 +34,13 @@ fn opens(at: &str, gauge: &str) -> bool {
 }
 
 #[test]
-fn a_key_is_changed_through_the_mount_and_stays_changed() {
+fn a_key_is_changed_through_the_mount_and_survives_a_remount() {
     if !can_mount() {
         return;
     }
     let folder = Folder::new();
     let [at, state, old, new] = ["m", "state", "old", "new"].map(|name| folder.file(name));
-    // One file for many gauges; what stands before the sections is for those that have none.
+    // One file for many gauges; lines above the sections apply to gauges without a section.
     write_keys(&old, "unseal = 1111 2222\n[PACK]\nunseal = 8d3e b7c5\n[BAT9]\nunseal = 3333 4444\n");
     write_keys(&new, "[PACK]\nunseal = 6fa1 92d4\n");
     let mount = |keys: &str| {
@@ -65,7 +65,7 @@ fn a_key_is_changed_through_the_mount_and_stays_changed() {
 }
 
 #[test]
-fn a_change_that_cannot_be_made_says_why() {
+fn a_refused_key_change_reports_the_reason() {
     if !can_mount() {
         return;
     }
@@ -88,7 +88,7 @@ fn a_change_that_cannot_be_made_says_why() {
     write_keys(&new, "[BAT0]\nunseal = 6fa1 92d4 92d4\n");
     change("unseal").failed(&["line 2", "two words"]);
     let file = format!("{at}/BAT0/gauge/keys");
-    // Found open, a gauge shows at once that the key is wrong; sealed, it wants silence before each try.
+    // An unsealed gauge shows at once that the key is wrong; a sealed one needs silence before each attempt.
     fs::write(format!("{at}/BAT0/gauge/seal"), "full-access").expect("a state");
     for (text, errno) in [
         ("unseal 0414 3672", Errno::EINVAL),
@@ -114,7 +114,7 @@ fn a_change_that_cannot_be_made_says_why() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Runs gaugefs on a terminal of its own; each answer is typed when its question stands there.
+/// Runs gaugefs on a terminal of its own, and types each answer when its question appears.
 fn typed(arguments: &[&str], answers: &[(&str, &str)]) -> Ran {
     let quoted: Vec<_> = arguments.iter().map(|argument| format!("'{argument}'")).collect();
     let line = format!("'{}' {}", env!("CARGO_BIN_EXE_gaugefs"), quoted.join(" "));
@@ -143,7 +143,7 @@ fn typed(arguments: &[&str], answers: &[(&str, &str)]) -> Ran {
 }
 
 #[test]
-fn keys_are_typed_without_being_shown() {
+fn typed_keys_are_not_echoed() {
     if !can_mount() {
         return;
     }
@@ -175,7 +175,7 @@ fn keys_are_typed_without_being_shown() {
     }
     assert!(opens(&at, "BAT0"));
     gaugefs(&["umount", &at]).done();
-    // Without a terminal nothing is asked.
+    // Without a terminal there are no questions.
     let alone = Command::new("setsid")
         .args(["-w", env!("CARGO_BIN_EXE_gaugefs"), "keys", "change", &gauge, "unseal"])
         .output()
@@ -183,8 +183,8 @@ fn keys_are_typed_without_being_shown() {
     assert_eq!(alone.status.code(), Some(1));
 }
 
-/// A key as it might be written by whoever lets one slip: words and bytes, hexadecimal and decimal, in the
-/// order of typing, of the wire and of data flash.
+/// The forms in which a key might leak: words and bytes, hexadecimal and decimal, in the order in which it is
+/// typed, sent, and stored in data flash.
 fn spellings(key: &str) -> BTreeSet<String> {
     let bytes: Vec<u8> = hexadecimal(key);
     let mut spellings = BTreeSet::new();
@@ -208,7 +208,7 @@ fn spellings(key: &str) -> BTreeSet<String> {
             spellings.insert(join(&|word| format!("{word:04x}")));
             spellings.insert(join(&|word| format!("0x{word:04x}")));
         }
-        // As FlashStream and traces have it, a word a line.
+        // As in a FlashStream or a trace, one word per line.
         spellings.extend(words.iter().map(|word| format!("aa 00 {:02x} {:02x}", word & 0xff, word >> 8)));
         for double in order.chunks(4) {
             let number = double.iter().fold(0u32, |sum, byte| sum << 8 | u32::from(*byte));
@@ -226,14 +226,14 @@ fn hexadecimal(key: &str) -> Vec<u8> {
         .collect()
 }
 
-/// Where a key stands in bytes, as text or raw.
+/// The forms of a key that occur in `bytes`, as text or raw.
 fn shows<'a>(content: &[u8], keys: &'a [&'a str]) -> Option<String> {
     let text = String::from_utf8_lossy(content).to_lowercase();
     let tight: String = text.split_whitespace().collect();
     for key in keys {
         for spelling in spellings(key) {
             let squeezed: String = spelling.split_whitespace().collect();
-            // Short ones would be found by chance in what has no spaces any more.
+            // Short forms would be found by chance once the spaces are removed.
             if text.contains(&spelling) || squeezed.len() >= 12 && tight.contains(&squeezed) {
                 return Some(format!("{key} as `{spelling}`"));
             }
@@ -251,7 +251,7 @@ fn shows<'a>(content: &[u8], keys: &'a [&'a str]) -> Option<String> {
 }
 
 #[test]
-fn a_slip_would_be_found() {
+fn the_search_finds_keys_in_every_notation() {
     let keys = [SEALS[0], AUTHENTICATION[0]];
     for text in [
         "a 8d3e b7c5",
@@ -273,7 +273,7 @@ fn a_slip_would_be_found() {
     assert_eq!(shows(b"8d3e and, elsewhere, b7c5", &keys), None);
 }
 
-/// Reads every file below a folder that can be read, links not followed.
+/// Reads every readable file below a folder, without following links.
 fn read_all(folder: &Path, each: &mut dyn FnMut(&Path, &[u8])) {
     for entry in fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry")) {
         let (path, kind) = (entry.path(), entry.file_type().expect("its type"));
@@ -287,7 +287,7 @@ fn read_all(folder: &Path, each: &mut dyn FnMut(&Path, &[u8])) {
     }
 }
 
-/// The process that serves the mount point.
+/// The process that serves a mount point.
 fn daemon(at: &str) -> Option<u32> {
     let mut found = None;
     for entry in fs::read_dir("/proc").expect("/proc").flatten() {
@@ -301,7 +301,7 @@ fn daemon(at: &str) -> Option<u32> {
     found
 }
 
-/// What a process may write to, which is where its buffers are.
+/// The writable memory of a process, which contains its buffers.
 fn writable_memory(process: u32) -> std::io::Result<Vec<u8>> {
     let memory = fs::File::open(format!("/proc/{process}/mem"))?;
     let mut all = Vec::new();
@@ -311,7 +311,7 @@ fn writable_memory(process: u32) -> std::io::Result<Vec<u8>> {
         let (from, to) = line.split(' ').next().and_then(|range| range.split_once('-')).expect("a range");
         let at = |text| u64::from_str_radix(text, 16).expect("an address");
         let mut piece = vec![0; (at(to) - at(from)) as usize];
-        // Not all that is mapped can be read.
+        // Some mappings cannot be read.
         if memory.read_exact_at(&mut piece, at(from)).is_ok() {
             all.extend(piece);
         }
@@ -319,8 +319,8 @@ fn writable_memory(process: u32) -> std::io::Result<Vec<u8>> {
     Ok(all)
 }
 
-/// A session in which every key is used and changed, rightly and wrongly: the keys are in their files and
-/// in no other place.
+/// Uses and changes every key, with success and without. Afterwards the keys are in their files and nowhere
+/// else.
 #[test]
 fn keys_appear_nowhere() {
     if !can_mount() {
@@ -330,7 +330,7 @@ fn keys_appear_nowhere() {
     let secret = Folder::new();
     let [at, log, trace] = ["m", "log", "trace"].map(|name| folder.file(name));
     let [old, new, wrong] = ["old", "new", "wrong"].map(|name| secret.file(name));
-    // Full access has its default at first, which is what an empty flash reads everywhere.
+    // Full access has its default at first, which cannot be searched for: erased flash reads the same.
     let full = "47b2 d90e";
     let file = |path: &str, unseal: &str, full: &str, authentication: &str| {
         write_keys(
@@ -343,7 +343,7 @@ fn keys_appear_nowhere() {
     file(&new, SEALS[1], full, AUTHENTICATION[1]);
     file(&wrong, stranger[0], stranger[1], stranger[2]);
     let daemon_of = {
-        // The key of a new simulated gauge stands on a command line; this one is changed before anybody looks.
+        // The key of a new simulated gauge is on a command line; this one is changed before the search.
         let mount =
             ["mount", "--sim", CHIP, "--key-file", &old, "--log", &log, "--trace", &trace, "--sim-state"];
         let state = secret.file("state");
@@ -374,7 +374,7 @@ fn keys_appear_nowhere() {
     ];
     let go_to = |state: &str| fs::write(format!("{gauge}/gauge/seal"), state).expect("a state");
     for key in ["unseal", "full-access", "authentication"] {
-        // Found open, a gauge shows at once that the key is wrong; sealed, it wants silence before each try.
+        // An unsealed gauge shows at once that the key is wrong; a sealed one needs silence before each attempt.
         go_to("full-access");
         change(key, &wrong, &new, 1);
         go_to("sealed");
@@ -383,9 +383,9 @@ fn keys_appear_nowhere() {
     change("unseal", &new, &wrong, 0);
     change("unseal", &wrong, &new, 0);
     go_to("full-access");
-    // The old key once more: the gauge has the new one, and that is what was asked for.
+    // Repeating the change succeeds, because the gauge already has the new key.
     change("unseal", &old, &new, 0);
-    // Once the command has ended, nothing of what it wrote is left in the daemon's memory.
+    // After the command has ended, the daemon's memory contains nothing of what it wrote.
     match writable_memory(daemon_of) {
         Err(error) => eprintln!("SKIPPED: the daemon's memory cannot be looked at: {error}"),
         Ok(memory) => {

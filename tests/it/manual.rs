@@ -161,7 +161,7 @@ fn the_errors_of_the_page_are_those_of_semantics_md() {
 }
 
 #[test]
-fn a_shell_completes_commands_options_and_chips() {
+fn bash_completes_commands_options_and_chips() {
     let script = Scratch::new("completions.bash", &gaugefs(&["completions", "bash"]).done());
     let complete = |words: &[&str]| {
         let last = words.len() - 1;

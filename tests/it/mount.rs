@@ -1,4 +1,4 @@
-//! A real FUSE mount, driven by file operations as a shell would do them.
+//! A real FUSE mount, used with the file operations of a shell.
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
@@ -47,19 +47,19 @@ struct Mount {
 
 impl Drop for Mount {
     fn drop(&mut self) {
-        // The test may have left files open; a busy mount must not outlive it.
+        // The test may have left files open, but the mount must be removed in any case.
         let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
         let _ = fs::remove_dir(&self.folder);
     }
 }
 
 impl Mount {
-    /// `None` where this machine cannot mount FUSE at all.
+    /// `None` if this machine cannot mount FUSE.
     fn new(chip: &str, interval: Duration, keys: Keys) -> Option<Self> {
         Self::with(chip, interval, keys, |_| {}, Vec::new(), |sim| Box::new(sim.bus()))
     }
 
-    /// One whose simulated gauge is prepared first, with a configuration to restore, behind a bus.
+    /// A mount whose simulated gauge is prepared first, with a configuration to restore, behind a given bus.
     fn with(
         chip: &str,
         interval: Duration,
@@ -111,7 +111,7 @@ impl Mount {
         text.trim_end_matches('\n').to_string()
     }
 
-    /// As `echo text > name`.
+    /// Does what `echo text > name` does.
     fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
         let mut file = OpenOptions::new().write(true).truncate(true).open(self.path(name)).map_err(errno)?;
         file.write_all(format!("{text}\n").as_bytes()).map_err(errno)
@@ -134,7 +134,7 @@ fn quiet(chip: &str) -> Option<Mount> {
     Mount::new(chip, Duration::from_secs(3600), Keys::default())
 }
 
-/// Waits for what a poll and a notification bring about; so long only where the machine is busy.
+/// Waits for the effect of a poll and a notification. The limit is long because the machine may be busy.
 fn until(what: &str, mut holds: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_secs(60);
     while !holds() {
@@ -157,7 +157,7 @@ fn walk(folder: &Path, seen: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn attributes_are_the_kernels() {
+fn attributes_match_those_of_the_kernel() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     assert_eq!(mount.cat("type"), "Battery");
     assert_eq!(mount.cat("present"), "1");
@@ -169,7 +169,7 @@ fn attributes_are_the_kernels() {
     assert!((2_500_000..4_500_000).contains(&voltage), "{voltage} µV");
     let temp: i64 = mount.cat("temp").parse().expect("a number");
     assert!((200..300).contains(&temp), "{temp} tenths of a degree");
-    // At rest there is no time to empty, and nothing that says so.
+    // At rest there is no time to empty, neither as a file nor in uevent.
     assert!(!mount.path("time_to_empty_now").exists());
     assert!(!mount.path("energy_now").exists());
     let uevent = mount.cat("uevent");
@@ -220,13 +220,13 @@ fn data_flash_reads_and_writes() {
     assert_eq!(mount.cat("df/80/53"), "3200", "the value, not the text that was written");
     assert_eq!(mount.cat("gauge/seal"), "sealed");
     assert_eq!(mount.cat("gauge/last_error"), "");
-    // What a register copies from data flash follows soon, however long the poll interval is.
+    // A register that is a copy of data flash is updated soon, even with a long poll interval.
     assert_eq!(mount.echo("2000", "df/48/11"), Ok(()));
     until("the new design capacity", || mount.cat("charge_full_design") == "2000000");
 }
 
 #[test]
-fn refusals_have_their_errno_and_change_nothing() {
+fn refused_writes_return_their_errno_and_change_nothing() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let before = mount.sim.flash();
     let transfers = mount.transfers();
@@ -241,7 +241,7 @@ fn refusals_have_their_errno_and_change_nothing() {
     assert_eq!(mount.echo("0", "gauge/poll_interval"), Err(Errno::ERANGE));
     assert_eq!(mount.echo("soon", "gauge/poll_interval"), Err(Errno::EINVAL));
     assert_eq!(mount.transfers(), transfers, "nothing was sent");
-    // Truncation alone writes nothing, and an offset is no value's start.
+    // Truncation alone writes nothing, and a write at an offset is refused.
     OpenOptions::new().write(true).truncate(true).open(mount.path("df/80/53")).expect("opens");
     assert_eq!(mount.cat("df/80/53"), "3000");
     let mut file = OpenOptions::new().write(true).open(mount.path("df/80/53")).expect("opens");
@@ -262,7 +262,7 @@ fn refusals_have_their_errno_and_change_nothing() {
 }
 
 #[test]
-fn below_the_flash_voltage_nothing_is_stored() {
+fn writes_below_the_flash_voltage_are_refused() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     mount.sim.set("voltage_mv", "2700").expect("a knob");
     let before = mount.sim.flash();
@@ -272,7 +272,7 @@ fn below_the_flash_voltage_nothing_is_stored() {
 }
 
 #[test]
-fn without_keys_a_sealed_gauge_shows_all_but_data_flash() {
+fn without_keys_a_sealed_gauge_shows_everything_but_data_flash() {
     let keys = Keys { no_default: true, ..Keys::default() };
     let Some(mount) = Mount::new("bq34z100-g1", Duration::from_secs(3600), keys) else { return };
     let before = mount.sim.flash();
@@ -291,7 +291,7 @@ fn without_keys_a_sealed_gauge_shows_all_but_data_flash() {
 }
 
 #[test]
-fn the_index_holds_every_value() {
+fn the_index_lists_every_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let index = mount.cat("df/index");
     let mut lines = index.lines();
@@ -327,7 +327,7 @@ fn seal_and_control() {
 }
 
 #[test]
-fn extended_attributes_say_what_a_parameter_is() {
+fn extended_attributes_describe_a_parameter() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let output = std::process::Command::new("getfattr").arg("-d").arg(mount.path("df/80/53")).output();
     let Ok(output) = output else {
@@ -347,9 +347,9 @@ fn extended_attributes_say_what_a_parameter_is() {
     }
 }
 
-/// A monitor keeps its files open and reads them again at offset 0.
+/// Monitors keep files open and read them again at offset 0.
 #[test]
-fn a_file_held_open_follows() {
+fn an_open_file_shows_new_values() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let file = fs::File::open(mount.path("current_now")).expect("opens");
     let before = file.metadata().and_then(|file| file.modified()).expect("a time");
@@ -364,15 +364,15 @@ fn a_file_held_open_follows() {
     assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
     let fresh = mount.cat("current_now");
     assert_ne!(fresh, "0");
-    // A file's time is that of its value.
+    // The modification time of a file is that of its value.
     let since = fs::metadata(mount.path("current_now")).and_then(|file| file.modified()).expect("a time");
     assert!(since > before);
     until("the new current", || read().expect("reads") == mount.cat("current_now"));
 }
 
-/// A value that comes and goes is a file that comes and goes, and its line in uevent with it.
+/// The file of a value, and its line in uevent, exist only while the gauge has the value.
 #[test]
-fn values_come_and_go() {
+fn files_appear_and_disappear_with_their_values() {
     let Some(mount) = Mount::new("bq34z100-g1", Duration::from_millis(500), Keys::default()) else { return };
     let listed = || {
         fs::read_dir(mount.path(""))
@@ -387,7 +387,7 @@ fn values_come_and_go() {
     assert!(mount.cat("uevent").contains("POWER_SUPPLY_TIME_TO_EMPTY_NOW="));
     mount.sim.set("load_ma", "0").expect("a knob");
     until("no time to empty", || !mount.path("time_to_empty_now").exists() && !listed());
-    // And the whole gauge: gone after three polls that failed, back with the first that does not.
+    // The gauge counts as absent after three failed polls, and as present after the first successful one.
     let mut held = fs::File::open(mount.path("voltage_now")).expect("opens");
     mount.sim.set("power", "off").expect("a knob");
     until("the gauge gone", || mount.cat("present") == "0");
@@ -405,9 +405,9 @@ fn values_come_and_go() {
     until("its voltage", || mount.path("voltage_now").exists());
 }
 
-/// Not everybody may read data flash, and nobody but the owner may write.
+/// Only the owner can read data flash, and only the owner can write.
 #[test]
-fn modes_keep_others_out() {
+fn file_modes_restrict_other_users() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let mode = |name: &str| fs::metadata(mount.path(name)).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode("df/80/53"), 0o600);
@@ -417,14 +417,14 @@ fn modes_keep_others_out() {
     assert_eq!(mode("gauge/age_ms"), 0o444);
     assert_eq!(mode("sim/load_ma"), 0o600);
     let write = OpenOptions::new().write(true).custom_flags(0).open(mount.path("capacity"));
-    // Root passes every mode; then the write itself is refused.
+    // File modes do not restrict root, so for root the write itself is refused.
     let refused = write.and_then(|mut file| file.write_all(b"50"));
     assert_eq!(refused.map_err(errno), Err(Errno::EACCES));
 }
 
-/// `>` truncates before it writes. What cannot be written cannot be truncated, for root neither.
+/// `>` truncates before it writes. A file that cannot be written cannot be truncated either, not even by root.
 #[test]
-fn nobody_empties_an_attribute() {
+fn a_read_only_file_cannot_be_truncated() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     for name in ["capacity", "uevent", "gauge/registers/voltage", "gauge/age_ms"] {
         assert!(!mount.cat(name).is_empty());
@@ -434,9 +434,9 @@ fn nobody_empties_an_attribute() {
     }
 }
 
-/// Who writes and reads through one open file reads what came of the write, not what was written.
+/// A program that writes and then reads through one open file gets the stored value, not the written text.
 #[test]
-fn a_writer_reads_what_came_of_it() {
+fn a_writer_reads_the_stored_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let file = OpenOptions::new().read(true).write(true).open(mount.path("df/80/53")).expect("opens");
     let read = || {
@@ -451,16 +451,16 @@ fn a_writer_reads_what_came_of_it() {
     }
     assert_eq!(file.write_at(b"99999999", 0).map_err(errno), Err(Errno::ERANGE));
     until("the old value", || read() == "3000\n");
-    // One write after the other, while the kernel is being told of the one before.
+    // Each write happens while the kernel is being notified of the previous one.
     for millivolts in 3001..3012 {
         file.write_all_at(millivolts.to_string().as_bytes(), 0).expect("written");
     }
     until("the last value", || read() == "3011\n");
 }
 
-/// All simulated gauges show what monitors need, and take a write and show it.
+/// Every simulated gauge has the files that monitors need, and shows a written value.
 #[test]
-fn every_gauge_is_mounted() {
+fn every_chip_can_be_mounted_read_and_written() {
     for (chip, parameter, value) in [
         ("bq27520-g3", "df/48/10", "1200"),
         ("bq27441-g1", "df/82/10", "1200"),
@@ -488,9 +488,9 @@ fn every_gauge_is_mounted() {
     }
 }
 
-/// A row whose address is not sure is read-only, whoever asks.
+/// A parameter whose address is uncertain is read-only for every user.
 #[test]
-fn unproven_rows_are_read_only() {
+fn unproven_parameters_are_read_only() {
     let Some(mount) = quiet("bq34110") else { return };
     let index = mount.cat("df/index");
     let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");
@@ -501,9 +501,9 @@ fn unproven_rows_are_read_only() {
     assert_eq!(mount.echo(&value, &path), Err(Errno::EACCES));
 }
 
-/// The data memory is RAM: gone with the power, told, and given back from an exported image.
+/// Data memory in RAM is lost with the power; the loss is reported, and an exported image is restored.
 #[test]
-fn a_ram_gauge_gets_its_configuration_back() {
+fn a_ram_gauge_gets_its_configuration_restored() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
     drop(mount);
@@ -529,7 +529,7 @@ fn a_ram_gauge_gets_its_configuration_back() {
 }
 
 #[test]
-fn an_inverted_cc_gain_is_told_with_its_remedy() {
+fn an_inverted_cc_gain_is_reported_with_its_remedy() {
     let prepare = |sim: &Sim| sim.set("cc_gain_inverted", "on").expect("a knob");
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
     let Some(mount) =
@@ -542,7 +542,7 @@ fn an_inverted_cc_gain_is_told_with_its_remedy() {
     assert!(told.contains("df/105/5") && told.contains("write CC Gain (105/4) again"), "{told}");
 }
 
-/// A bus behind which the firmware says that it is another one.
+/// A bus on which the gauge reports another firmware version.
 struct OtherFirmware {
     bus: Box<dyn Bus>,
     asked: bool,
@@ -559,7 +559,7 @@ impl Bus for OtherFirmware {
     }
 }
 
-/// The bq34z100-R2 answers as the G1 does and keeps its data flash elsewhere.
+/// The bq34z100-R2 has the registers of the G1, but another layout of data flash.
 #[test]
 fn a_sibling_shows_standard_commands_only() {
     let open = |sim: &Sim| Box::new(OtherFirmware { bus: Box::new(sim.bus()), asked: false }) as Box<dyn Bus>;
@@ -575,10 +575,10 @@ fn a_sibling_shows_standard_commands_only() {
     assert_eq!(mount.echo("CHEM_ID", "gauge/control"), Err(Errno::EPERM));
 }
 
-/// Until it has been read nobody knows a value's size. Readers who come while it is on its way get it
-/// whole, and nothing after it.
+/// The size of a value is unknown until it has been read. Readers that arrive while it is being read get the
+/// whole value and nothing more.
 #[test]
-fn the_first_readers_of_a_value_come_together() {
+fn simultaneous_first_readers_get_the_whole_value() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     for (name, text) in
         [("df/80/53", Some("3000\n")), ("df/48/43", Some("Texas Inst.\n")), ("df/index", None)]
@@ -608,9 +608,9 @@ fn the_first_readers_of_a_value_come_together() {
     }
 }
 
-/// Programs read in pieces of all sizes.
+/// Programs read in pieces of any size.
 #[test]
-fn a_first_read_in_pieces_is_whole() {
+fn a_first_read_in_pieces_is_complete() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let whole = mount.cat("df/index");
     for (name, whole) in [("df/index", &whole[..]), ("df/80/53", "3000")] {
@@ -631,7 +631,7 @@ fn a_first_read_in_pieces_is_whole() {
     }
 }
 
-/// `cp` compares the file that it opened with the one it looked at before.
+/// `cp` compares the opened file with the result of an earlier stat(2).
 #[test]
 fn files_can_be_copied() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
@@ -649,9 +649,9 @@ fn files_can_be_copied() {
     fs::remove_file(&copy).expect("removed");
 }
 
-/// What is listed is there, whatever the gauge has or has not just now, from the first moment on, and only what the part has.
+/// Every listed file exists, from the start and whatever values the gauge has, and only files of this part are listed.
 #[test]
-fn what_is_listed_is_there() {
+fn listed_files_exist() {
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
     for (chip, itpor) in [("bq34110", false), ("bq27441-g1", true)] {
         let Some(mount) =
@@ -672,9 +672,9 @@ fn what_is_listed_is_there() {
     }
 }
 
-/// The RAM is gone although no poll has missed the gauge: what was kept of it is not shown any more.
+/// RAM may be lost between two successful polls; cached values are then no longer shown.
 #[test]
-fn a_short_power_loss_of_a_ram_gauge_is_seen() {
+fn a_short_power_loss_of_a_ram_gauge_is_detected() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert_eq!(mount.echo("1234", "df/82/10"), Ok(()));
     assert_eq!(mount.cat("df/82/10"), "1234");
@@ -687,9 +687,9 @@ fn a_short_power_loss_of_a_ram_gauge_is_seen() {
     assert_eq!(mount.cat("gauge/seal"), "unsealed");
 }
 
-/// As `{ echo begin; echo ...; } > df/transaction` does: one open file, many writes.
+/// One open file and several writes, as with `{ echo begin; echo ...; } > df/transaction`.
 #[test]
-fn a_transaction_in_several_writes() {
+fn a_transaction_can_be_sent_in_several_writes() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
     let mode = fs::metadata(mount.path("df/transaction")).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode, 0o600);
@@ -715,21 +715,21 @@ fn a_transaction_in_several_writes() {
 #[test]
 fn a_challenge_is_answered_sealed_and_unsealed() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
-    // Most significant byte first, as SHA-1 has it; on the wire it is the other way round.
+    // Most significant byte first, as in SHA-1; on the bus the order is reversed.
     let zeros = "00".repeat(20);
     let answer = "2fa27ceb5b616484620fe32217c29b0a8e3cf3f0";
     assert_eq!(mount.cat("gauge/authenticate"), "");
     assert_eq!(mount.cat("gauge/auth_order"), "lsb-first");
     for seal in ["sealed", "unsealed", "full-access"] {
         mount.echo(seal, "gauge/seal").expect("a state");
-        // What the window showed before is not taken for the answer.
+        // The previous contents of the window are not taken for the answer.
         mount.echo(&"a5".repeat(20), "gauge/authenticate").expect("another challenge");
         assert_ne!(mount.cat("gauge/authenticate"), answer);
         mount.echo(&zeros, "gauge/authenticate").expect("a challenge");
         assert_eq!(mount.cat("gauge/authenticate"), answer);
         assert_eq!(mount.cat("gauge/seal"), seal);
     }
-    // What a gauge makes of it that takes the same bytes in the other order.
+    // The digest of a gauge that expects the challenge in the other byte order.
     let orders = [
         ("lsb-first", "b78043012bb40f9ff86404f645c2ab6a9f28eaf3"),
         ("as-sent", "67d8d90516ecd55a3c751fc0be7a361db366a246"),
@@ -739,7 +739,7 @@ fn a_challenge_is_answered_sealed_and_unsealed() {
         mount.echo("000102030405060708090A0B0C0D0E0F10111213", "gauge/authenticate").expect("a challenge");
         assert_eq!(mount.cat("gauge/authenticate"), answer);
     }
-    // Data flash is where it was, and nothing was programmed.
+    // Data flash is unchanged, and nothing was programmed.
     mount.echo("unsealed", "gauge/seal").expect("a state");
     mount.echo(&zeros, "gauge/authenticate").expect("a challenge");
     assert_eq!(mount.cat("df/80/53"), "3000");
@@ -748,7 +748,7 @@ fn a_challenge_is_answered_sealed_and_unsealed() {
     for text in ["", "00", &zeros[1..], &format!("{zeros}00"), &format!("{}zz", &zeros[2..])] {
         assert_eq!(mount.echo(text, "gauge/authenticate"), Err(Errno::EINVAL), "`{text}`");
     }
-    // One that cannot be answered leaves no answer behind.
+    // After a challenge that cannot be answered there is no digest.
     mount.sim.set("auth_ms", "5000").expect("a knob");
     assert_eq!(mount.echo(&zeros, "gauge/authenticate"), Err(Errno::EPROTO));
     assert_eq!(mount.cat("gauge/authenticate"), "");
@@ -756,7 +756,7 @@ fn a_challenge_is_answered_sealed_and_unsealed() {
 }
 
 #[test]
-fn only_a_part_whose_authentication_is_known_has_the_file() {
+fn only_parts_with_known_authentication_have_the_file() {
     let Some(mount) = quiet("bq27441-g1") else { return };
     assert!(!mount.path("gauge/authenticate").exists());
     assert!(!mount.path("gauge/auth_order").exists());

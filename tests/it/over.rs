@@ -1,5 +1,5 @@
-//! A mount over the kernel's own supplies: a folder of links like theirs, and the real one where the machine
-//! lets it be mounted over.
+//! A mount over the kernel's own supplies: over a folder with links like theirs, and over the real one where the
+//! machine allows it.
 
 use std::fs::{self, OpenOptions};
 use std::io::ErrorKind;
@@ -17,7 +17,7 @@ use gaugefs::fuse::{self, Mounted};
 use gaugefs::owner::{self, Settings, Signal};
 use ti_gauge::chip::Chip;
 
-/// A folder as `/sys`, with supplies of which each is a folder below `devices` and a link to it.
+/// A folder that resembles `/sys`; each supply is a folder below `devices` and a link to it.
 struct Tree(PathBuf);
 
 impl Drop for Tree {
@@ -44,7 +44,7 @@ impl Tree {
         self.0.join("devices/bus").join(name)
     }
 
-    /// As a driver that has found its device.
+    /// Adds a supply, as a driver does when it has found its device.
     fn bind(&self, name: &str, capacity: &str) {
         fs::create_dir_all(self.device(name)).expect("a folder");
         fs::write(self.device(name).join("capacity"), capacity).expect("a file");
@@ -55,7 +55,7 @@ impl Tree {
         fs::remove_file(self.underneath(name)).expect("a link");
     }
 
-    /// The folder of supplies past a mount over it: `.` is opened before there is one.
+    /// The folder of supplies below a mount over it; it is opened before the mount.
     fn underneath(&self, name: &str) -> PathBuf {
         self.0.join("underneath").join(name)
     }
@@ -83,7 +83,7 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
     Fs::new(entries.collect(), access).overlay(Some(covered))
 }
 
-/// One gauge, mounted over the supplies of a tree; `None` where this machine cannot mount FUSE at all.
+/// One gauge, mounted over the supplies of a tree; `None` if this machine cannot mount FUSE.
 fn mount(tree: &Tree, name: &str) -> Option<Mounted> {
     if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of a mount over the kernel's supplies ran");
@@ -110,7 +110,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn the_kernels_supplies_show_through_as_they_are() {
+fn the_kernels_supplies_stay_visible_and_unchanged() {
     let tree = Tree::new();
     let _folder = tree.keep_underneath();
     tree.bind("BAT0", "81\n");
@@ -128,19 +128,19 @@ fn the_kernels_supplies_show_through_as_they_are() {
 }
 
 #[test]
-fn supplies_that_come_and_go_show_at_once() {
+fn added_and_removed_supplies_show_at_once() {
     let tree = Tree::new();
     let _folder = tree.keep_underneath();
     let Some(_mounted) = mount(&tree, "BAT1") else { return };
     let link = tree.supplies().join("AC");
-    // Each look comes right after the change, and after one that has filled whatever would be kept.
+    // Each check directly follows a change, and an earlier access has filled any cache there might be.
     for round in 0..20 {
         assert_eq!(names(&tree.supplies()), ["BAT1"]);
         assert_eq!(fs::symlink_metadata(&link).expect_err("not there").kind(), ErrorKind::NotFound);
         tree.bind("AC", &format!("{round}\n"));
         assert_eq!(fs::read_to_string(link.join("capacity")).expect("a file"), format!("{round}\n"));
         assert_eq!(names(&tree.supplies()), ["AC", "BAT1"]);
-        // The same name for another device.
+        // The same name now belongs to another device.
         tree.bind("other", "7\n");
         tree.unbind("other");
         tree.unbind("AC");
@@ -152,7 +152,7 @@ fn supplies_that_come_and_go_show_at_once() {
 }
 
 #[test]
-fn the_gauge_keeps_a_name_that_the_kernel_has_too() {
+fn a_gauge_keeps_its_name_although_the_kernel_uses_it_too() {
     let tree = Tree::new();
     symlink("../../devices/bus/BAT0", tree.supplies().join("BAT0")).expect("a link");
     symlink("../../devices/bus/AC", tree.supplies().join("AC")).expect("a link");
@@ -169,14 +169,14 @@ fn the_gauge_keeps_a_name_that_the_kernel_has_too() {
     let kernels = fs.lookup(Node::Root, "AC").expect("it shows through");
     assert!(list.contains(&("AC".into(), kernels)));
     assert_eq!(fs.target(kernels).as_deref(), Some("../../devices/bus/AC"));
-    // A name that is gone has no node, and one that comes back has the one it had.
+    // A removed name has no inode, and one that is added again has the same inode as before.
     fs::remove_file(tree.supplies().join("AC")).expect("a link");
     assert_eq!((fs.lookup(Node::Root, "AC"), fs.target(kernels)), (None, None));
     symlink("../../devices/bus/other", tree.supplies().join("AC")).expect("a link");
     assert_eq!(fs.lookup(Node::Root, "AC"), Some(kernels));
 }
 
-/// The whole way, in a mount namespace of its own, so that nobody else sees it.
+/// Mounts over the real folder, in a mount namespace of its own, so that the rest of the system does not see it.
 #[test]
 fn the_real_folder_can_be_mounted_over() {
     let supplies = Path::new("/sys/class/power_supply");

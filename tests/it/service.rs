@@ -105,7 +105,7 @@ fn a_service_is_mounted_by_attach() {
 }
 
 #[test]
-fn a_service_that_is_stopped_finishes_a_write_and_begins_no_other() {
+fn a_stopped_service_finishes_its_write_and_begins_no_other() {
     let Some(mut service) = Service::start("ends") else { return };
     service.attach();
     let gauge = service.place().join("BAT0");

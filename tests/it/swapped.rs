@@ -1,4 +1,4 @@
-//! A pack exchanged for another under the thread that owns the gauge.
+//! A pack that is exchanged for another while it is mounted.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
@@ -17,7 +17,7 @@ use crate::rig::Rig;
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true });
 
-/// Two packs at one address, of which the switch chooses one.
+/// Two packs at one address; the switch selects one.
 struct Swap([Box<dyn Bus>; 2], Arc<AtomicUsize>);
 
 impl Bus for Swap {
@@ -26,10 +26,10 @@ impl Bus for Swap {
     }
 }
 
-/// A pack is exchanged for another one with the same part, between a look at its values and a write, and
-/// back again between two polls.
+/// A pack is exchanged for another one with the same chip between reading its values and a write, and back again
+/// between two polls.
 #[test]
-fn a_swapped_pack_is_noticed() {
+fn a_swapped_pack_is_detected() {
     let mut other = Rig::new("bq34z100-g1");
     assert_eq!(other.write(48, 4, "0x0007"), WRITTEN);
     let clock: Arc<SimClock> = other.clock.clone();
@@ -78,7 +78,7 @@ fn a_swapped_pack_is_noticed() {
     assert_eq!(serial(), 7);
     at.store(0, Ordering::SeqCst);
     clock.sleep(interval);
-    // Whatever it is asked, the owner polls then.
+    // Any request makes the owner thread poll now.
     run(&|done| Request::Interval(interval, done)).expect("it is set");
     let tries = (0..1000).find(|_| {
         std::thread::sleep(Duration::from_millis(10));

@@ -1,4 +1,4 @@
-//! `df/transaction`, asked of the tree as the mount asks it, on a simulated clock.
+//! `df/transaction`, used through the tree as the mount uses it, on a simulated clock.
 
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -79,7 +79,7 @@ fn tree(chip: &str) -> Tree {
     Tree::new(chip, Keys::default())
 }
 
-/// Three parameters in two blocks, in one write: each block programmed once, one reset.
+/// Three parameters in two blocks, in one write: each block is programmed once, with one reset.
 #[test]
 fn each_block_is_programmed_once() {
     let tree = tree("bq34z100-g1");
@@ -89,14 +89,14 @@ fn each_block_is_programmed_once() {
         assert_eq!(tree.read(path).as_deref(), Ok(text), "{path}");
     }
     assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
-    // What is there already costs nothing, and neither does what holds no change.
+    // Values that are already stored cause no programming, and neither does an empty transaction.
     assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
     assert_eq!(tree.stage("begin\ncommit"), Ok(()));
     assert_eq!((tree.count("flash_writes"), tree.count("resets")), (2, 1));
 }
 
 #[test]
-fn a_flat_part_is_addressed_as_below_df() {
+fn a_flat_part_is_addressed_by_its_path_in_df() {
     let tree = tree("bq34110");
     assert_eq!(tree.stage("begin\nflash/0x41f5 3100\n"), Ok(()));
     let staged = tree.read("df/transaction").expect("readable");
@@ -105,7 +105,7 @@ fn a_flat_part_is_addressed_as_below_df() {
     assert_eq!(tree.read("df/flash/0x41f5").as_deref(), Ok("3100\n"));
 }
 
-/// A write with a line that is refused stages nothing, and the gauge hears of none of it.
+/// A write with a refused line stages nothing, and causes no transfer.
 #[test]
 fn lines_are_checked_at_once() {
     let tree = tree("bq34z100-g1");
@@ -142,7 +142,7 @@ fn lines_are_checked_at_once() {
 }
 
 #[test]
-fn an_unproven_row_is_not_staged() {
+fn an_unproven_parameter_is_not_staged() {
     let tree = tree("bq34110");
     let rows = Chip::by_name("bq34110").expect("a table").subclasses.iter();
     let row = rows.flat_map(|row| row.parameters).find(|row| row.unproven).expect("there are some");
@@ -150,7 +150,7 @@ fn an_unproven_row_is_not_staged() {
 }
 
 #[test]
-fn after_ten_minutes_it_is_dropped() {
+fn a_transaction_is_dropped_after_ten_minutes() {
     let tree = tree("bq34z100-g1");
     assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
     tree.clock.sleep(Duration::from_secs(590));
@@ -163,9 +163,9 @@ fn after_ten_minutes_it_is_dropped() {
     assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
 }
 
-/// The second block fails: the first is put back, and the transaction is over.
+/// If the second block fails, the first is put back and the transaction ends.
 #[test]
-fn all_or_none() {
+fn a_failed_commit_changes_nothing() {
     let tree = tree("bq34z100-g1");
     let flash = tree.sim.flash();
     assert_eq!(tree.stage("begin\n80/53 3100\n48/11 2200\n"), Ok(()));
@@ -181,7 +181,7 @@ fn all_or_none() {
     assert_eq!(tree.read("gauge/seal").as_deref(), Ok("sealed\n"));
 }
 
-/// Without a key the old values are not known; what is staged is.
+/// Without a key the old values are unknown, but the staged values are shown.
 #[test]
 fn a_sealed_gauge_refuses_the_commit() {
     let tree = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
@@ -192,7 +192,7 @@ fn a_sealed_gauge_refuses_the_commit() {
 
 /// The bytes of Pack Configuration D's neighbours, and a subclass that the table does not have.
 #[test]
-fn bytes_without_a_parameter_are_written_on_request() {
+fn undocumented_bytes_are_written_on_request() {
     let tree = tree("bq27427");
     assert_eq!(tree.read_bytes("df/64/raw")[10..13], [0x09, 0x04, 0x27]);
     assert_eq!(tree.stage("begin\nraw 64/10 0a05\nraw 64/12 28\n64/0 0x6479\n"), Ok(()));
@@ -202,7 +202,7 @@ fn bytes_without_a_parameter_are_written_on_request() {
     assert_eq!(tree.count("flash_writes"), 1, "one block");
     assert_eq!(tree.read_bytes("df/64/raw")[10..13], [0x0a, 0x05, 0x28]);
     assert_eq!(tree.read("df/64/0").as_deref(), Ok("0x6479\n"));
-    // What is there already is no change.
+    // Bytes that are already stored are not a change.
     assert_eq!(tree.stage("begin\nraw 64/10 0a0528\ncommit"), Ok(()));
     assert_eq!(tree.count("flash_writes"), 1);
 }
@@ -218,13 +218,13 @@ fn a_subclass_that_is_not_in_the_table_is_written_on_request() {
     let differ = |(one, other): (&u8, &u8)| one != other;
     assert_eq!(flash.iter().zip(&tree.sim.flash()).filter(|pair| differ(*pair)).count(), 2);
     assert_eq!(tree.read("gauge/seal").as_deref(), Ok("sealed\n"));
-    // Where the gauge has nothing it stores nothing, and that is told.
+    // A subclass that the gauge does not have stores nothing, which is reported.
     assert_eq!(tree.stage("begin\nraw 200/0 01\ncommit"), Err(Errno::EIO));
 }
 
-/// No key, no limit and no other block is reached by bytes.
+/// Raw bytes cannot reach keys, parameters with their limits, or another block.
 #[test]
-fn bytes_reach_what_has_no_parameter_and_nothing_else() {
+fn raw_lines_reach_undocumented_bytes_only() {
     let tree = tree("bq34z100-g1");
     let transfers = tree.count("transfers");
     assert_eq!(tree.stage("begin"), Ok(()));

@@ -1,19 +1,19 @@
-//! Time as the engine sees it: a [`Clock`] to read and to sleep on.
+//! The time that the code above a bus measures and waits for: a [`Clock`] to read and to sleep on.
 //!
-//! The daemon runs on [`RealClock`]; tests run on [`SimClock`], where a sleep takes no time and the
-//! simulated bus adds its own. This is the only place that calls `thread::sleep`.
+//! The daemon uses [`RealClock`]. Tests use [`SimClock`], where a sleep takes no real time and the simulated
+//! bus adds the duration of its transfers. This is the only place that calls `thread::sleep`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Monotonic time since some fixed start, and a way to let it pass.
+/// Monotonic time since a fixed start, and a way to wait.
 pub trait Clock: Send + Sync {
-    /// Time since the clock's start; never goes back.
+    /// Time since the clock's start; never decreases.
     fn now(&self) -> Duration;
     /// Returns when at least `time` has passed.
     fn sleep(&self, time: Duration);
-    /// Time that the bus itself has taken. Only a simulated clock has to be told; the real one
-    /// notices.
+    /// Adds time that a bus has taken. Only a simulated clock needs this; a real one advances by
+    /// itself.
     fn spend(&self, _time: Duration) {}
 }
 
@@ -44,7 +44,7 @@ impl Clock for RealClock {
     }
 }
 
-/// A clock that moves only when somebody sleeps on it or spends bus time.
+/// A clock that advances only when code sleeps on it or adds bus time.
 #[derive(Debug, Default)]
 pub struct SimClock(AtomicU64);
 

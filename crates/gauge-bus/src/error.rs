@@ -5,29 +5,29 @@ use std::{fmt, io};
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What kind of failure it was; callers that need an errno or an exit code match on it.
+/// The kind of a failure; callers that need an errno or an exit code match on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorKind {
-    /// A file that is not what it should be.
+    /// A file with invalid contents.
     Invalid,
-    /// No node of that name.
+    /// No device node of that name.
     NotFound,
-    /// The node is no I2C adapter.
+    /// The node is not an I2C adapter.
     NotABus,
     /// The adapter has only SMBus commands, not plain I2C.
     SmbusOnly,
-    /// A kernel driver or another process has the address.
+    /// A kernel driver or another process uses the address.
     Busy,
     /// The user may not open the node.
     Forbidden,
-    /// Any other answer of the operating system.
+    /// Any other error of the operating system.
     Io(io::ErrorKind),
 }
 
-/// One failure: what it is about, its kind, and one line that says what to do.
+/// One failure: its subject, its kind, and one line that says what happened and what to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
-    /// The node, file or address.
+    /// The node, file or address that the error is about.
     pub subject: String,
     /// Its kind.
     pub kind: ErrorKind,
@@ -44,14 +44,14 @@ impl Error {
         Self::new(subject, ErrorKind::Io(error.kind()), format!("{what}: {}", reason(error)))
     }
 
-    /// The same error inside a larger subject: the file whose line it is.
+    /// The same error with a larger subject in front, such as the file that contains the line.
     pub(crate) fn within(mut self, subject: &str) -> Self {
         self.subject = format!("{subject}: {}", self.subject);
         self
     }
 }
 
-/// The system's words for an error, without its number.
+/// The system's text for an error, without its number.
 pub fn reason(error: &io::Error) -> String {
     let text = error.to_string();
     text.split_once(" (os error").map_or(text.clone(), |(words, _)| words.to_string())

@@ -1,8 +1,8 @@
-//! `embedded-hal` both ways: any blocking [`I2c`] as a [`Bus`], and any [`Bus`] as an [`I2c`].
+//! Adapters to and from `embedded-hal`: any blocking [`I2c`] as a [`Bus`], and any [`Bus`] as an [`I2c`].
 //!
-//! With the first, everything above a [`Bus`] runs on a microcontroller's or any other driver's I2C. With the
-//! second, a driver crate that somebody else published runs against a simulated gauge, a recording, or an
-//! adapter of Linux.
+//! With the first, code that uses a [`Bus`] runs on the I2C of a microcontroller or of any other
+//! `embedded-hal` driver. With the second, published driver crates run against a simulated gauge, a recording, or a
+//! Linux adapter.
 
 use embedded_hal::i2c::{Error as _, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
@@ -16,12 +16,12 @@ pub struct FromHal<I> {
 }
 
 impl<I> FromHal<I> {
-    /// A way to the target at a 7-bit address.
+    /// The target at a 7-bit address of `i2c`.
     pub fn new(i2c: I, address: u8) -> Self {
         Self { i2c, address }
     }
 
-    /// Gives the I2C back.
+    /// Returns the I2C.
     pub fn into_inner(self) -> I {
         self.i2c
     }
@@ -40,13 +40,13 @@ impl<I: I2c + Send> Bus for FromHal<I> {
             ErrorKind::NoAcknowledge(_) => BusError::NoAck,
             ErrorKind::ArbitrationLoss => BusError::ArbitrationLost,
             ErrorKind::Overrun => BusError::Short,
-            // A bus that is stuck, or whatever else the driver has no word for.
+            // A stuck bus, or any failure for which `embedded-hal` has no kind of its own.
             _ => BusError::Timeout,
         })
     }
 }
 
-/// An `embedded-hal` I2C on which one address answers: that of a [`Bus`].
+/// An `embedded-hal` I2C on which only the address of a [`Bus`] answers.
 #[derive(Debug)]
 pub struct AsHal<B> {
     bus: B,
@@ -54,12 +54,12 @@ pub struct AsHal<B> {
 }
 
 impl<B> AsHal<B> {
-    /// The target behind `bus`, at a 7-bit address of an I2C that is otherwise empty.
+    /// An I2C with the target of `bus` at a 7-bit address, and nothing else.
     pub fn new(bus: B, address: u8) -> Self {
         Self { bus, address }
     }
 
-    /// Gives the bus back.
+    /// Returns the bus.
     pub fn into_inner(self) -> B {
         self.bus
     }
@@ -86,8 +86,8 @@ impl<B> ErrorType for AsHal<B> {
 }
 
 impl<B: Bus> I2c for AsHal<B> {
-    /// A [`Bus`] has one write and one read in a transfer, so each pair of them is one. Writes that follow
-    /// each other are one message, as the contract of `embedded-hal` says; so are reads.
+    /// A transfer of a [`Bus`] has one write and one read, so each pair of them becomes one transfer.
+    /// Consecutive writes are merged into one message, as `embedded-hal` requires, and so are reads.
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         if address != self.address {
             return Err(BusError::NoAck);
@@ -107,7 +107,7 @@ impl<B: Bus> I2c for AsHal<B> {
 }
 
 impl<B: Bus> AsHal<B> {
-    /// Writes, then reads, as one transfer.
+    /// Performs one transfer: first the write, then the read.
     fn transfer(&mut self, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         let (mut write, mut length) = (Vec::new(), 0);
         for operation in operations.iter() {
@@ -134,7 +134,7 @@ impl<B: Bus> AsHal<B> {
 mod tests {
     use super::*;
 
-    /// A target of 256 bytes with a pointer, which writes down each transfer.
+    /// A target with a register pointer and 256 bytes, which records each transfer.
     #[derive(Debug, Default)]
     struct Memory {
         pointer: u8,

@@ -1,15 +1,17 @@
-//! One START...STOP transfer to one I2C target, and whatever can stand behind it.
+//! One START...STOP transfer to one I2C target, on real adapters, recordings and other buses.
 //!
-//! A [`Bus`] reaches one 7-bit address. Behind it is a real adapter ([`linux`]), a recorded gauge ([`replay`]),
-//! any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), or a wrapper around another bus
-//! ([`trace`]). [`clock`] is time as the layers above measure and wait for it, so that tests take none.
+//! A [`Bus`] addresses one target with a 7-bit address. It is implemented by a real adapter ([`linux`]), a
+//! recorded gauge ([`replay`]), any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), and
+//! a recorder around another bus ([`trace`]). The layers above measure time and wait with [`clock`], so that
+//! tests need not wait.
 //!
-//! This crate knows nothing of fuel gauges but their address: no registers, no keys, no data flash.
+//! All that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. The
+//! exception is [`replay`], which has to know which writes select the answer to a read.
 //!
 //! ```
 //! use gauge_bus::{Bus, BusError};
 //!
-//! /// A target that answers every read with its own pointer.
+//! /// A target that answers every read with its register pointer.
 //! struct Echo(u8);
 //!
 //! impl Bus for Echo {
@@ -38,7 +40,7 @@ pub mod trace;
 
 pub use error::{Error, ErrorKind};
 
-/// The address of every gauge in TI's tables; the parts allow no other.
+/// The address of all supported gauges; it cannot be changed.
 pub const GAUGE_ADDRESS: u8 = 0x55;
 
 /// Why a transfer failed, in the words of the kernel's I2C fault codes.
@@ -46,21 +48,21 @@ pub const GAUGE_ADDRESS: u8 = 0x55;
 pub enum BusError {
     /// The address or a byte after it was not acknowledged.
     NoAck,
-    /// Another controller won the bus.
+    /// Another controller won arbitration.
     ArbitrationLost,
-    /// The target held the clock for longer than the adapter waits.
+    /// The target stretched the clock for longer than the adapter waits.
     Timeout,
-    /// The adapter moved only a part of the messages.
+    /// The adapter transferred only a part of the messages.
     Short,
     /// The adapter is gone.
     Gone,
     /// A kernel driver is bound to the address.
     Busy,
-    /// The recording behind this bus takes no writes.
+    /// The bus is a recording, which cannot be written.
     ReadOnly,
-    /// The recording behind this bus has no answer to this.
+    /// The bus is a recording that has no answer to this transfer.
     NotRecorded,
-    /// Any other error number of the adapter's.
+    /// Any other error number from the adapter.
     Other(i32),
 }
 
@@ -68,8 +70,8 @@ pub enum BusError {
 const EIO: i32 = 5;
 
 impl BusError {
-    /// The error that prints as `text`, as a recording needs it. A text that is not known is an input/output
-    /// error of the adapter's.
+    /// The error whose `Display` is `text`, for reading recordings. An unknown text becomes an input/output
+    /// error of the adapter.
     pub fn by_text(text: &str) -> Self {
         let known = [
             BusError::NoAck,
@@ -110,25 +112,25 @@ impl fmt::Display for BusError {
 
 impl std::error::Error for BusError {}
 
-/// A way to one target address.
+/// Access to one target address.
 pub trait Bus: Send {
-    /// One transfer: START, `write` to the target, then, where `read` is not empty, a repeated START
-    /// and `read.len()` bytes back, STOP. With nothing to write it reads from the target's present pointer;
-    /// with neither it only asks whether the address is acknowledged.
+    /// One transfer: START, `write` to the target, then, if `read` is not empty, a repeated START and
+    /// `read.len()` bytes from the target, STOP. If `write` is empty, it reads from the target's current register
+    /// pointer; if both are empty, it only checks whether the address is acknowledged.
     ///
-    /// An error may leave the transfer's effect on the target unknown.
+    /// After an error, it may be unknown whether the transfer had its effect on the target.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
 
-    /// Makes sure that no kernel driver is bound to the address. No transfer is needed for it.
+    /// Checks that no kernel driver is bound to the address, without a transfer.
     fn claim(&mut self) -> Result<(), BusError> {
         Ok(())
     }
 
-    /// Closes an adapter that has been unplugged: the kernel keeps it until its last user has closed it.
+    /// Closes an adapter that was unplugged, because the kernel keeps it until its last user has closed it.
     fn release_if_gone(&mut self) {}
 
-    /// From now on transfers carry keys or security data (`true`), or no longer do (`false`).
-    /// Whatever records transfers must hide those in between.
+    /// Announces that the transfers from now on carry keys or security data (`true`), or no longer do (`false`).
+    /// A bus that records transfers must hide those in between.
     fn set_secret(&mut self, _secret: bool) {}
 }
 
@@ -156,7 +158,7 @@ pub fn wire_bytes(write: usize, read: usize) -> u64 {
     messages + write as u64 + read as u64
 }
 
-/// Bit times of a transfer: nine a byte, and one for each START, repeated START and STOP.
+/// Bit times of a transfer: nine per byte, and one for each START, repeated START and STOP.
 pub fn wire_bits(write: usize, read: usize) -> u64 {
     let messages = u64::from(write > 0 || read == 0) + u64::from(read > 0);
     wire_bytes(write, read) * 9 + messages + 1

@@ -1,11 +1,11 @@
 //! A target behind `/dev/i2c-N`.
 //!
-//! Transfers go through I2C_RDWR, so that a pointer write and the read after it are one transfer with a
-//! repeated START. The address is claimed with I2C_SLAVE first, since I2C_RDWR would not tell that a
-//! kernel driver is bound to it. When the adapter goes, so does the file: the kernel keeps an unplugged
-//! adapter until its last user has closed it. When it comes back, the next transfer opens it anew.
+//! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated
+//! START. The address is claimed with I2C_SLAVE first, because I2C_RDWR does not report that a kernel driver
+//! is bound to it. When the adapter is unplugged, its file is closed: the kernel keeps an unplugged adapter
+//! until its last user has closed it. When the adapter is back, the next transfer opens it again.
 //!
-//! All `unsafe` of this crate is here: what the crate `i2cdev` has no function for.
+//! All `unsafe` code of this crate is here; it calls what the crate `i2cdev` has no function for.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -28,9 +28,9 @@ use crate::{Bus, BusError};
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
 const I2C_MAJOR: u64 = 89;
-/// The adapter takes whole I2C messages, and not just the SMBus commands.
+/// The adapter transfers whole I2C messages, and not just the SMBus commands.
 const I2C_FUNC_I2C: libc::c_ulong = 1;
-/// Bus-free time that the gauges want between transfers at 400 kHz; it costs little at 100 kHz.
+/// Bus-free time that the gauges need between transfers at 400 kHz; it costs little at 100 kHz.
 const BUS_FREE: Duration = Duration::from_micros(66);
 
 #[allow(unsafe_code, missing_docs)]
@@ -38,7 +38,7 @@ mod ioctl {
     nix::ioctl_read_bad!(i2c_funcs, 0x0705, nix::libc::c_ulong);
 }
 
-/// An adapter: its node, and what the kernel calls it.
+/// An adapter: its device node, and the adapter's number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adapter {
     path: PathBuf,
@@ -46,7 +46,7 @@ pub struct Adapter {
 }
 
 impl Adapter {
-    /// The adapter behind a node such as `/dev/i2c-1`, or a link to one.
+    /// Finds the adapter of a device node such as `/dev/i2c-1`, or of a link to one.
     pub fn find(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let status = match fs::metadata(path) {
@@ -54,7 +54,7 @@ impl Adapter {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Err(Error::new(name, ErrorKind::NotFound, missing(&adapters(Path::new("/")))));
             }
-            Err(error) => return Err(Error::io(name, "cannot look at it", &error)),
+            Err(error) => return Err(Error::io(name, "cannot read its type", &error)),
         };
         if !status.file_type().is_char_device() || major(status.rdev()) != I2C_MAJOR {
             return Err(Error::new(
@@ -66,12 +66,12 @@ impl Adapter {
         Ok(Self { path: path.to_path_buf(), device: status.rdev() })
     }
 
-    /// The adapter's number: N of `i2c-N`, whatever the node is called.
+    /// The adapter's number: N in `i2c-N`, whatever the name of the node.
     pub fn number(&self) -> u64 {
         minor(self.device)
     }
 
-    /// The node it was found by.
+    /// The path given to [`Adapter::find`].
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -82,27 +82,27 @@ impl Adapter {
         Some(name.trim().to_string())
     }
 
-    /// The bus clock, where the device tree tells it: x86 and USB adapters keep it to themselves.
+    /// The bus clock, if the device tree contains it; x86 and USB adapters do not report theirs.
     pub fn clock_hz(&self) -> Option<u32> {
         clock_hz(Path::new("/"), self.number())
     }
 
-    /// The kernel driver that is bound to an address, and the device it was made for.
+    /// The kernel driver that is bound to an address, and its device.
     pub fn driver(&self, address: u8) -> Option<Driver> {
         driver(Path::new("/"), self.number(), address)
     }
 
-    /// Whether the adapter takes whole I2C messages. It is asked, and nothing goes out on the bus.
+    /// Whether the adapter can transfer whole I2C messages. Asking sends nothing on the bus.
     pub fn speaks_i2c(&self) -> Result<bool> {
         let asked = File::options().read(true).write(true).open(&self.path).map(|node| functions(&node));
         match asked {
             Ok(Ok(functions)) => Ok(functions & I2C_FUNC_I2C != 0),
-            Ok(Err(errno)) => Err(Error::io(self.to_string(), "does not tell what it can", &errno.into())),
+            Ok(Err(errno)) => Err(Error::io(self.to_string(), "cannot read its capabilities", &errno.into())),
             Err(error) => Err(Error::io(self.to_string(), "cannot open it", &error)),
         }
     }
 
-    /// Whether the node still stands for the same adapter.
+    /// Whether the node still belongs to the same adapter.
     fn is_there(&self) -> bool {
         fs::metadata(&self.path).is_ok_and(|status| status.rdev() == self.device)
     }
@@ -114,7 +114,7 @@ impl fmt::Display for Adapter {
     }
 }
 
-/// A kernel driver that has an address to itself.
+/// A kernel driver that is bound to an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Driver {
     /// The driver, such as `bq27xxx-battery`.
@@ -123,12 +123,12 @@ pub struct Driver {
     pub device: String,
 }
 
-/// A target address of an adapter.
+/// One target address of an adapter.
 pub struct LinuxBus {
     adapter: Adapter,
     address: u8,
     clock: Arc<dyn Clock>,
-    /// `None` from the moment the adapter has gone until it is back.
+    /// `None` while the adapter is unplugged.
     device: Option<LinuxI2CDevice>,
     last: Duration,
 }
@@ -156,14 +156,14 @@ impl LinuxBus {
         Ok(Self { adapter, address, clock, device: Some(device), last })
     }
 
-    /// One whose adapter is not there, or cannot be opened, just now: each transfer tries again.
+    /// A target whose adapter is absent or cannot be opened yet: each transfer tries to open it.
     pub fn absent(path: &Path, address: u8, clock: Arc<dyn Clock>) -> Self {
         let last = clock.now().saturating_sub(BUS_FREE);
         let adapter = Adapter { path: path.to_path_buf(), device: 0 };
         Self { adapter, address, clock, device: None, last }
     }
 
-    /// The open device, opened anew where the adapter had gone and is back.
+    /// The open device; opens it again if the adapter was unplugged and is back.
     fn device(&mut self) -> Result<&mut LinuxI2CDevice, BusError> {
         self.release_if_gone();
         match &mut self.device {
@@ -196,7 +196,7 @@ impl Bus for LinuxBus {
         self.last = self.clock.now();
         match moved {
             Ok(moved) if moved == wanted => Ok(()),
-            // Some adapters, virtio's among them, say so when a message is refused.
+            // Some adapters, such as virtio's, report this when a message is not acknowledged.
             Ok(0) => Err(BusError::NoAck),
             Ok(_) => Err(BusError::Short),
             Err(_) if !self.adapter.is_there() => {
@@ -219,10 +219,10 @@ impl Bus for LinuxBus {
     }
 }
 
-/// The clock of an adapter of the system below `root`, where the device tree tells it.
+/// The clock of an adapter of the system below `root`, if the device tree contains it.
 pub fn clock_hz(root: &Path, number: u64) -> Option<u32> {
     let device = root.join(format!("sys/bus/i2c/devices/i2c-{number}"));
-    // The adapter's own node, or its controller's, in which its property stands.
+    // The property is in the adapter's own node or in that of its controller.
     let nodes = ["of_node", "device/of_node", "../of_node"];
     let read = |node: &&str| fs::read(device.join(node).join("clock-frequency")).ok();
     Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
@@ -238,7 +238,7 @@ pub fn driver(root: &Path, number: u64, address: u8) -> Option<Driver> {
 }
 
 impl Driver {
-    /// How root takes it away from an address.
+    /// The command with which root unbinds it from an address.
     pub fn remedy(&self, number: u64, address: u8) -> String {
         format!(
             "`echo 0x{address:02x} > /sys/bus/i2c/devices/i2c-{number}/delete_device`, or with \
@@ -250,15 +250,15 @@ impl Driver {
 
 fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
     let mut functions = 0;
-    // SAFETY: I2C_FUNCS writes one unsigned long to the address it is given, which lives until the call
-    // is over; the descriptor is open as long as `device` is.
+    // SAFETY: I2C_FUNCS writes one unsigned long to the given address, which is valid until the call
+    // returns; the descriptor stays open while `device` is borrowed.
     #[allow(unsafe_code)]
     unsafe { ioctl::i2c_funcs(device.as_raw_fd(), &raw mut functions) }?;
     Ok(functions)
 }
 
-/// Locks one byte of the node, the one of the address's number, for as long as it is open. This reaches
-/// across accounts, where lock files do not, and keeps no file of its own open.
+/// Locks one byte of the node, at the offset of the address, for as long as the node is open. Unlike a lock
+/// file, this works between different accounts, and it needs no further file.
 fn hold(device: &LinuxI2CDevice, address: u8) -> nix::Result<()> {
     let lock = libc::flock {
         l_type: libc::F_WRLCK as libc::c_short,
@@ -267,7 +267,7 @@ fn hold(device: &LinuxI2CDevice, address: u8) -> nix::Result<()> {
         l_len: 1,
         l_pid: 0,
     };
-    // SAFETY: the descriptor stays open for as long as `device` is borrowed.
+    // SAFETY: the descriptor stays open while `device` is borrowed.
     #[allow(unsafe_code)]
     let device = unsafe { BorrowedFd::borrow_raw(device.as_raw_fd()) };
     fcntl(device, FcntlArg::F_OFD_SETLK(&lock)).map(drop)
@@ -296,7 +296,7 @@ fn bus_error(errno: Errno) -> BusError {
     }
 }
 
-/// Why an adapter could not be opened or its address not be claimed, with the remedy.
+/// Why an adapter could not be opened or its address could not be claimed, with the remedy.
 fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
     match errno {
         Errno::EBUSY => busy(adapter, address, adapter.driver(address).as_ref()),
@@ -308,17 +308,17 @@ fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
     }
 }
 
-/// A kernel driver has the address: who, and how to take it away.
+/// A kernel driver is bound to the address: which one, and how to unbind it.
 fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
     let number = adapter.number();
     let why = match driver {
         Some(driver) => format!(
-            "the kernel's driver {} ({}) has the gauge; take it away as root with {}",
+            "the kernel driver {} ({}) is bound to the gauge; unbind it as root with {}",
             driver.name,
             driver.device,
             driver.remedy(number, address)
         ),
-        None => "a kernel driver has that address".into(),
+        None => "a kernel driver is bound to that address; unbind it first".into(),
     };
     Error::new(subject(adapter, address), ErrorKind::Busy, why)
 }
@@ -335,7 +335,7 @@ fn forbidden(gid: u32) -> String {
     }
 }
 
-/// The adapters of the system below `root` that have a node, by number, with the kernel's names for them.
+/// The adapters with a node in the system below `root`: number and the kernel's name, sorted by number.
 pub fn adapters(root: &Path) -> Vec<(u64, String)> {
     let nodes = fs::read_dir(root.join("sys/class/i2c-dev")).into_iter().flatten().flatten();
     let mut adapters: Vec<(u64, String)> = nodes
@@ -351,15 +351,16 @@ pub fn adapters(root: &Path) -> Vec<(u64, String)> {
 
 fn list(adapters: &[(u64, String)]) -> String {
     if adapters.is_empty() {
-        return "this machine has none now".into();
+        return "this machine has none at present".into();
     }
     let each = adapters.iter().map(|(number, name)| format!("/dev/i2c-{number} ({name})"));
-    format!("there are: {}", each.collect::<Vec<_>>().join(", "))
+    format!("available: {}", each.collect::<Vec<_>>().join(", "))
 }
 
 fn missing(adapters: &[(u64, String)]) -> String {
     if adapters.is_empty() {
-        "no such bus, nor any other: the kernel module i2c-dev makes them; as root: modprobe i2c-dev".into()
+        "no such bus; this machine has none. The kernel module i2c-dev creates them; as root: modprobe i2c-dev"
+            .into()
     } else {
         format!("no such bus; {}", list(adapters))
     }
@@ -370,14 +371,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bus_that_is_not_there_is_told_with_those_that_are() {
+    fn a_missing_bus_is_reported_with_the_available_ones() {
         assert!(missing(&[]).ends_with("modprobe i2c-dev"));
         let two = [(0, "SMBus I801".to_string()), (7, "bcm2835".to_string())];
-        assert_eq!(missing(&two), "no such bus; there are: /dev/i2c-0 (SMBus I801), /dev/i2c-7 (bcm2835)");
+        assert_eq!(missing(&two), "no such bus; available: /dev/i2c-0 (SMBus I801), /dev/i2c-7 (bcm2835)");
     }
 
     #[test]
-    fn what_is_no_bus_is_refused() {
+    fn a_file_that_is_not_a_bus_is_refused() {
         let error = Adapter::find(Path::new("/dev/null")).expect_err("not a bus").to_string();
         assert!(error.starts_with("/dev/null: not an I2C bus; "), "{error}");
         let error = Adapter::find(Path::new("/dev/i2c-none")).expect_err("no node");
@@ -397,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn the_kernels_fault_codes_are_ours() {
+    fn the_kernels_fault_codes_become_bus_errors() {
         assert_eq!(bus_error(Errno::ENXIO), BusError::NoAck);
         assert_eq!(bus_error(Errno::EREMOTEIO), BusError::NoAck);
         assert_eq!(bus_error(Errno::EAGAIN), BusError::ArbitrationLost);

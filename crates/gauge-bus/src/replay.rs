@@ -1,10 +1,10 @@
-//! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge, to look at.
+//! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge that can be read.
 //!
-//! What a gauge answers at an address depends on what was written before: a subcommand for Control(), a
-//! selection for the window, the seal state for both. So an answer is looked for among those that were
-//! recorded at the same address after the same writes; they are given in their order, and the last that
-//! was no failure again and again. Selections may be written, as they change nothing. Everything else is
-//! refused, and keys are taken whatever they are where the recorded gauge was opened.
+//! The answer of a gauge at a register depends on what was written before: the subcommand for Control(), the
+//! selected block for the data window, and the seal state for both. So a read gets the answers that were recorded
+//! at the same register after the same writes, in their order; after the last one, the last that was not a
+//! failure is repeated. Writes that only select an answer are accepted, because they change nothing. All other
+//! writes are refused. If the recorded gauge was unsealed, any key is accepted.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::{Bus, BusError};
 /// Control(RESET), which seals as well.
 const RESET: u16 = 0x0041;
 
-/// A file as it was recorded.
+/// The contents of a recording.
 pub struct Recording {
     /// The name of the chip, as on the command line.
     pub chip: String,
@@ -34,12 +34,12 @@ enum Event {
 
 type Answer = Result<Vec<u8>, BusError>;
 
-/// What tells whether a gauge is sealed.
+/// How to recognise whether a gauge is sealed.
 #[derive(Clone, Copy, Debug)]
 pub struct Seals {
     /// The subcommand that seals.
     pub command: u16,
-    /// The register that shows the state, where that is not Control().
+    /// The register that shows the seal state, if it is not Control().
     pub status: Option<u8>,
 }
 
@@ -57,7 +57,7 @@ impl Recording {
         let refuse = |number: usize, why: &str| {
             Error::new(format!("line {number}"), ErrorKind::Invalid, format!("{why}; {only}"))
         };
-        // A session that was cut short may leave half a line.
+        // A recording that was interrupted may end with an incomplete line.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut lines = (1..).zip(whole.lines());
         let head = lines.next().and_then(|(_, line)| line.strip_prefix("; gaugefs: "));
@@ -68,7 +68,7 @@ impl Recording {
         for (number, line) in lines {
             if let Some(command) = command(line) {
                 if asked.is_some() {
-                    return Err(refuse(number - 1, "nothing says what came of it"));
+                    return Err(refuse(number - 1, "the transfer has no result below it"));
                 }
                 asked = Some(command.ok_or_else(|| refuse(number, "not a transfer"))?);
             } else if line == "; hidden" {
@@ -78,7 +78,7 @@ impl Recording {
                     Ok(bytes) => bytes.len() == read,
                     Err(_) => true,
                 });
-                let answer = answer.ok_or_else(|| refuse(number, "not what comes of that transfer"))?;
+                let answer = answer.ok_or_else(|| refuse(number, "not a result of the transfer above it"))?;
                 events.push(Event::Transfer { write, read, answer });
             } else if !line.is_empty() && !line.starts_with(';') {
                 return Err(refuse(number, "neither a transfer nor a comment"));
@@ -88,8 +88,8 @@ impl Recording {
     }
 }
 
-/// Bytes written and the number of bytes to read, where the line is a transfer; the inner `None` for one
-/// that is none after all.
+/// The bytes written and the number of bytes to read if the line is a transfer; the inner `None` if the
+/// transfer is malformed.
 fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
     let line = line.strip_prefix("; ").unwrap_or(line);
     if let Some(rest) = line.strip_prefix("W:") {
@@ -109,7 +109,7 @@ fn hex(text: &str) -> Option<Vec<u8>> {
     text.split_ascii_whitespace().map(|byte| u8::from_str_radix(byte, 16).ok()).collect()
 }
 
-/// What came of a transfer, below it.
+/// The result of a transfer, from the line below it.
 fn outcome(line: &str) -> Option<Answer> {
     let (time, rest) = line.strip_prefix(';')?.trim_start().split_once(' ')?;
     time.parse::<f64>().ok()?;
@@ -122,23 +122,23 @@ fn outcome(line: &str) -> Option<Answer> {
     }
 }
 
-/// What the answers at an address depend on.
+/// The state on which an answer depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Context {
-    /// Keys have been sent since it was last sealed.
+    /// Keys were sent since the gauge was last sealed.
     open: bool,
-    /// Where the word was written that the answer is about, and the word.
+    /// The word that selected the answer, and the register to which it was written.
     about: Option<(u8, [u8; 2])>,
 }
 
-/// What has been written, as far as answers depend on it.
+/// The writes on which later answers depend.
 #[derive(Clone, Copy)]
 struct Written {
     seals: Seals,
     open: bool,
     control: [u8; 2],
     selection: [u8; 2],
-    /// Which of the two was written last.
+    /// The register of the one that was written last.
     last: u8,
 }
 
@@ -178,7 +178,7 @@ impl Written {
     }
 }
 
-/// The answers to one question, in their order.
+/// The recorded answers to one read, in their order.
 #[derive(Default)]
 struct Series {
     answers: Vec<Answer>,
@@ -199,16 +199,16 @@ impl Series {
 /// A recorded gauge.
 pub struct Replay {
     series: HashMap<(Context, u8, usize), Series>,
-    /// The last of each byte, for reads that were recorded in other pieces.
+    /// The last value of each byte, for reads of other lengths than the recorded ones.
     bytes: HashMap<(Context, u8), u8>,
-    /// Keys were recorded.
+    /// The recording contains keys, as hidden transfers.
     opened: bool,
     written: Written,
     secret: bool,
 }
 
 impl Replay {
-    /// The gauge of a recording.
+    /// Replays a recording.
     pub fn new(recording: &Recording, seals: Seals) -> Self {
         let mut written = Written::new(seals);
         let mut replay =
@@ -233,7 +233,7 @@ impl Replay {
         replay
     }
 
-    /// Whether those bytes can be read without anything being written first.
+    /// Whether these bytes can be read without a write that selects them first.
     pub fn covers(&self, register: u8, length: u8) -> bool {
         (register..register + length).all(|at| self.bytes.contains_key(&(self.written.context(at), at)))
     }
@@ -260,7 +260,7 @@ impl Bus for Replay {
         let Some((&register, data)) = write.split_first() else {
             return if read.is_empty() { Ok(()) } else { Err(BusError::NoAck) };
         };
-        // None of these changes a gauge: Control() does nothing here but choose the answer.
+        // These registers only select an answer; a recording executes no subcommand.
         let selects =
             (register..=0x7f).zip(data).all(|(at, _)| matches!(at, 0x00 | 0x01 | 0x3e | 0x3f | WINDOW_END));
         if !selects {
@@ -283,7 +283,7 @@ mod tests {
     use super::*;
 
     const HEAD: &str = "; gaugefs: bq34z100-g1 on /dev/i2c-1 address 0x55, 2026-01-01T00:00:00Z\n\
-                        ; Below each transfer: seconds since the start, and what came of it.\n";
+                        ; Below each transfer: seconds since the start, and the result.\n";
 
     fn replay(lines: &str) -> Replay {
         let recording = Recording::parse(&format!("{HEAD}{lines}")).expect("a recording");
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_come_in_their_order_and_the_last_one_stays() {
+    fn answers_are_replayed_in_order_and_the_last_good_one_repeats() {
         let mut bus = replay(
             "R: AA 08 2\n;     1.0 -> 01 02\nR: AA 08 2\n;     2.0 failed: not acknowledged; is the gauge \
              powered and connected?\nR: AA 08 2\n;     3.0 -> 03 04\nR: AA 08 2\n;     4.0 failed: the bus \
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_belongs_to_what_was_written_before_it() {
+    fn an_answer_depends_on_the_writes_before_it() {
         let mut bus = replay(
             "W: AA 00 01 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 -> 00 01\nW: AA 00 00 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 \
              -> 00 60\n; hidden\n; hidden\nW: AA 00 00 00\n; 1.0 ok\nR: AA 00 2\n; 1.0 -> 00 40\nW: AA 3E 30 \
@@ -327,13 +327,13 @@ mod tests {
             assert_eq!(ask(&mut bus, &[0], 2), Ok(vec![0x00, 0x01]));
             assert_eq!(ask(&mut bus, &[0, 2, 0], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[0], 2), Err(BusError::NoAck));
-            // Sealed, the window shows nothing.
+            // While the gauge is sealed, the data window has no answer.
             assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x00], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[0x3e], 3), Err(BusError::NoAck));
             bus.set_secret(true);
             assert_eq!(ask(&mut bus, &[0, 0x34, 0x12], 0), Ok(vec![]));
             bus.set_secret(false);
-            // One byte a transfer is as good.
+            // Writing one byte per transfer has the same effect.
             assert_eq!(ask(&mut bus, &[0, 0], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[1, 0], 0), Ok(vec![]));
             assert_eq!(ask(&mut bus, &[0], 2), Ok(vec![0x00, 0x40]));
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_written_and_no_key_fits_a_gauge_that_was_never_opened() {
+    fn writes_are_refused_and_keys_too_if_the_gauge_was_never_unsealed() {
         let mut bus = replay("R: AA 08 2\n;     1.0 -> 01 02\n");
         for write in [&[0x40, 1][..], &[0x3e, 0x30, 0x00, 0x55], &[0x60, 0xff], &[0x02, 1, 2]] {
             assert_eq!(ask(&mut bus, write, 0), Err(BusError::ReadOnly));
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn other_files_are_refused_with_their_line() {
+    fn invalid_files_are_refused_with_the_line() {
         let error = |text: &str| {
             let error = Recording::parse(text).err().expect("not a recording");
             assert_eq!(error.kind, ErrorKind::Invalid);
@@ -367,10 +367,10 @@ mod tests {
         let in_line_3 = |line: &str| error(&format!("{HEAD}{line}\n"));
         assert!(in_line_3("X: 100").starts_with("line 3: neither a transfer"));
         assert!(in_line_3("R: AA zz 2").starts_with("line 3: not a transfer"));
-        assert!(in_line_3("R: AA 08 2\n; 1.0 -> 01").starts_with("line 4: not what comes"));
-        assert!(in_line_3("R: AA 08 2\n; hello").starts_with("line 4: not what comes"));
-        assert!(in_line_3("W: AA 00 00 00\nR: AA 08 2").starts_with("line 3: nothing says"));
-        // Where a session was cut short it ends.
+        assert!(in_line_3("R: AA 08 2\n; 1.0 -> 01").starts_with("line 4: not a result"));
+        assert!(in_line_3("R: AA 08 2\n; hello").starts_with("line 4: not a result"));
+        assert!(in_line_3("W: AA 00 00 00\nR: AA 08 2").starts_with("line 3: the transfer has no result"));
+        // An interrupted recording ends with its last complete transfer.
         let mut cut = replay("R: AA 08 2\n; 1.0 -> 01 02\nR: AA 0A 2\n; 1.0 -> 0");
         assert_eq!(ask(&mut cut, &[8], 2), Ok(vec![1, 2]));
         assert_eq!(ask(&mut cut, &[10], 2), Err(BusError::NoAck));

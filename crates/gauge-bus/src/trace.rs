@@ -1,7 +1,7 @@
-//! A [`Bus`] that writes down what passes, in the manner of a FlashStream file.
+//! A [`Bus`] that records every transfer in a file similar to a FlashStream.
 //!
-//! Commands are `W:` and `R:` lines; what only a reader wants, times and answers, stands in comments.
-//! Transfers that carry keys or security data are not written down: `; hidden` takes their place.
+//! Commands are `W:` and `R:` lines; times and answers are in comments. Transfers that carry keys or security
+//! data are replaced by a line `; hidden`.
 
 use std::fmt::Write as _;
 use std::fs::{File, Permissions};
@@ -16,10 +16,10 @@ use crate::clock::Clock;
 use crate::error::{Error, Result};
 use crate::{Bus, BusError};
 
-/// A bus and the file that its transfers are written to.
+/// A bus, and the file in which its transfers are recorded.
 pub struct Trace {
     bus: Box<dyn Bus>,
-    /// `None` after a write that failed: a full disk must not stop the gauge.
+    /// `None` after writing to it has failed: a full disk must not stop the gauge.
     file: Option<File>,
     clock: Arc<dyn Clock>,
     address: u8,
@@ -27,7 +27,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Writes what passes on `bus` to the file, which only its owner can read. An old one is replaced.
+    /// Records the transfers of `bus` in a file that only its owner can read. An existing file is replaced.
     pub fn new(
         bus: Box<dyn Bus>,
         address: u8,
@@ -45,7 +45,7 @@ impl Trace {
             .custom_flags(OFlags::NOFOLLOW.bits() as i32);
         let mut file = options.open(path).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
-        let form = "; Below each transfer: seconds since the start, and what came of it.";
+        let form = "; Below each transfer: seconds since the start, and the result.";
         writeln!(file, "; gaugefs: {head}\n{form}").map_err(failed)?;
         Ok(Self { bus, file: Some(file), clock, address, secret: false })
     }
@@ -58,7 +58,7 @@ impl Trace {
             lines(self.address, write, read, result, self.clock.now().as_secs_f64())
         };
         if let Err(error) = file.write_all(lines.as_bytes()) {
-            log::error!("trace: it ends here: {error}");
+            log::error!("trace: recording stopped: {error}");
             self.file = None;
         }
     }
@@ -87,7 +87,7 @@ impl Bus for Trace {
 
 fn lines(address: u8, write: &[u8], read: &[u8], result: Result<(), BusError>, at: f64) -> String {
     let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
-    // FlashStream writes the address with its direction bit. What it has no word for is a comment.
+    // FlashStream writes the address with its direction bit. Transfers that it cannot express are comments.
     let target = address << 1;
     let command = match (write, read.len()) {
         (_, 0) => format!("W: {target:02X}{}", hex(write)),
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_passes_is_written_down_and_keys_are_not() {
+    fn transfers_are_recorded_without_keys() {
         let path = std::env::temp_dir().join(format!("gaugefs-trace-{}", std::process::id()));
         let clock = Arc::new(SimClock::new());
         let mut bus = Trace::new(Box::new(Echo), 0x55, &path, clock.clone(), "test").expect("a trace");

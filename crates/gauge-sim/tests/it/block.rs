@@ -1,5 +1,5 @@
-//! The simulated gauge against the manuals: bytes in, bytes out. These tests trust nothing else of
-//! gaugefs, so that they fail when the simulator is wrong and not when the engine is.
+//! The simulated bq34z100-G1, compared byte by byte with the manuals. These tests use no other code of
+//! gaugefs, so they fail only if the simulator is wrong.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Bench {
     }
 
     /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
-    /// `X ms` to wait. Numbers are hexadecimal but for X; `..` stands for any further bytes.
+    /// `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
     #[track_caller]
     pub(crate) fn replay(&self, text: &str) {
         let mut bus = self.sim.bus();
@@ -78,7 +78,7 @@ impl Bench {
         }
     }
 
-    /// Selects a block and returns it with its checksum.
+    /// Selects a block, and returns its bytes and checksum.
     #[track_caller]
     fn block(&self, class: u8, block: u8) -> ([u8; 32], u8) {
         let mut bus = self.sim.bus();
@@ -167,7 +167,7 @@ mod registers {
     use super::*;
 
     #[test]
-    fn identity_is_that_of_slua790() {
+    fn identity_matches_slua790() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 00 2 -> 00 01");
         bench.replay("W 00 08 00 ; R 00 2 -> 07 01");
@@ -178,31 +178,31 @@ mod registers {
     }
 
     #[test]
-    fn control_remembers_the_answer_and_the_last_code() {
+    fn control_returns_the_last_answer_and_the_last_code() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 00 1 -> 00 ; R 01 1 -> 01 ; R 00 2 -> 00 01");
         bench.replay("W 00 07 00 ; R 00 2 -> 01 00 ; W 00 07 00 ; R 00 2 -> 07 00");
-        // Byte by byte it is the same: the high byte executes.
+        // The same, byte by byte: writing the high byte executes the subcommand.
         bench.replay("W 00 08 ; R 00 2 -> 07 00 ; W 01 00 ; R 00 2 -> 07 01");
         bench.replay("W 00 0C 00 ; R 00 2 -> 00 00 ; W 00 05 00 ; R 00 2 -> 00 00");
-        // Codes that nobody knows are taken and do nothing.
+        // Unknown codes are acknowledged and do nothing.
         bench.replay("W 00 08 00 ; W 00 34 12 ; R 00 2 -> 07 01");
     }
 
     #[test]
-    fn copies_of_flash_stand_where_table_7_8_has_them() {
+    fn registers_copy_the_flash_values_of_table_7_8() {
         let bench = Bench::new();
         bench.replay("R 28 2 -> 01 00 ; R 2C 2 -> 00 00 ; R 3A 2 -> 61 01 ; R 3C 2 -> E8 03");
     }
 
     #[test]
-    fn reading_goes_on_and_wraps() {
+    fn reads_continue_from_the_pointer_and_wrap() {
         let bench = Bench::new();
         bench.replay("W 00 01 00 ; R 7E 4 -> 00 00 00 01");
         let mut all = [0; 0x80];
         bench.sim.bus().transfer(&[0], &mut all).unwrap();
         assert_eq!(u16::from_le_bytes([all[0x3C], all[0x3D]]), 1000);
-        // Without a register the pointer stands where it stood.
+        // A read without a register continues at the pointer.
         let mut bus = bench.sim.bus();
         bus.transfer(&[0x3C], &mut []).unwrap();
         let mut read = [0; 2];
@@ -211,19 +211,19 @@ mod registers {
     }
 
     #[test]
-    fn what_cannot_be_taken_is_not_acknowledged() {
+    fn invalid_writes_are_not_acknowledged() {
         let bench = Bench::unsealed();
         let flash = bench.sim.flash();
         bench.replay("W 80 -> NACK ; R FF 1 -> NACK ; W 7F");
         bench.replay("W 08 00 -> NACK ; W 3A 00 -> NACK ; W 7F 00 -> NACK ; W 62 00 -> NACK");
-        // Bytes beyond what a register takes.
+        // More bytes than a register has.
         bench.replay("W 00 01 00 00 -> NACK ; R 00 2 -> 00 01");
         bench.replay("W 61 00 00 -> NACK ; W 60 00 00 -> NACK ; W 3E 30 00 00 -> NACK");
         assert_eq!(bench.sim.flash(), flash);
     }
 
     #[test]
-    fn nothing_answers_elsewhere() {
+    fn other_addresses_do_not_answer() {
         let bench = Bench::new();
         for address in (0x03..0x78).filter(|&address| address != 0x55) {
             assert_eq!(
@@ -236,7 +236,7 @@ mod registers {
     }
 
     #[test]
-    fn the_bus_takes_its_time_and_is_counted() {
+    fn transfers_take_bus_time_and_are_counted() {
         let bench = Bench::new();
         bench.replay("R 02 12 -> 3C .. ; R 18 4 -> FF FF FF FF ; R 24 C -> ..");
         // 396 bit times at 100 kHz.
@@ -251,7 +251,7 @@ mod security {
     use super::*;
 
     #[test]
-    fn levels_follow_the_keys() {
+    fn keys_change_the_seal_state() {
         let bench = Bench::new();
         assert_eq!(bench.status() & 0x6000, 0x6000);
         bench.replay(UNSEAL);
@@ -264,7 +264,7 @@ mod security {
     }
 
     #[test]
-    fn only_consecutive_halves_in_order_and_in_time_unseal() {
+    fn both_key_words_must_follow_each_other_in_order_and_in_time() {
         for wrong in [
             "W 00 72 36 ; W 00 14 04",
             "W 00 14 04 ; W 00 00 00 ; W 00 72 36",
@@ -276,14 +276,14 @@ mod security {
             bench.replay(wrong);
             assert_eq!(bench.status() & 0x6000, 0x6000, "{wrong}");
         }
-        // Reading between the halves is harmless: nothing is written to Control().
+        // Reads between the key words are allowed, because they do not write to Control().
         let bench = Bench::new();
         bench.replay("W 00 14 04 ; R 00 2 -> 00 00 ; X 3900 ; W 00 72 36");
         assert_eq!(bench.status() & 0x6000, 0x4000);
     }
 
     #[test]
-    fn a_gauge_may_want_silence_before_keys() {
+    fn a_gauge_may_require_silence_before_keys() {
         let bench = Bench::new();
         bench.set("key_quiet_ms", "4000");
         bench.replay("R 08 2 -> ..");
@@ -301,13 +301,13 @@ mod security {
         bench.replay("X 100 ; W 00 20 00");
         let flash = bench.sim.flash();
         bench.replay("W 61 00 -> NACK ; W 3E 30 -> NACK ; R 3E 1 -> 00 ; R 61 1 -> 00");
-        // 0x3F picks the manufacturer's block, which can be read but not changed.
+        // 0x3F selects the manufacturer's block, which can be read but not changed.
         bench.replay("W 3F 01 ; X 30 ; R 40 5 -> 6D 61 6B 65 72");
         let (mut block, at) = ([0; 32], 0x40);
         block[..5].copy_from_slice(b"Maker");
         bench.replay(&format!("W {at:02X} 4D ; W 60 {:02X}", sum(&block)));
         assert_eq!(bench.sim.flash(), flash);
-        // What is not for a sealed gauge is taken and ignored.
+        // Writes that a sealed gauge does not allow are acknowledged and ignored.
         bench.replay("W 00 41 00 ; R 08 1 -> .. ; W 00 2D 00 ; W 00 21 00");
         assert_eq!(bench.status() & 0x1003, 0);
         bench.set("sealed_writes", "ignore");
@@ -322,10 +322,10 @@ mod security {
     }
 
     #[test]
-    fn keys_change_in_full_access_only() {
+    fn keys_can_be_changed_in_full_access_only() {
         let bench = Bench::unsealed();
         bench.write(112, 0, &[0x11, 0x22, 0x33, 0x44]);
-        // The buffer shows the new bytes all the same.
+        // The buffer shows the new bytes nevertheless.
         bench.replay("R 40 4 -> 11 22 33 44");
         assert_eq!(bench.block(112, 0).0[..4], [0x36, 0x72, 0x04, 0x14]);
         bench.replay(FULL_ACCESS);
@@ -338,7 +338,7 @@ mod security {
     }
 
     #[test]
-    fn a_new_gauge_may_have_another_key() {
+    fn a_new_gauge_can_be_given_another_key() {
         let bench = Bench::with(&Options { unseal_key: Some([0x1234, 0x5678]), ..Options::default() });
         bench.replay(UNSEAL);
         assert_eq!(bench.sim.get("seal").unwrap(), "sealed");
@@ -346,10 +346,10 @@ mod security {
         assert_eq!(bench.sim.get("seal").unwrap(), "unsealed");
     }
 
-    /// Digests computed with SHA-1 outside gaugefs from the default key; the scheme itself is that of
+    /// Digests computed from the default key with another implementation of SHA-1; the scheme is that of
     /// SLUAAQ0's example.
     #[test]
-    fn challenges_are_answered() {
+    fn challenges_get_the_right_digest() {
         let counting: String = (0..20).map(|byte| format!("{byte:02X} ")).collect();
         let zeros = "00 ".repeat(20);
         for (challenge, sum, lsb_first, as_sent) in [
@@ -371,7 +371,7 @@ mod security {
             bench.replay(&(ask.clone() + &packed(lsb_first)));
             bench.set("auth_order", "as-sent");
             bench.replay(&(ask.clone() + &packed(as_sent)));
-            // Unsealed, BlockDataControl() has to say so.
+            // While unsealed, BlockDataControl() must select authentication.
             bench.replay(UNSEAL);
             bench.replay(&format!("W 61 01 ; {ask}{}", packed(as_sent)));
             // A wrong checksum starts nothing.
@@ -379,9 +379,9 @@ mod security {
         }
     }
 
-    /// SLUAAQ0's example, with the key written as SLUSBZ5D 7.3.15.2 has it at its right offset.
+    /// SLUAAQ0's example, with the key written as in SLUSBZ5D 7.3.15.2, at the correct offset.
     #[test]
-    fn the_authentication_key_can_be_changed_unsealed() {
+    fn the_authentication_key_can_be_changed_while_unsealed() {
         let bench = Bench::unsealed();
         bench.write(112, 8, &hex(&packed("42C5413DB9EDBBA212DFB96B7440433C")));
         bench.set("auth_order", "as-sent");
@@ -395,7 +395,7 @@ mod flash {
     use super::*;
 
     #[test]
-    fn voltsel_is_set_as_slusbz5d_7_3_3_1_does() {
+    fn voltsel_is_set_as_in_slusbz5d_7_3_3_1() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 40 ; W 3F 00 ; R 40 1 -> 01 ; R 60 1 -> 6D ; W 40 09 ; W 60 65");
         bench.replay("X 20 ; R 3A 2 -> 61 01 ; W 00 41 00 ; X 200 ; R 3A 2 -> 61 09");
@@ -404,7 +404,7 @@ mod flash {
     }
 
     #[test]
-    fn serial_number_and_chemistry_are_those_of_slua790() {
+    fn serial_number_and_chemistry_match_slua790() {
         let bench = Bench::unsealed();
         bench.replay(&format!("W 61 00 ; W 3E 30 ; W 3F 00 ; R 40 20 -> {DATA_0} ; R 60 1 -> BF"));
         let before =
@@ -416,13 +416,13 @@ mod flash {
     }
 
     #[test]
-    fn cc_offset_lies_at_48() {
+    fn cc_offset_is_at_48() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 68 ; W 3F 00 ; R 48 2 -> FB 50 ; R 4E 2 -> 13 88");
     }
 
     #[test]
-    fn the_window_is_not_the_flash() {
+    fn writes_to_the_window_do_not_reach_flash_without_a_commit() {
         let bench = Bench::unsealed();
         bench.replay("W 61 00 ; W 3E 3A ; W 3F 00 ; W 40 01 ; W 41 02 ; W 42 03");
         bench.replay("W 3F 00 ; R 40 3 -> 00 00 00");
@@ -441,7 +441,7 @@ mod flash {
         bench.replay("W 48 FF FF ; R 48 2 -> 00 00 ; W 60 6D");
         assert_eq!(bench.sim.flash(), flash);
         assert_eq!(bench.sim.get("wear").unwrap(), "64/0 1");
-        // Neither classes nor blocks that do not exist store anything.
+        // Subclasses and blocks that do not exist store nothing.
         for place in ["W 3E 03 ; W 3F 00", "W 3E 40 ; W 3F 01"] {
             bench.replay(&format!("X 50 ; {place} ; W 40 01 ; R 40 1 -> 00 ; W 60 FE ; W 60 FF"));
             assert_eq!(bench.sim.flash(), flash);
@@ -461,7 +461,7 @@ mod flash {
     }
 
     #[test]
-    fn below_the_limit_a_commit_is_acknowledged_and_dropped() {
+    fn a_commit_below_the_voltage_limit_is_acknowledged_and_dropped() {
         let bench = Bench::unsealed();
         let flash = bench.sim.flash();
         for (voltage, stored) in [("2799", false), ("2800", true)] {
@@ -470,8 +470,8 @@ mod flash {
             bench.replay("R 40 1 -> 78");
             assert_eq!(bench.sim.flash() != flash, stored, "{voltage}");
         }
-        // For several cells the stack is scaled back: 3062 mV of 5000 at a divider of 32000 (SLUSBZ5D
-        // 8.2.2.1.3 has the limit for seven cells).
+        // For several cells the limit applies to the scaled voltage: 3062 mV of 5000 at a divider of 32000
+        // (SLUSBZ5D 8.2.2.1.3 has the limit for seven cells).
         bench.set("voltage_mv", "30000");
         bench.write(68, 0, &[0x0B, 0xF6]);
         bench.write(104, 14, &[0x7D, 0x00]);
@@ -485,7 +485,7 @@ mod flash {
     }
 
     #[test]
-    fn a_divider_of_0_shuts_the_gate_and_calibration_opens_it() {
+    fn a_divider_of_0_blocks_writes_until_calibration() {
         let bench = Bench::unsealed();
         bench.write(104, 14, &[0, 0]);
         assert_eq!(bench.word(0x08), 0);
@@ -500,7 +500,7 @@ mod flash {
     }
 
     #[test]
-    fn the_clock_is_held_while_a_block_is_programmed() {
+    fn the_clock_is_stretched_while_a_block_is_programmed() {
         let bench = Bench::unsealed();
         bench.write(48, 11, &[0x0D, 0x48]);
         let before = bench.clock.now();
@@ -524,7 +524,7 @@ mod reset {
     use super::*;
 
     #[test]
-    fn flash_takes_effect_and_the_gauge_is_sealed() {
+    fn a_reset_applies_flash_and_seals_the_gauge() {
         let bench = Bench::unsealed();
         bench.write(48, 11, &[0x0D, 0x48]);
         bench.write(48, 4, &[0xBE, 0xEF]);
@@ -539,7 +539,7 @@ mod reset {
     }
 
     #[test]
-    fn it_may_hold_the_clock_instead() {
+    fn a_reset_may_stretch_the_clock_instead() {
         let bench = Bench::unsealed();
         bench.set("reset_busy", "stretch");
         bench.replay("W 00 41 00");
@@ -549,14 +549,14 @@ mod reset {
     }
 
     #[test]
-    fn power_comes_back_sealed_after_a_while() {
+    fn after_power_up_the_gauge_starts_late_and_sealed() {
         let bench = Bench::unsealed();
         bench.set("power", "off");
         assert!(!bench.acknowledged());
         assert_eq!(bench.sim.get("mode").unwrap(), "off");
         bench.set("power", "on");
         bench.replay("X 240 ; R 08 2 -> NACK ; X 10");
-        // Voltage() is not valid for the first second, and flash not writable.
+        // For the first second Voltage() is not valid and flash cannot be written.
         bench.replay("R 08 2 -> 00 00");
         bench.replay(UNSEAL);
         bench.write(58, 0, b"x");
@@ -578,7 +578,7 @@ mod reset {
     }
 
     #[test]
-    fn rom_mode_is_another_address() {
+    fn in_rom_mode_the_gauge_answers_at_another_address() {
         let bench = Bench::unsealed();
         bench.replay("W 00 00 0F");
         assert!(bench.acknowledged(), "only in FULL ACCESS");
@@ -596,7 +596,7 @@ mod reset {
     }
 
     #[test]
-    fn hdq_is_the_end_of_i2c() {
+    fn after_the_switch_to_hdq_i2c_does_not_answer() {
         let bench = Bench::new();
         bench.replay("W 00 40 7C");
         assert!(!bench.acknowledged());
@@ -665,7 +665,7 @@ mod faults {
     }
 
     #[test]
-    fn a_lost_acknowledgement_has_its_effect() {
+    fn a_transfer_takes_effect_although_its_acknowledgement_is_lost() {
         let bench = Bench::new();
         bench.set("fault", "lost 2");
         bench.replay("W 00 14 04 ; W 00 72 36 -> NACK");
@@ -698,7 +698,7 @@ mod faults {
     }
 
     #[test]
-    fn power_that_fails_while_programming_tears_the_block() {
+    fn power_loss_while_programming_tears_the_block() {
         let old = hex(DATA_0);
         for (ms, words) in [(0, 0), (9, 4), (31, 15), (33, 16)] {
             let bench = Bench::unsealed();
@@ -710,7 +710,7 @@ mod faults {
                 window[..2 * words].iter().all(|&byte| byte == 0xAA)
                     && window[2 * words..] == old[2 * words..]
             });
-            // Subclasses 2, 32, 34 and 36 come before.
+            // Subclasses 2, 32, 34 and 36 are before it.
             let place = if words == 16 { flash[57..89] == [0xAA; 32] } else { at.is_some() };
             assert!(place, "{ms} ms");
         }
@@ -728,7 +728,7 @@ mod faults {
     }
 
     #[test]
-    fn bad_texts_change_nothing() {
+    fn invalid_fault_texts_change_nothing() {
         let bench = Bench::new();
         for (knob, text, invalid) in [
             ("load_ma", "", true),
@@ -758,7 +758,7 @@ mod faults {
     }
 
     #[test]
-    fn every_knob_reads_and_those_that_say_so_take_back_what_they_show() {
+    fn every_knob_is_readable_and_writable_knobs_accept_their_own_text() {
         let bench = Bench::new();
         for knob in bench.sim.knobs() {
             let shown = bench.sim.get(knob.name).unwrap_or_else(|| panic!("{}", knob.name));
@@ -773,7 +773,7 @@ mod faults {
     }
 
     #[test]
-    fn the_log_shows_what_passed_and_hides_keys() {
+    fn the_log_shows_transfers_and_hides_keys() {
         let bench = Bench::new();
         bench.replay("R 08 2 -> ..");
         assert!(bench.sim.log().is_empty());
@@ -815,7 +815,7 @@ mod state {
         first.replay(UNSEAL);
         first.write(48, 11, &[0x0D, 0x48]);
         let (flash, wear) = (first.sim.flash(), first.sim.get("wear"));
-        // The first one is not told to stop: a killed process is not either.
+        // The first gauge is not shut down, as when its process is killed.
         let second = Bench::with(&with(&path));
         assert_eq!((second.sim.flash(), second.sim.get("wear")), (flash, wear));
         assert_eq!(second.sim.get("seal").unwrap(), "sealed");
@@ -826,7 +826,7 @@ mod state {
     }
 
     #[test]
-    fn a_key_is_for_a_new_gauge() {
+    fn a_key_can_be_given_to_a_new_gauge_only() {
         let path = file("key");
         let options = Options { unseal_key: Some([0x1234, 0x5678]), ..with(&path) };
         Bench::with(&options);
@@ -837,7 +837,7 @@ mod state {
     }
 
     #[test]
-    fn a_file_that_is_not_a_whole_state_of_the_part_is_refused() {
+    fn an_incomplete_or_foreign_state_file_is_refused() {
         let path = file("bad");
         Bench::with(&with(&path));
         let good = fs::read_to_string(&path).unwrap();
@@ -859,7 +859,7 @@ mod state {
     }
 
     #[test]
-    fn a_commit_that_cannot_be_kept_is_not_stored() {
+    fn a_commit_that_cannot_be_saved_is_not_stored() {
         let folder = file("folder");
         fs::create_dir(&folder).unwrap();
         let bench = Bench::with(&with(&folder.join("state")));
@@ -872,7 +872,7 @@ mod state {
     }
 
     #[test]
-    fn unknown_chips_are_refused_with_the_known_ones() {
+    fn an_unknown_chip_is_refused_with_a_list_of_the_known_ones() {
         let error = Sim::new("bq1", &Options::default(), Arc::new(SimClock::new())).unwrap_err();
         assert!(error.to_string().contains("bq34z100-g1"), "{error}");
     }
@@ -892,7 +892,7 @@ mod battery {
         assert_eq!((bench.word(0x18), bench.word(0x1A)), (65535, 65535));
         assert_eq!(bench.word(0x2E), 100);
         assert_eq!((bench.word(0x30), bench.word(0x32)), (4200, 500));
-        // OCV taken, charging allowed.
+        // OCV has been measured, and charging is allowed.
         assert_eq!(bench.word(FLAGS), 0x0180);
         let energy = bench.word(0x24);
         assert!((2150..2300).contains(&energy), "{energy}");
@@ -916,7 +916,7 @@ mod battery {
         assert_eq!(bench.word(0x1A), 65535);
         let power = f64::from(bench.word(0x26));
         assert!((power - 0.5 * f64::from(bench.word(0x08))).abs() < 2.0, "{power}");
-        // Losses warm the cell, by little.
+        // Losses warm the cell slightly.
         assert!((2982..3000).contains(&bench.word(0x0C)));
     }
 
@@ -964,7 +964,7 @@ mod battery {
         assert!(tapered);
         assert_eq!((bench.percent(), bench.word(0x04)), (100, 1000));
         assert_eq!(bench.word(FLAGS) & CHG, 0);
-        // Both flags have their hysteresis: FC clears at 98 %, CHG comes back at 95 %.
+        // Both flags have hysteresis: FC clears at 98 %, CHG is set again at 95 %.
         bench.set("load_ma", "1000");
         let mut seen = Vec::new();
         while bench.percent() > 90 {
@@ -977,7 +977,7 @@ mod battery {
 
     /// SLUSBZ5D table 7-17, `[RMFCC]`: a taper current of 400 mA ends the charge before the pack is full.
     #[test]
-    fn termination_makes_remaining_capacity_full_where_it_is_set_so() {
+    fn rmfcc_sets_remaining_capacity_to_full_at_termination() {
         for (pack_configuration, full) in [([0x01, 0x61], true), ([0x01, 0x41], false)] {
             let bench = Bench::unsealed();
             bench.write(36, 0, &[0x01, 0x90]);
@@ -985,7 +985,7 @@ mod battery {
             bench.reset();
             bench.set("soc", "97");
             bench.set("load_ma", "-500");
-            // FlagsB() [DODEOC]: the end of charge was seen.
+            // FlagsB() [DODEOC]: the end of charge was detected.
             while bench.word(0x12) & 0x0400 == 0 {
                 assert!(bench.word(0x04) < 999 && bench.clock.now() < Duration::from_secs(1800));
                 bench.sleep(1);
@@ -996,7 +996,7 @@ mod battery {
     }
 
     #[test]
-    fn cycles_count_discharge_and_are_kept() {
+    fn cycles_count_discharge_and_survive_a_reset() {
         let bench = Bench::new();
         for _ in 0..2 {
             bench.set("soc", "100");
@@ -1004,7 +1004,7 @@ mod battery {
             bench.sleep(3600);
         }
         assert_eq!(bench.word(0x2C), 2);
-        // 900 mAh a cycle: one write of flash each, no more.
+        // A cycle is 900 mAh, and causes one flash write.
         assert_eq!(bench.sim.get("wear").unwrap(), "48/0 2");
         bench.replay("X 100");
         bench.reset();
@@ -1038,18 +1038,18 @@ mod battery {
             bench.word(FLAGS) & 0xCC00
         };
         assert_eq!(flags("250", "0"), 0);
-        // Charge inhibit at rest outside 0 to 45 degrees, back 5 degrees inside.
+        // At rest, charging is inhibited outside 0 to 45 degrees, with a hysteresis of 5 degrees.
         assert_eq!(flags("451", "0"), 0x0800);
         assert_eq!(flags("420", "0"), 0x0800);
         assert_eq!(flags("400", "0"), 0);
         assert_eq!(flags("-1", "0"), 0x0800);
         assert_eq!(flags("250", "0"), 0);
-        // Charging: suspended and too hot above 55 degrees.
+        // While charging: suspended and over temperature above 55 degrees.
         assert_eq!(flags("250", "-500"), 0);
         assert_eq!(flags("551", "-500"), 0x8400);
         assert_eq!(bench.word(FLAGS) & CHG, 0);
         assert_eq!(flags("250", "-500"), 0);
-        // Discharging: too hot at 60 degrees, until it is 55 again.
+        // While discharging: over temperature from 60 degrees until 55 degrees.
         assert_eq!(flags("590", "200") & 0x4000, 0);
         assert_eq!(flags("600", "200") & 0x4000, 0x4000);
         assert_eq!(flags("570", "200") & 0x4000, 0x4000);
@@ -1077,7 +1077,7 @@ mod battery {
     }
 
     #[test]
-    fn a_pack_has_as_many_cells_as_the_flash_says() {
+    fn the_number_of_cells_is_taken_from_flash() {
         let bench = Bench::unsealed();
         bench.write(64, 7, &[4]);
         bench.write(82, 0, &[0x13, 0x88]);
@@ -1102,11 +1102,11 @@ mod battery {
     }
 
     #[test]
-    fn long_times_cost_little_and_stay_right() {
+    fn long_times_are_simulated_quickly_and_accurately() {
         let bench = Bench::new();
         bench.set("load_ma", "1");
         bench.sleep(100 * 3600);
-        // Below the deadband the current does not show, the charge is gone all the same.
+        // A current below the deadband is not shown, but the charge decreases.
         assert_eq!(bench.signed(0x10), 0);
         assert!((i32::from(bench.word(0x04)) - 500).abs() <= 1);
         bench.set("load_ma", "0");
@@ -1116,7 +1116,7 @@ mod battery {
     }
 
     #[test]
-    fn measurements_hold_still_within_a_second() {
+    fn measurements_stay_constant_within_a_second() {
         let bench = Bench::new();
         bench.set("load_ma", "32000");
         bench.sleep(2);

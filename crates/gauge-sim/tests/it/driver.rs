@@ -1,5 +1,5 @@
-//! A driver crate that somebody else published, `bq27441`, against the simulated bq27441-G1: it reaches the gauge
-//! through embedded-hal's `I2c`.
+//! The independently published driver crate `bq27441` on the simulated bq27441-G1, through embedded-hal's
+//! `I2c`.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use gauge_sim::{Options, Sim, SimBus};
 
 type Driver = Bq27441<AsHal<SimBus>>;
 
-/// What the driver waits for passes on the simulated clock.
+/// The driver's delays advance the simulated clock.
 struct Delay(Arc<SimClock>);
 
 impl DelayMs for Delay {
@@ -30,7 +30,7 @@ fn connect() -> (Sim, Arc<SimClock>, Driver) {
 }
 
 #[test]
-fn a_published_driver_reads_what_the_simulated_gauge_holds() {
+fn a_published_driver_reads_the_simulated_gauge() {
     let (sim, _, mut driver) = connect();
     assert_eq!(driver.control_read(ControlCmd::DeviceType).expect("an answer"), 0x0421);
     assert_eq!(driver.voltage().expect("a word"), 3855);
@@ -41,7 +41,7 @@ fn a_published_driver_reads_what_the_simulated_gauge_holds() {
     assert_eq!(driver.average_current().expect("a word"), 0);
 }
 
-/// Unseal, CONFIG UPDATE, block access and checksum as the driver does them.
+/// The driver's own sequence of unsealing, CONFIG UPDATE, block access and checksum.
 #[test]
 fn a_published_driver_unseals_and_reads_data_memory() {
     let (sim, clock, mut driver) = connect();

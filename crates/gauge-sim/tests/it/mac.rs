@@ -1,5 +1,5 @@
-//! The simulated bq34110 and bq35100 against the manuals and owners' traffic: bytes in, bytes out, as
-//! `sim` does it for the bq34z100-G1. Engine and tables meet them at the end only.
+//! The simulated bq34110 and bq35100, compared byte by byte with the manuals and with traffic that owners have
+//! published.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ fn unsealed(chip: &str) -> Bench {
     bench
 }
 
-/// Sum of a word and data, as SLUUBH1C 12.1.3 has it.
+/// Checksum of a word and data (SLUUBH1C 12.1.3).
 fn sum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte))
 }
@@ -39,7 +39,7 @@ mod protocol {
 
     /// SLUA790 section 3: Operation Config A, read and set to the end-of-service mode.
     #[test]
-    fn operation_config_a_of_slua790() {
+    fn operation_config_a_as_in_slua790() {
         let bench = unsealed("bq35100");
         bench.replay("W 3E B1 41 ; R 40 1 -> 80");
         bench.replay("W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 05 ; X 100");
@@ -47,9 +47,9 @@ mod protocol {
         assert_eq!(bench.sim.get("wear").unwrap(), "0/13 1");
     }
 
-    /// SLUUBH1C 12.1.3: two words at 0x4000, either way.
+    /// SLUUBH1C 12.1.3: two words at 0x4000, written and read.
     #[test]
-    fn two_words_of_12_1_3() {
+    fn two_words_as_in_sluubh1c_12_1_3() {
         for traffic in [
             "W 3E 00 40 ; W 40 12 34 56 78 ; W 60 AB ; W 61 08",
             "W 3E 00 40 12 34 56 78 ; W 60 AB 08",
@@ -62,7 +62,7 @@ mod protocol {
     }
 
     #[test]
-    fn a_read_has_echo_sum_and_length() {
+    fn a_read_returns_echo_checksum_and_length() {
         for chip in ["bq34110", "bq35100"] {
             let bench = unsealed(chip);
             for (address, length) in [(0x4000u16, 36), (0x41F5, 36), (0x43E0, 36), (0x43E1, 35), (0x43FF, 5)]
@@ -75,19 +75,19 @@ mod protocol {
                 assert_eq!((read[0], read[1], read[35]), (low, high, length), "{address:#x}");
                 assert_eq!(read[34], sum(&read[..2 + usize::from(length) - 4]), "{address:#x}");
             }
-            // Beyond the end there is nothing.
+            // There is no data beyond the end.
             bench.replay("W 3E 00 44 ; R 3E 2 -> 00 44 ; R 61 1 -> 05");
         }
     }
 
-    /// Nothing is stored, and nothing says so.
+    /// Nothing is stored, and the gauge does not report it.
     #[test]
-    fn a_wrong_sum_length_or_order_stores_nothing() {
+    fn a_wrong_checksum_length_or_order_stores_nothing() {
         let bench = unsealed("bq35100");
         let flash = bench.sim.flash();
         for wrong in [
             "W 3E B1 41 ; W 40 82 ; W 60 8C ; W 61 05",
-            // A length beyond zeros would add up all the same.
+            // Trailing zeros would not change the checksum, so only the length is wrong.
             "W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 0A",
             "W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 04",
             "W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 01",
@@ -95,23 +95,23 @@ mod protocol {
             "W 3E B1 41 ; W 40 82 ; W 61 05 ; W 60 8B",
             "W 3E B1 41 ; W 40 82 ; W 61 05",
             "W 3E B1 41 ; W 40 82 ; W 60 8B",
-            // Another word or other data after the sum.
+            // Another word or other data, written after the checksum.
             "W 3E B1 41 ; W 40 82 ; W 60 8B ; W 3E B1 41 ; W 61 05",
             "W 3E B1 41 ; W 60 8B ; W 40 82 ; W 61 05",
-            // Beyond the end, with the right sum.
+            // Beyond the end, with the right checksum.
             "W 3E FF 43 ; W 40 82 01 ; W 60 3A 06",
         ] {
             bench.replay(wrong);
             bench.replay("X 100");
             assert!(bench.sim.flash() == flash, "{wrong}");
         }
-        // The buffer shows what was written all the same.
+        // The buffer shows the written bytes nevertheless.
         bench.replay("W 3E B1 41 ; W 40 82 ; W 60 8C 05 ; R 40 1 -> 82 ; W 3E B1 41 ; R 40 1 -> 80");
     }
 
-    /// SLUUBH1C 12.1.3 has 1 to 32 bytes; they may stand in two of what the gauge erases at once.
+    /// SLUUBH1C 12.1.3 allows 1 to 32 bytes, which may span two flash pages that the gauge erases separately.
     #[test]
-    fn any_length_at_any_address() {
+    fn writes_of_any_length_at_any_address() {
         let bench = unsealed("bq34110");
         for (address, count) in [(0x4036u16, 32usize), (0x401F, 2), (0x43FF, 1)] {
             let [low, high] = address.to_le_bytes();
@@ -141,12 +141,12 @@ mod protocol {
     }
 
     #[test]
-    fn an_early_read_shows_the_answer_before() {
+    fn an_early_read_shows_the_previous_answer() {
         let bench = unsealed("bq35100");
         bench.set("load_ms", "10");
         bench.replay("W 3E 03 00 ; X 20 ; R 40 2 -> A8 00 ; W 3E 01 00 ; R 3E 4 -> 01 00 A8 00");
         bench.replay("X 20 ; R 40 2 -> 00 01");
-        // Data that comes before the block has been fetched is lost to it, but for the same message's.
+        // Data is lost if it is written before the block is loaded, unless it is in the same message.
         bench.replay("W 3E B1 41 ; W 40 82 ; X 20 ; R 40 1 -> 80 ; W 3E B1 41 82 ; R 40 1 -> 82");
         let flash = bench.sim.flash();
         bench.replay("X 20 ; W 3E B1 41 ; W 40 82 ; W 60 8B 05 ; X 100");
@@ -154,7 +154,7 @@ mod protocol {
     }
 
     #[test]
-    fn voltage_below_the_gate_drops_writes() {
+    fn writes_below_the_voltage_limit_are_dropped() {
         for (chip, address) in [("bq34110", "57 41"), ("bq35100", "B6 41")] {
             let bench = unsealed(chip);
             bench.replay(&format!("W 3E {address} ; R 40 2 -> 0A F0"));
@@ -169,7 +169,7 @@ mod protocol {
     }
 
     #[test]
-    fn power_lost_while_programming_tears_what_was_written() {
+    fn power_loss_while_programming_tears_the_write() {
         let bench = unsealed("bq35100");
         bench.set("fault", "torn-commit 1");
         bench.replay("W 3E 00 40 ; W 40 12 34 56 78 ; W 60 AB 08 ; R 08 1 -> NACK");
@@ -196,36 +196,36 @@ mod protocol {
 mod security {
     use super::*;
 
-    /// E2E 888302, with the pause without which the second key is refused.
+    /// E2E 888302, with the pause that the second key needs.
     #[test]
-    fn levels_of_the_bq35100() {
+    fn seal_states_of_the_bq35100() {
         let bench = bench("bq35100");
         bench.replay("R 00 2 -> 80 60");
         bench.replay(UNSEAL);
         bench.replay("R 00 2 -> 80 40 ; W 00 FF FF ; W 00 FF FF ; R 00 2 -> 80 40");
         bench.replay(FULL_ACCESS);
         bench.replay("R 00 2 -> 80 20");
-        // There is no way down but through SEALED.
+        // From FULL ACCESS the gauge gets to UNSEALED only through SEALED.
         bench.replay(UNSEAL);
         bench.replay("R 00 2 -> 80 20 ; W 00 20 00 ; R 00 2 -> 80 60");
-        // Through ManufacturerAccessControl() it is the same.
+        // ManufacturerAccessControl() has the same effect.
         bench.replay("W 3E 14 04 ; W 3E 72 36 ; R 00 2 -> 80 40 ; W 3E 20 00 ; R 00 2 -> 80 60");
     }
 
     #[test]
-    fn levels_of_the_bq34110() {
+    fn seal_states_of_the_bq34110() {
         let bench = bench("bq34110");
         bench.replay("R 3A 2 -> 06 02 ; R 00 2 -> 00 00");
         bench.replay(UNSEAL);
         bench.replay("R 3A 2 -> 04 02");
-        // Here 0x0020 is something else.
+        // On this part 0x0020 has another meaning.
         bench.replay("W 00 20 00 ; R 3A 2 -> 04 02 ; W 00 57 00 ; R 40 2 -> 04 00");
         bench.replay(FULL_ACCESS);
         bench.replay("R 3A 2 -> 02 02 ; W 3E 54 00 ; R 40 2 -> 02 02 ; W 00 30 00 ; R 3A 2 -> 06 02");
     }
 
     #[test]
-    fn other_words_between_break_a_key() {
+    fn another_word_between_the_key_words_invalidates_the_key() {
         let bench = bench("bq34110");
         bench.replay("W 00 14 04 ; W 3E 00 40 ; W 00 72 36 ; R 3A 1 -> 06");
         bench.replay("W 00 72 36 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 72 36");
@@ -233,7 +233,7 @@ mod security {
     }
 
     #[test]
-    fn keys_change_in_full_access_only() {
+    fn keys_can_be_changed_in_full_access_only() {
         let write = "W 3E CC 41 11 11 22 22 ; W 60 8C 08 ; X 100";
         let bench = unsealed("bq35100");
         bench.replay(write);
@@ -254,7 +254,7 @@ mod security {
     }
 
     #[test]
-    fn a_new_gauge_may_have_another_key() {
+    fn a_new_gauge_can_be_given_another_key() {
         for chip in ["bq34110", "bq35100"] {
             let key = Some([0x1234, 0x5678]);
             let bench = with(chip, &Options { unseal_key: key, ..Options::default() });
@@ -266,7 +266,7 @@ mod security {
     }
 }
 
-/// Traffic of owners and drivers, those that failed with what made them fail.
+/// Traffic of owners and drivers; where it failed, with the cause of the failure.
 mod traffic {
     use super::*;
 
@@ -274,14 +274,14 @@ mod traffic {
     fn identity() {
         let bench = bench("bq34110");
         bench.replay("W 3E 01 00 ; R 40 2 -> 10 01");
-        // 0xFFA5 once, then CONTROL_STATUS.
+        // The first read is 0xFFA5, the second CONTROL_STATUS.
         bench.replay("R 00 2 -> A5 FF ; R 00 2 -> 00 00 ; W 00 02 00 ; R 00 2 -> A5 FF ; R 00 2 -> 00 00");
         let bench = super::bench("bq35100");
         bench.replay("W 00 03 00 ; R 40 2 -> A8 00 ; W 3E 01 00 ; R 40 2 -> 00 01 ; R 00 2 -> 80 60");
         bench.replay("W 3E 07 00 ; R 40 2 -> 01 00");
     }
 
-    /// E2E 834655: CC Gain as delivered, and a write that changed nothing.
+    /// E2E 834655: the factory value of CC Gain, and a write that changed nothing.
     #[test]
     fn cc_gain_and_a_write_at_low_voltage() {
         let bench = unsealed("bq34110");
@@ -304,7 +304,7 @@ mod traffic {
         bench.replay("W 3E 3A 41 ; R 40 2 -> 12 04");
     }
 
-    /// E2E 797502: dropped, and with enough voltage not what was meant, as the bytes are swapped.
+    /// E2E 797502: the write is dropped; with enough voltage it stores a wrong value, because the bytes are swapped.
     #[test]
     fn design_capacity_in_both_byte_orders() {
         let swapped = "W 3E F5 41 ; W 40 70 17 ; W 60 42 ; W 61 06 ; X 100";
@@ -327,9 +327,9 @@ mod traffic {
         bench.replay("W 00 30 00 ; W 00 35 00 ; R 40 2 -> 00 00");
     }
 
-    /// E2E 668766 and FRED's: some parts have data flash one byte lower than printed.
+    /// E2E 668766 and the FRED driver: some parts have data flash one byte lower than documented.
     #[test]
-    fn shifted_parts() {
+    fn parts_with_data_flash_one_byte_lower() {
         let bench = unsealed("bq35100");
         bench.set("df_shift", "1");
         bench.replay("W 3E CC 41 ; R 40 4 -> 14 36 72 FF ; W 3E CB 41 ; R 40 4 -> 04 14 36 72");
@@ -339,7 +339,7 @@ mod traffic {
         bench.replay("W 3E 00 40 ; R 40 4 -> 7F 71 20 5C");
     }
 
-    /// A lead-acid driver's Mfg Status Init, which counts from the next initialisation on.
+    /// Mfg Status Init as a lead-acid driver writes it; it takes effect with the next initialisation.
     #[test]
     fn mfg_status_init() {
         let bench = unsealed("bq34110");
@@ -375,7 +375,7 @@ mod bq35100 {
         let counted = used(&bench);
         bench.sleep(100);
         assert_eq!((used(&bench), bench.signed(0x0C)), (counted, 0));
-        // Kept when power goes; what is counted without GAUGE_STOP is not.
+        // The count survives a power loss only after GAUGE_STOP.
         bench.replay("W 00 11 00 ; X 60000");
         assert!(used(&bench) < counted);
         bench.set("power", "off");
@@ -385,26 +385,26 @@ mod bq35100 {
     }
 
     #[test]
-    fn nobody_charges_it() {
+    fn a_primary_cell_cannot_be_charged() {
         let bench = bench("bq35100");
         assert!(bench.sim.set("load_ma", "-10").is_err());
         assert_eq!(bench.sim.get("soc").unwrap(), "100.0");
     }
 
     #[test]
-    fn the_end_of_service_mode_tells_health_and_impedance() {
+    fn end_of_service_mode_reports_health_and_impedance() {
         let bench = unsealed("bq35100");
         bench.replay("W 3E B1 41 ; W 40 82 ; W 60 8B ; W 61 05 ; X 100");
         bench.set("soc", "70");
         bench.set("load_ma", "20");
         bench.replay("W 00 11 00 ; X 2000 ; W 00 12 00 ; X 3000 ; R 2E 1 -> 46");
         assert_eq!(bench.word(0x22), 2000);
-        // A new cell, even to a sealed gauge.
+        // NEW_BATTERY works on a sealed gauge, too.
         bench.replay("W 00 20 00 ; W 3E 13 A6 ; X 100 ; R 2E 1 -> 64 ; R 22 2 -> 00 00");
     }
 
     #[test]
-    fn alerts_are_latched_and_taken_back() {
+    fn alerts_are_latched_and_cleared() {
         let bench = unsealed("bq35100");
         bench.replay("R 0A 2 -> 00 00");
         // ALERT Configuration: BATLOW and G_DONE.
@@ -444,7 +444,7 @@ mod bq34110 {
     }
 
     #[test]
-    fn calibration_shows_in_its_bits() {
+    fn calibration_sets_its_status_bits() {
         let bench = unsealed("bq34110");
         bench.replay("W 00 09 00 ; R 00 2 -> 30 00 ; X 6000 ; R 00 2 -> 00 00");
         bench.replay("W 00 0A 00 ; R 00 2 -> 20 00 ; X 6000 ; W 00 0B 00 ; X 100");
@@ -454,7 +454,7 @@ mod bq34110 {
 }
 
 #[test]
-fn every_knob_of_the_part_reads_and_takes_back_what_it_shows() {
+fn every_knob_is_readable_and_accepts_its_own_text() {
     for chip in ["bq34110", "bq35100"] {
         let bench = bench(chip);
         for knob in bench.sim.knobs() {

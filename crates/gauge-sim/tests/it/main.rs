@@ -1,4 +1,4 @@
-//! The simulated gauges against the manuals: bytes in, bytes out. Nothing of the engine or of the tables takes part.
+//! The simulated gauges, compared byte by byte with the manuals, without the engine and the tables.
 
 mod block;
 mod driver;

@@ -1,5 +1,4 @@
-//! The simulated gauges without the bq34z100-G1, which has tests of its own, against the manuals: bytes
-//! in, bytes out. Nothing of the engine takes part, but for the last test.
+//! The simulated bq27441-G1, bq27421-G1, bq27427 and bq27520-G3, compared byte by byte with the manuals.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +13,7 @@ struct Bench {
 }
 
 const UNSEAL: &str = "W 00 00 80 ; W 00 00 80";
-/// CONFIG UPDATE and its end, each waited for.
+/// Enters or ends CONFIG UPDATE, and waits until the gauge has done so.
 const BEGIN: &str = "W 00 13 00 ; X 1200";
 const END: &str = "W 00 42 00 ; X 1200";
 
@@ -29,7 +28,7 @@ impl Bench {
         Self { sim, clock }
     }
 
-    /// As it is after a loss of power: UNSEALED, data memory as in ROM.
+    /// The state after a power loss: UNSEALED, data memory as in ROM.
     fn fresh(chip: &str) -> Self {
         let bench = Self::new(chip);
         bench.cycle();
@@ -43,7 +42,7 @@ impl Bench {
     }
 
     /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
-    /// `X ms` to wait. Numbers are hexadecimal but for X; `..` stands for any further bytes.
+    /// `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
     #[track_caller]
     fn replay(&self, text: &str) {
         let mut bus = self.sim.bus();
@@ -77,7 +76,7 @@ impl Bench {
         }
     }
 
-    /// A block of an UNSEALED gauge as it is written down, the end that is all zeros left out.
+    /// A block of an UNSEALED gauge as text, without trailing zeros, and its checksum.
     #[track_caller]
     fn block(&self, class: u8, block: u8) -> (String, u8) {
         let mut bus = self.sim.bus();
@@ -135,8 +134,8 @@ mod bq27441 {
         other.replay("W 00 04 00 ; R 00 2 -> 01 00");
     }
 
-    /// SLUUAC9A 3.1, the example that changes Design Capacity to 1200, on a G1A: the sums are its own, the
-    /// rule is the manual's.
+    /// SLUUAC9A 3.1, the example that changes Design Capacity to 1200, on a G1A. The checksums differ from the
+    /// example, but follow the manual's rule.
     #[test]
     fn design_capacity_as_in_the_manual() {
         let bench = Bench::new("bq27441-g1");
@@ -145,7 +144,7 @@ mod bq27441 {
         bench.replay("W 00 00 00 ; R 00 2 -> 98 00");
         bench.replay("W 00 13 00 ; R 06 1 -> 88 ; X 1000 ; R 06 1 -> 98");
         bench.replay("W 61 00 ; W 3E 52 ; W 3F 00");
-        // 82/2 says that the gauge was sealed: 80 less than the AC of a fresh one.
+        // 82/2 records that the gauge was sealed: 80 less than the AC of a new gauge.
         bench.replay("R 60 1 -> 2C ; R 4A 1 -> 05 ; R 4B 1 -> 3C");
         // (FF - 2C - 05 - 3C) mod 100 = 92; FF - (92 + 04 + B0) mod 100 = B9.
         bench.replay("W 4A 04 ; W 4B B0 ; W 60 B9 ; W 3E 52 ; W 3F 00 ; R 60 1 -> B9 ; R 4A 2 -> 04 B0");
@@ -154,9 +153,9 @@ mod bq27441 {
         bench.replay("W 00 20 00 ; W 00 00 00 ; R 00 2 -> 98 20");
     }
 
-    /// Blocks of a part that nobody has sealed, as derived from the manual's defaults.
+    /// Blocks of a part that was never sealed, derived from the manual's defaults.
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::fresh("bq27441-g1");
         for (class, block, bytes, sum) in [
             (
@@ -189,12 +188,12 @@ mod bq27441 {
     }
 
     #[test]
-    fn blocks_are_taken_in_config_update_only() {
+    fn blocks_can_be_written_in_config_update_only() {
         let bench = Bench::fresh("bq27441-g1");
         let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0 ; W 60 39 ; W 3F 00";
         bench.replay(write);
         bench.replay("R 4A 2 -> 05 3C");
-        // Nor on the way in and on the way out.
+        // Nor while the mode is being entered or left.
         bench.replay("W 00 13 00");
         bench.replay(write);
         bench.replay("R 4A 2 -> 05 3C ; X 1000 ; W 00 43 00");
@@ -204,7 +203,7 @@ mod bq27441 {
     }
 
     #[test]
-    fn a_sealed_gauge_withholds_the_window() {
+    fn a_sealed_gauge_hides_the_data_window() {
         let bench = Bench::new("bq27441-g1");
         bench.replay(
             "W 3E 52 -> NACK ; W 3F 00 -> NACK ; W 60 00 -> NACK ; W 61 00 -> NACK ; W 40 00 -> NACK",
@@ -213,13 +212,13 @@ mod bq27441 {
         assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0);
         bench.set("sealed_writes", "ignore");
         bench.replay("W 3E 52 ; R 3E 1 -> 00");
-        // Standard commands stay.
+        // Standard commands still work.
         bench.replay("R 3C 2 -> 3C 05 ; W 00 07 00 ; R 00 2 -> 13 00");
     }
 
     /// SLUUAC9A 2.4.3, 4.1.17 to 4.1.19.
     #[test]
-    fn ways_out_of_config_update() {
+    fn commands_that_end_config_update() {
         for (code, itpor) in [("42", 0), ("43", 0), ("44", 0)] {
             let bench = Bench::fresh("bq27441-g1");
             assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR);
@@ -228,7 +227,7 @@ mod bq27441 {
             bench.replay(&format!("W 00 {code} 00 ; X 1200"));
             assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), itpor, "{code}");
         }
-        // By itself after 240 s; then the host has loaded nothing.
+        // The mode ends by itself after 240 s.
         let bench = Bench::fresh("bq27441-g1");
         bench.replay("W 00 13 00 ; X 240000");
         assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
@@ -236,9 +235,9 @@ mod bq27441 {
         assert_eq!(bench.word(FLAGS) & (ITPOR | CFGUPMODE), ITPOR);
     }
 
-    /// A way out that comes before the mode is for nothing.
+    /// A SOFT_RESET before the gauge has entered the mode has no effect.
     #[test]
-    fn an_early_soft_reset_is_lost() {
+    fn a_soft_reset_before_config_update_is_ignored() {
         let bench = Bench::fresh("bq27441-g1");
         bench.replay("W 00 13 00 ; X 500 ; W 00 42 00 ; X 1500");
         assert_eq!(bench.word(FLAGS) & CFGUPMODE, CFGUPMODE);
@@ -246,7 +245,7 @@ mod bq27441 {
 
     /// SLUUAC9A 4.1.14, 6.4.2.3.2 and 6.4.5.1.1.
     #[test]
-    fn a_gauge_that_was_sealed_seals_itself_and_takes_no_key_for_4_s() {
+    fn a_sealed_gauge_seals_itself_again_and_refuses_keys_for_4_s() {
         let bench = Bench::fresh("bq27441-g1");
         bench.shows("seal", "unsealed");
         bench.replay("W 00 20 00");
@@ -260,14 +259,14 @@ mod bq27441 {
         bench.replay("X 3000");
         bench.replay(UNSEAL);
         bench.shows("seal", "sealed");
-        // Those words began the 4 s anew; codes up to 0x001A do not.
+        // Those words restarted the 4 s; codes up to 0x001A do not.
         bench.replay("X 2000 ; W 00 00 00 ; W 00 07 00 ; X 1900");
         bench.replay(UNSEAL);
         bench.shows("seal", "sealed");
         bench.replay("X 2000 ; W 00 08 00 ; X 2100");
         bench.replay(UNSEAL);
         bench.shows("seal", "unsealed");
-        // Power brings UNSEALED back.
+        // After a power loss the gauge is UNSEALED again.
         bench.replay("W 00 20 00");
         bench.cycle();
         bench.shows("seal", "unsealed");
@@ -280,7 +279,7 @@ mod bq27441 {
         bench.replay("W 00 FF FF ; W 00 FF FF");
         bench.replay(UNSEAL);
         bench.shows("seal", "unsealed");
-        // Nor another key: both words are in ROM.
+        // The key cannot be changed: both words are in ROM.
         bench.replay(BEGIN);
         bench.replay(
             "W 61 00 ; W 3E 70 ; W 3F 00 ; W 40 12 34 56 78 ; W 60 EB ; W 3F 00 ; R 40 4 -> 80 00 80 00",
@@ -288,7 +287,7 @@ mod bq27441 {
     }
 
     #[test]
-    fn reset_and_power_take_data_memory_back_to_rom() {
+    fn reset_and_power_loss_restore_data_memory_from_rom() {
         let bench = Bench::fresh("bq27441-g1");
         for lose in ["W 00 41 00 ; X 1000", "cycle"] {
             bench.replay(BEGIN);
@@ -306,7 +305,7 @@ mod bq27441 {
         }
     }
 
-    /// SLUUAC9A 2.5.2: with OpConfig [BIE] at 0 the host tells of the battery.
+    /// SLUUAC9A 2.5.2: with OpConfig [BIE] at 0 the host reports the battery's insertion.
     #[test]
     fn bat_insert() {
         let bench = Bench::fresh("bq27441-g1");
@@ -382,9 +381,9 @@ mod bq27427 {
         bench.replay("W 00 08 00 ; R 00 2 -> 42 31");
     }
 
-    /// A trace of a part, byte for byte, with the mistakes of its host: the gauge checks nothing.
+    /// A recording of a real part, byte for byte, including mistakes of its host, which the gauge does not check.
     #[test]
-    fn a_trace_of_the_state_block() {
+    fn the_state_block_matches_a_recorded_trace() {
         let bench = Bench::fresh("bq27427");
         bench.replay(UNSEAL);
         bench.replay("W 00 13 00 ; X 1000");
@@ -407,7 +406,7 @@ mod bq27427 {
     }
 
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::fresh("bq27427");
         for (class, block, sum) in [
             (0x02, 0, 0xA5),
@@ -427,7 +426,7 @@ mod bq27427 {
         }
     }
 
-    /// Design Capacity 1200 and the checksum that follows.
+    /// Design Capacity 1200 and the resulting checksum.
     #[test]
     fn design_capacity() {
         let bench = Bench::fresh("bq27427");
@@ -437,9 +436,9 @@ mod bq27427 {
         assert_eq!(bench.word(0x0E), 1200);
     }
 
-    /// The sign of CC Gain: wrong in ROM, put right in RAM by clearing one bit, wrong again with power.
+    /// The sign of CC Gain is wrong in ROM; clearing one bit corrects it in RAM, until the next power loss.
     #[test]
-    fn an_inverted_specimen() {
+    fn a_part_with_inverted_cc_gain() {
         let bench = Bench::fresh("bq27427");
         bench.set("load_ma", "300");
         bench.replay("X 120000");
@@ -482,7 +481,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn levels() {
+    fn seal_states() {
         let bench = Bench::new("bq27520-g3");
         let level = || {
             bench.replay("W 00 00 00");
@@ -498,7 +497,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn whole_blocks() {
+    fn reading_and_writing_whole_blocks() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(KEYS);
         for (class, bytes, sum) in [
@@ -511,7 +510,7 @@ mod bq27520 {
         }
     }
 
-    /// A shipped driver's way to Terminate Voltage at 80/45.
+    /// A published driver's sequence that writes Terminate Voltage at 80/45.
     #[test]
     fn terminate_voltage() {
         let bench = Bench::new("bq27520-g3");
@@ -521,14 +520,14 @@ mod bq27520 {
         let (_, sum) = bench.block(0x50, 1);
         let new = sum.wrapping_add(0x0B).wrapping_add(0xB8).wrapping_sub(0x0C).wrapping_sub(0x1C);
         bench.replay(&format!("W 4D 0C ; W 4E 1C ; W 60 {new:02X} ; X 200 ; W 3F 01 ; R 4D 2 -> 0C 1C"));
-        // Flash: power does not matter.
+        // Flash keeps the value without power.
         bench.cycle();
         bench.replay(KEYS);
         bench.replay("W 61 00 ; W 3E 50 ; W 3F 01 ; R 4D 2 -> 0C 1C");
     }
 
     #[test]
-    fn the_gate_compares_voltage_as_it_is() {
+    fn the_write_limit_compares_the_unscaled_voltage() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(KEYS);
         bench.set("voltage_mv", "2799");
@@ -544,7 +543,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn the_code_of_config_update_is_sleep_plus() {
+    fn subcommand_0x13_sets_sleep_plus_and_not_config_update() {
         let bench = Bench::new("bq27520-g3");
         bench.replay(
             "W 00 13 00 ; X 2000 ; W 00 00 00 ; R 00 1 -> B3 ; W 00 14 00 ; W 00 00 00 ; R 00 1 -> 93",
@@ -560,7 +559,7 @@ mod bq27520 {
     }
 
     #[test]
-    fn registers_of_the_map() {
+    fn registers_are_those_of_the_register_map() {
         let bench = Bench::new("bq27520-g3");
         bench.set("load_ma", "300");
         bench.replay("X 120000");

@@ -1,4 +1,4 @@
-//! Two independent readings of the manuals, the tables and the simulated gauges, have the same defaults.
+//! The tables and the simulated gauges were written from the manuals independently, and have the same defaults.
 
 use std::time::Duration;
 
@@ -9,18 +9,18 @@ use ti_gauge::value::Value;
 
 use crate::rig::Rig;
 
-/// Two independent readings of the manuals, the tables and the simulator's bytes, agree on the default of
-/// every proven row. A difference is named here or it is a mistake of one of the two.
+/// The tables and the simulator's bytes, written from the manuals independently, agree on the default of every
+/// proven parameter. A difference that is not listed here is a mistake in one of the two.
 #[test]
-fn a_new_gauge_holds_the_tables_defaults() {
+fn defaults_of_the_simulator_match_the_tables() {
     use ti_gauge::chip::{Kind, Range};
     use ti_gauge::codec;
     use ti_gauge::value::Value;
 
     let intended: &[(&str, u8, u16)] = &[
-        // In lower case, as parts have it and SLUA790 needs it for its checksum.
+        // In lower case, as in real parts; the checksum in SLUA790 is right only with it.
         ("bq34z100-g1", 48, 31),
-        // The new gauge is one that somebody has sealed.
+        // The simulated gauge was sealed by its maker.
         ("bq27441-g1", 82, 2),
         ("bq27427", 82, 2),
     ];
@@ -56,10 +56,10 @@ fn a_new_gauge_holds_the_tables_defaults() {
     }
 }
 
-/// The tables' defaults are what a new gauge holds, read through the engine. The simulated gauges have
-/// nothing from the tables, so a difference is a mistake in one of them.
+/// A new gauge, read through the engine, holds the defaults of the tables. The simulated gauges do not use
+/// the tables, so a difference is a mistake in one of them.
 #[test]
-fn defaults_of_the_tables_are_a_new_gauges() {
+fn a_new_gauge_read_through_the_engine_holds_the_tables_defaults() {
     let intended: &[(&str, u16)] = &[];
     let mut compared = 0;
     for name in ["bq34110", "bq35100"] {
@@ -77,7 +77,7 @@ fn defaults_of_the_tables_are_a_new_gauges() {
                 let at = usize::from(row.offset - subclass.start());
                 let found = codec::decode(row.kind, &read[at..at + row.kind.size()]);
                 let same = match (&found, &expected) {
-                    // Seven digits are what an F4 holds.
+                    // An F4 is exact to about seven digits.
                     (Value::Float(found), Value::Float(expected)) => (found / expected - 1.0).abs() < 1e-6,
                     _ => found == expected,
                 };
@@ -86,7 +86,7 @@ fn defaults_of_the_tables_are_a_new_gauges() {
                 compared += 1;
             }
         }
-        // And sealed again.
+        // The gauge is sealed again.
         assert_eq!(rig.sim.get("seal").unwrap(), "sealed");
         assert!(rig.clock.now() < Duration::from_secs(60));
     }

@@ -1,6 +1,6 @@
-//! One fault at every transfer of a write: the field then holds the old or the new value, no other byte
-//! has changed, the seal is as found or the error says that it is not, and success is never false. What
-//! had to be left unknown is settled with the journal when the gauge is well again.
+//! One fault at each transfer of a write in turn. Afterwards the parameter holds the old or the new value, no
+//! other byte has changed, the seal state is as found or the error reports that it is not, and success is never
+//! reported falsely. An unknown outcome is settled with the journal when the gauge works again.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use ti_gauge::gauge::Seal;
 use crate::journal::Folder;
 use crate::rig::{Rig, cause};
 
-/// What a write of this kind does without a fault.
+/// A write and what it does without a fault.
 struct Case {
     chip: &'static str,
     at: (u8, u16),
@@ -51,7 +51,7 @@ impl Case {
         rig.write(self.at.0, self.at.1, self.text)
     }
 
-    /// Flash before and after a write without a fault, and its transfers.
+    /// Flash before and after a write without a fault, and its number of transfers.
     fn model(&self) -> (Vec<u8>, Vec<u8>, u64) {
         let mut rig = self.rig();
         let old = rig.sim.flash();
@@ -60,7 +60,7 @@ impl Case {
         (old, rig.sim.flash(), rig.cost().0 - before)
     }
 
-    /// Which bytes a loss of power leaves as they were before: of RAM, those that ROM has as well.
+    /// The bytes that survive a power loss unchanged: in RAM, those that are the same in ROM.
     fn kept(&self) -> Vec<bool> {
         let rig = self.rig();
         let old = rig.sim.flash();
@@ -70,7 +70,7 @@ impl Case {
     }
 }
 
-/// The faults that are tried at a transfer `n`, whose first bytes are the most telling ones.
+/// The faults that are tried at transfer `n`. Single bits are changed in the first bytes, which matter most.
 fn faults(n: u64) -> Vec<String> {
     let mut faults = vec![
         format!("nack {n}"),
@@ -95,7 +95,7 @@ fn faults(n: u64) -> Vec<String> {
 }
 
 #[test]
-fn one_fault_at_every_transfer_never_lies() {
+fn a_fault_at_any_transfer_of_a_write_causes_no_false_success() {
     let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown) = (0, 0, 0, 0, 0);
     let folder = Folder::new("faults");
     for case in CASES {
@@ -108,7 +108,7 @@ fn one_fault_at_every_transfer_never_lies() {
             let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.at, case.found);
             let mut rig = case.rig();
             rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
-            // As at the start of a mount.
+            // As when a mount starts.
             rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("nothing to settle");
             rig.sim.set("fault", &fault).expect("a fault");
             let asked = rig.clock.now();
@@ -141,7 +141,7 @@ fn one_fault_at_every_transfer_never_lies() {
                     true
                 }
             };
-            // Whatever was answered, the rest of the gauge is as it was.
+            // Whatever the result, the rest of the gauge is unchanged.
             if !fault.starts_with("torn") {
                 assert!(flash == old || flash == new || !certain, "{at}: neither old nor new");
             }
@@ -152,8 +152,8 @@ fn one_fault_at_every_transfer_never_lies() {
                 rig.gauge.forget_refusal();
                 rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("the gauge is well again");
                 let flash = rig.sim.flash();
-                // A lost bit can make any command of another one, so only what was written is looked at; and
-                // of RAM nothing is left after a loss of power.
+                // A lost bit can turn a command into any other, so only the written value is compared. RAM
+                // keeps nothing after a power loss.
                 let is = |wanted: &[u8]| {
                     (0..flash.len()).all(|at| old[at] == new[at] || !kept[at] || flash[at] == wanted[at])
                 };
@@ -173,9 +173,9 @@ fn one_fault_at_every_transfer_never_lies() {
     );
 }
 
-/// A challenge is answered rightly or not at all, nothing is programmed, and the seal stays.
+/// A challenge is answered correctly or not at all, nothing is programmed, and the seal state does not change.
 #[test]
-fn one_fault_at_every_transfer_of_a_challenge_makes_no_false_answer() {
+fn a_fault_at_any_transfer_of_a_challenge_causes_no_false_answer() {
     use ti_gauge::authentication::{Order, answer, ask};
 
     let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";

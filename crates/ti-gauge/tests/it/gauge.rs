@@ -1,4 +1,4 @@
-//! Subcommands of the parts that answer in MACData(), on a wire of a few bytes.
+//! Subcommands of the parts that answer in MACData(), on a minimal simulated bus.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
 /// UNSEALED, with CONTROL_STATUS 0x4080 and OperationStatus() 0x0004. After DEVICE_TYPE and FW_VERSION,
-/// Control() reads 0xFFA5 once, as the underwater vehicle's bq34110 driver tells.
+/// Control() reads 0xFFA5 once, according to an underwater vehicle's bq34110 driver.
 struct Wire {
     device_type: u16,
     last: u16,
@@ -37,7 +37,7 @@ impl Bus for Wire {
 }
 
 #[test]
-fn the_word_that_stands_in_for_control_status_once_is_no_seal_state() {
+fn an_invalid_control_status_is_not_taken_for_a_seal_state() {
     for name in ["bq34110", "bq35100"] {
         let chip = Chip::by_name(name).expect("a chip in the tables");
         let device_type = chip.identity.device_type;
@@ -46,7 +46,7 @@ fn the_word_that_stands_in_for_control_status_once_is_no_seal_state() {
         let mut gauge = Gauge::new(chip, Box::new(wire), clock, Keys::default(), false);
         let answers = gauge.identify().expect("it answers");
         assert_eq!((answers.device_type, answers.firmware_version), (device_type, 0x0001));
-        // Bits 14 and 13 of 0xFFA5 would say SEALED.
+        // Bits 14 and 13 of 0xFFA5 would mean SEALED.
         assert_eq!(gauge.control_status(), Ok((Seal::Unsealed, 0x4080)), "{name}");
         gauge.confirm_identity().expect("the same part");
         assert_eq!(gauge.seal(), Ok(Seal::Unsealed), "{name}");

@@ -1,5 +1,5 @@
-//! The host loses its power before or after each transfer of a write, and starts again: data flash then
-//! holds the old values or the new ones, no other byte has changed, the gauge is as open as it was found,
+//! The host loses power before or after each transfer of a write, and starts again. Data flash then holds the
+//! old values or the new ones, no other byte has changed, the gauge is in the seal state in which it was found,
 //! and nothing is left to settle.
 
 use std::fs;
@@ -21,15 +21,15 @@ use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause};
 
-/// What is written in one transaction, and how the gauge is found.
+/// The changes of one transaction, and the seal state in which the gauge is found.
 struct Case {
     chip: &'static str,
     values: &'static [((u8, u16), &'static str)],
     found: Seal,
 }
 
-/// Each scheme, with and without a reset, one block and several, and the serial number, which is a part
-/// of whose journal it is.
+/// Each access scheme, with and without a reset, one block and several, and the serial number, by which a
+/// journal is assigned to its gauge.
 const CASES: &[Case] = &[
     Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::Sealed },
     Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::FullAccess },
@@ -54,14 +54,14 @@ const CASES: &[Case] = &[
     Case { chip: "bq35100", values: &[((FLAT, 0x41FE), "3100")], found: Seal::Unsealed },
 ];
 
-/// What the host does no more when it has lost its power.
+/// The panic with which the code of the host stops when it loses power.
 struct PowerCut;
 
-/// A bus whose host loses its power.
+/// A bus whose host loses power at a given transfer.
 struct Host<B> {
     bus: B,
     done: Arc<AtomicU64>,
-    /// At which transfer, and whether the gauge still gets that one.
+    /// The number of that transfer, and whether the gauge still receives it.
     cut: Option<(u64, bool)>,
 }
 
@@ -79,12 +79,12 @@ impl<B: Bus> Bus for Host<B> {
     }
 }
 
-/// A folder that is gone when the test is.
+/// A folder that is removed when the test ends.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {
     pub(crate) fn new(name: &str) -> Self {
-        // Where fsync costs nothing, if there is such a place: these tests do it many thousand times.
+        // In memory if possible, because these tests call fsync many thousand times.
         let memory = Path::new("/dev/shm");
         let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
         let path = parent.join(format!("gaugefs-journal-{name}-{}", std::process::id()));
@@ -131,8 +131,8 @@ impl Case {
     }
 }
 
-/// A host that starts on the gauge of that rig, to lose its power as told. Returns what the engine said,
-/// or `None` when it had no time to say anything, and the transfers there were.
+/// Starts a host on the gauge of `rig`, which loses power as given. Returns the engine's result, or `None` if
+/// the host lost power before there was one, and the number of transfers.
 fn host<T>(
     rig: &Rig,
     folder: &Folder,
@@ -151,28 +151,28 @@ fn host<T>(
     (said, done.load(Ordering::Relaxed))
 }
 
-/// The host starts again, and settles what there is.
+/// The host starts again and settles an interrupted write.
 fn restart(rig: &Rig, folder: &Folder, cut: Option<(u64, bool)>) -> (Option<Option<String>>, u64) {
     let (said, transfers) =
         host(rig, folder, cut, |dataflash, gauge| dataflash.settle(gauge, Duration::ZERO));
     (said.map(|said| said.expect("nothing stands in the way")), transfers)
 }
 
-/// Old or new, and nothing else; sealed if it was found so; nothing left to settle. Whether it is new.
+/// Checks that flash is old or new, sealed if found sealed, and nothing is left to settle. Returns whether it is new.
 fn check(case: &Case, rig: &mut Rig, folder: &Folder, (old, new): &(Vec<u8>, Vec<u8>), at: &str) -> bool {
     let flash = rig.sim.flash();
     assert!(flash == *old || flash == *new, "{at}: neither old nor new");
     rig.clock.sleep(Duration::from_secs(3));
     assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{at}");
     let seal = rig.seal();
-    // A reset closes a gauge, and what has closed is not opened further than it takes.
+    // A reset seals a gauge, which is then opened no further than settling needs.
     assert!(seal == case.found || seal == Seal::Sealed || case.found == Seal::FullAccess, "{at}: {seal:?}");
     assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
     flash == *new
 }
 
 #[test]
-fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
+fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
     let (mut runs, mut nothing, mut undone, mut finished, mut again) = (0, 0, 0, 0, 0);
     for case in CASES {
         let model = case.model();
@@ -199,7 +199,7 @@ fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
                 Some(_) if is_new => finished += 1,
                 Some(_) => undone += 1,
             }
-            // Once more at some transfers of that second start, and this time it is left to end.
+            // The host loses power again at some transfers of the second start; the third start is not interrupted.
             for second in (number % 7 + 1..=settling).step_by(7) {
                 let at = format!("{at}, and again at {second} of {settling}");
                 let mut rig = case.rig();
@@ -220,9 +220,9 @@ fn a_host_that_loses_its_power_at_any_transfer_leaves_old_or_new() {
     );
 }
 
-/// What cannot be settled now stays on record until it can be.
+/// The journal of a write that cannot be settled yet is kept.
 #[test]
-fn regression_a_journal_outlives_a_settling_that_failed() {
+fn regression_a_journal_is_kept_until_settling_succeeds() {
     let case = &CASES[0];
     let (old, new) = case.model();
     let folder = Folder::new("kept");
@@ -232,13 +232,13 @@ fn regression_a_journal_outlives_a_settling_that_failed() {
         |dataflash: &mut DataFlash, gauge: &mut Gauge| dataflash.write(gauge, &changes, Duration::ZERO);
     let (_, transfers) = host(&case.rig(), &folder, None, write);
     host(&rig, &folder, Some((transfers * 2 / 3, true)), write);
-    // The gauge loses its power as well, and comes back sealed.
+    // The gauge loses power as well, and is sealed when it is back.
     rig.sim.set("power", "off").expect("a knob");
     rig.sim.set("power", "on").expect("a knob");
     rig.clock.sleep(Duration::from_secs(5));
     let kept = folder.files();
     assert_eq!(kept.len(), 1, "{kept:?}");
-    // No key; then a gauge that does not answer; then a bus on which every transfer fails.
+    // Without a key, then with a gauge that does not answer, then with a bus on which every transfer fails.
     for fault in ["no key", "power", "noise"] {
         let keys = Keys { no_default: fault == "no key", ..Keys::default() };
         let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
@@ -259,11 +259,11 @@ fn regression_a_journal_outlives_a_settling_that_failed() {
     check(case, &mut rig, &folder, &(old, new), "settled at last");
 }
 
-/// A bus whose gauge's voltage sinks below the limit under which it stores nothing.
+/// A bus on which the gauge's voltage drops below the flash-update limit at a given transfer.
 struct Sinks<B> {
     bus: B,
     sim: Sim,
-    /// Transfers until then.
+    /// Transfers that are left before the drop.
     left: u64,
 }
 
@@ -277,9 +277,9 @@ impl<B: Bus> Bus for Sinks<B> {
     }
 }
 
-/// The gauge acknowledges everything and stores nothing from some transfer on, the way back included.
+/// From a given transfer on, the gauge acknowledges everything and stores nothing, not even the old values put back.
 #[test]
-fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
+fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
     let (mut runs, mut done, mut refused, mut back, mut unknown) = (0, 0, 0, 0, 0);
     for case in CASES.iter().filter(|case| Chip::by_name(case.chip).is_some_and(|chip| chip.gate.is_some())) {
         let (old, new) = case.model();
@@ -324,9 +324,9 @@ fn a_voltage_that_sinks_at_any_transfer_is_no_false_success() {
     );
 }
 
-/// A gauge that loses its power while it programs a block, and comes back after the write was given up.
+/// The gauge loses power while it programs a block, and is back after the write has failed.
 #[test]
-fn what_a_write_had_to_leave_unknown_is_settled_at_the_next_start() {
+fn an_unknown_outcome_is_settled_at_the_next_start() {
     for (torn, settled) in [("torn-commit 1", "3000"), ("torn-commit 5", "3000"), ("torn-commit 40", "3100")]
     {
         let folder = Folder::new("torn");

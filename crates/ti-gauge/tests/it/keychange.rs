@@ -1,5 +1,5 @@
-//! Keys changed: what a gauge takes afterwards, what is refused before anything is touched, and one fault
-//! at every transfer.
+//! Changing keys: which keys a gauge accepts afterwards, what is refused before the gauge is touched, and one
+//! fault at each transfer in turn.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::rig::{Rig, cause};
 
 const STATES: [Seal; 3] = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
 
-/// A change from the keys that every gauge leaves the factory with.
+/// A change from the default keys.
 struct Case {
     chip: &'static str,
     text: &'static str,
@@ -59,8 +59,8 @@ impl Case {
     }
 }
 
-/// Another host's view of the gauge: whether it goes all the way with the key of that name and the manual's
-/// others. The seal is tried from SEALED.
+/// Whether another host can open the gauge, from SEALED, with the given key and the manual's defaults for the
+/// others.
 fn opens(rig: &mut Rig, change: &Change, new: bool) -> bool {
     let key = if new { &change.new } else { &change.old };
     let mut keys = Keys::default();
@@ -80,7 +80,7 @@ fn goes_up(gauge: &mut Gauge) -> bool {
 }
 
 #[test]
-fn a_changed_key_opens_the_gauge_and_the_old_one_no_longer_does() {
+fn after_a_change_only_the_new_key_opens_the_gauge() {
     for case in cases() {
         let at = case.name();
         let mut rig = case.rig();
@@ -89,13 +89,13 @@ fn a_changed_key_opens_the_gauge_and_the_old_one_no_longer_does() {
         assert_eq!(rig.seal(), case.found, "{at}");
         let differing = before.iter().zip(rig.sim.flash()).filter(|(old, new)| **old != *new).count();
         assert!((4..=16).contains(&differing), "{at}: {differing} bytes differ");
-        // The keyring of the one who changed it has it.
+        // The keys of the mount that made the change are updated.
         rig.gauge.go_to(Seal::Sealed).expect("seals");
         rig.gauge.go_to(Seal::FullAccess).unwrap_or_else(|error| panic!("{at}: {error}"));
         let change = parse(case.text);
         assert!(opens(&mut rig, &change, true), "{at}");
         assert!(!opens(&mut rig, &change, false), "{at}");
-        // And back again, as the manual has it.
+        // The change back to the manual's key.
         let back = format!("{} {} {}", change.name.as_str(), &*change.new.text(), &*change.old.text());
         run(&mut rig, &back).unwrap_or_else(|error| panic!("{at}, back: {error}"));
         assert!(rig.sim.flash() == before, "{at}: not the bytes of before");
@@ -103,7 +103,7 @@ fn a_changed_key_opens_the_gauge_and_the_old_one_no_longer_does() {
 }
 
 #[test]
-fn both_seal_keys_can_be_others() {
+fn both_seal_keys_can_be_changed() {
     let mut rig = Rig::new("bq34z100-g1");
     run(&mut rig, "unseal 0414 3672 8d3e b7c5").expect("changed");
     run(&mut rig, "full-access ffff ffff 1a2b 3c4d").expect("changed");
@@ -115,7 +115,7 @@ fn both_seal_keys_can_be_others() {
 
 /// The bytes on the wire, from SLUSBZ5D 7.3.3.1 and Table 7-11: the key 1234 5678 is stored as 56 78 12 34.
 #[test]
-fn the_bytes_are_those_of_the_manuals() {
+fn the_bytes_on_the_wire_match_the_manuals() {
     let bytes = |chip: &str| {
         let mut rig = Rig::new(chip);
         let before = rig.sim.flash();
@@ -129,7 +129,7 @@ fn the_bytes_are_those_of_the_manuals() {
     assert_eq!(bytes("bq35100"), [0x12, 0x34, 0x56, 0x78]);
 }
 
-/// Refused with nothing written and the seal as found.
+/// The change is refused, nothing is written, and the seal state is as found.
 #[track_caller]
 fn refused(rig: &mut Rig, text: &str, expected: &str, why: &str) {
     let (before, found) = (rig.sim.flash(), rig.seal());
@@ -144,7 +144,7 @@ fn refused(rig: &mut Rig, text: &str, expected: &str, why: &str) {
 }
 
 #[test]
-fn a_wrong_old_key_changes_nothing_however_the_gauge_is_found() {
+fn a_wrong_old_key_changes_nothing_in_any_seal_state() {
     for case in cases() {
         let mut rig = case.rig();
         let change = parse(case.text);
@@ -180,7 +180,7 @@ fn a_dangerous_key_is_refused() {
 }
 
 #[test]
-fn what_no_document_proves_is_not_done() {
+fn an_undocumented_key_change_is_refused() {
     for (chip, why) in [
         ("bq34110", "no document at hand"),
         ("bq27441-g1", "in ROM"),
@@ -196,9 +196,9 @@ fn what_no_document_proves_is_not_done() {
     }
 }
 
-/// Where a part keeps its keys elsewhere than the manual says, as one owner's bq35100 did.
+/// On a part whose keys are at another address than the manual says, as on one owner's bq35100.
 #[test]
-fn keys_that_stand_elsewhere_are_left_alone() {
+fn keys_at_another_address_than_documented_are_not_changed() {
     let mut rig = Rig::new("bq35100");
     rig.sim.set("df_shift", "1").expect("a knob");
     let before = rig.sim.flash();
@@ -207,9 +207,9 @@ fn keys_that_stand_elsewhere_are_left_alone() {
     assert!(rig.sim.flash() == before);
 }
 
-/// Where both keys read the same in two orders, the gauge cannot tell which one it uses.
+/// If both keys read the same in two byte orders, it is unknown which one the gauge uses.
 #[test]
-fn an_order_that_does_not_show_is_not_guessed() {
+fn an_ambiguous_byte_order_is_not_guessed() {
     let options = gauge_sim::Options { unseal_key: Some([0x1212, 0x1212]), ..Default::default() };
     let clock = std::sync::Arc::new(gauge_bus::clock::SimClock::new());
     let sim = gauge_sim::Sim::new("bq34z100-g1", &options, clock.clone()).expect("a chip");
@@ -222,7 +222,7 @@ fn an_order_that_does_not_show_is_not_guessed() {
 }
 
 #[test]
-fn a_key_block_is_what_the_tables_call_keys() {
+fn key_blocks_contain_only_keys_according_to_the_tables() {
     for chip in CHIPS {
         let KeyStorage::Flash(block) = &chip.security.storage else { continue };
         assert!(block.length <= 32 && chip.security.full_access, "{}", chip.name);
@@ -241,9 +241,9 @@ fn a_key_block_is_what_the_tables_call_keys() {
     }
 }
 
-/// Nothing that passes while the keys are in the window is recorded.
+/// No transfer is recorded while the keys are in the data window.
 #[test]
-fn the_log_of_the_bus_has_no_key() {
+fn the_bus_log_contains_no_key() {
     for case in cases() {
         let mut rig = case.rig();
         run(&mut rig, case.text).expect("changed");
@@ -256,7 +256,7 @@ fn the_log_of_the_bus_has_no_key() {
     }
 }
 
-/// A host that is there for so many transfers and then is not.
+/// A bus whose host loses power after a number of transfers.
 struct Dying<B>(B, u64);
 
 impl<B: Bus> Bus for Dying<B> {
@@ -266,9 +266,9 @@ impl<B: Bus> Bus for Dying<B> {
     }
 }
 
-/// The host loses its power at any moment, and the gauge does not: the same change once more does it.
+/// The host loses power at any transfer, but the gauge does not; repeating the same change completes it.
 #[test]
-fn a_change_that_the_host_did_not_survive_is_made_again() {
+fn an_interrupted_change_can_be_repeated() {
     let (mut runs, mut begun, mut made) = (0, 0, 0);
     for case in cases() {
         let change = parse(case.text);
@@ -301,7 +301,7 @@ fn a_change_that_the_host_did_not_survive_is_made_again() {
     );
 }
 
-/// As for any write, and power cuts while a commit is programmed.
+/// The faults tried for any write, and power cuts while a block is programmed.
 fn faults(found: Seal, (n, length): (u64, usize)) -> Vec<String> {
     let mut faults: Vec<String> =
         ["nack", "short", "lost", "stuck", "arbitration"].map(|word| format!("{word} {n}")).into();
@@ -312,7 +312,7 @@ fn faults(found: Seal, (n, length): (u64, usize)) -> Vec<String> {
             faults.push(format!("{word} {n}"));
         }
     }
-    // The bytes are the same however the gauge was found.
+    // The bytes do not depend on the seal state in which the gauge was found.
     let bytes = if found == Seal::Sealed { length } else { 0 };
     for byte in (0..bytes).filter(|&byte| byte < 4 || byte % 9 == 0 || byte + 2 >= length) {
         faults.push(format!("nack {n} {byte}"));
@@ -322,7 +322,7 @@ fn faults(found: Seal, (n, length): (u64, usize)) -> Vec<String> {
 }
 
 #[test]
-fn one_fault_at_every_transfer_of_a_key_change_never_lies() {
+fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
     let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown, mut lost) = (0, 0, 0, 0, 0, 0);
     for case in cases() {
         let change = parse(case.text);
@@ -358,7 +358,7 @@ fn one_fault_at_every_transfer_of_a_key_change_never_lies() {
                     unknown += 1;
                     assert!(interrupted, "{at}: {error}");
                     lost += u32::from(!new && !old);
-                    // The way out of every such state: the same change once more, by whoever has both keys.
+                    // Every such state is recovered by repeating the change with both keys.
                     let mut again = Rig {
                         gauge: Gauge::new(
                             rig.gauge.chip,

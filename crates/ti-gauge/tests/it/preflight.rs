@@ -1,4 +1,4 @@
-//! Pre-write checks: each refusal with its cause and its remedy, and nothing changed on the gauge.
+//! Checks before a write: each refusal has its cause and its remedy, and changes nothing on the gauge.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::rig::{Rig, cause};
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true });
 const STORED: Result<Outcome> = Ok(Outcome::Written { reset: false });
 
-/// A part, and a parameter of it with a value that it does not hold.
+/// A chip, and one of its parameters with a value that the gauge does not hold.
 const ROWS: &[(&str, (u8, u16), &str)] = &[
     ("bq34z100-g1", (80, 53), "3100"),
     ("bq27520-g3", (48, 10), "1200"),
@@ -36,7 +36,7 @@ fn write(rig: &mut Rig) -> Result<Outcome> {
     rig.write(at.0, at.1, text)
 }
 
-/// Writes, which has to be refused with nothing changed: no block programmed, no reset, the seal as it was.
+/// Attempts a write that must be refused without effect: no block programmed, no reset, the seal state as found.
 fn refused(rig: &mut Rig, expected: &str, says: &[&str]) {
     let name = rig.gauge.chip.name;
     let (flash, seal) = (rig.sim.flash(), rig.seal());
@@ -52,7 +52,7 @@ fn refused(rig: &mut Rig, expected: &str, says: &[&str]) {
     assert_eq!(rig.seal(), seal, "{name}: {error}");
 }
 
-/// What a read from a register becomes on its way, by the subcommand that was asked last.
+/// Changes what is read from a register, depending on the last subcommand.
 type Tamper = fn(asked: u16, register: u8, read: &mut [u8]);
 
 struct Tampered(Box<dyn Bus>, u16, Tamper);
@@ -83,13 +83,13 @@ impl Rig {
         self.gauge.seal().expect("the gauge answers");
     }
 
-    /// As when a gauge arrives at the daemon.
+    /// Identifies the gauge, as the daemon does when it finds one.
     fn meet(&mut self) {
         let answers = self.gauge.identify().expect("the gauge answers");
         self.dataflash.meet(self.gauge.chip, &answers);
     }
 
-    /// Subcommands, sent by somebody else to an unsealed gauge, which is sealed again.
+    /// Sends subcommands as another program would: unseals the gauge, and seals it again.
     fn send(&mut self, codes: &[u16]) {
         self.gauge.go_to(Seal::Unsealed).expect("the default key");
         for &code in codes {
@@ -100,9 +100,9 @@ impl Rig {
 }
 
 #[test]
-fn a_mode_that_somebody_left_on_is_not_written_into() {
+fn no_write_in_a_mode_that_someone_else_set() {
     let minute = Duration::from_secs(60);
-    // How it is begun, what the refusal says, and how it ends: by subcommands, and by itself after a while.
+    // How the mode begins, what the refusal says, and how the mode ends: by subcommands, or by itself.
     type Case = (&'static str, &'static [u16], [&'static str; 2], &'static [u16], Duration);
     let cases: &[Case] = &[
         ("bq34z100-g1", &[0x002D, 0x0081], ["[CALEN]", "EXIT_CAL"], &[0x0080, 0x002D], minute),
@@ -131,9 +131,9 @@ fn a_mode_that_somebody_left_on_is_not_written_into() {
     }
 }
 
-/// Bits that no simulated RAM gauge sets by itself.
+/// The bits are forced, because no simulated RAM gauge sets them.
 #[test]
-fn calibration_of_a_ram_gauge_is_not_written_into() {
+fn no_write_during_calibration_of_a_ram_gauge() {
     let cases: [(Tamper, &str); 3] = [
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x10 } else { 0 }, "[CALMODE]"),
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x08 } else { 0 }, "[CCA]"),
@@ -146,9 +146,9 @@ fn calibration_of_a_ram_gauge_is_not_written_into() {
     }
 }
 
-/// What a transaction of ours left on is ours to end.
+/// A mode that a failed transaction of this mount left on is ended by the next write.
 #[test]
-fn a_mode_that_we_left_on_is_settled() {
+fn a_mode_left_by_our_own_failed_write_is_cleared() {
     let left_on = (1..60).find_map(|first: u64| {
         let mut rig = Rig::new("bq27441-g1");
         let faults: Vec<_> = (first..first + 2000).map(|n| format!("nack {n}")).collect();
@@ -167,7 +167,7 @@ fn a_mode_that_we_left_on_is_settled() {
 }
 
 #[test]
-fn a_gauge_in_rom_mode_is_named() {
+fn a_gauge_in_rom_mode_is_reported() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.dataflash.go_to(&mut rig.gauge, Seal::FullAccess, Duration::ZERO).expect("the default keys");
     rig.gauge.command(0x0F00).expect("it is sent");
@@ -277,7 +277,7 @@ fn another_part_is_not_written_to() {
     for &(chip, tamper, says) in cases {
         let mut rig = Rig::new(chip);
         rig.meet();
-        // Its serial number is known from a write, as the daemon knows it from a poll.
+        // A write reads the serial number; in the daemon, a poll does.
         assert!(write(&mut rig).is_ok(), "{chip}");
         rig.tamper(tamper);
         assert!(!rig.dataflash.doubts());
@@ -289,7 +289,7 @@ fn another_part_is_not_written_to() {
     }
 }
 
-/// A firmware that no table is for is not written to, whether or not the gauge was asked before.
+/// A gauge with a firmware that no table covers is not written, whether it was identified before or not.
 #[test]
 fn an_unknown_firmware_is_not_written_to() {
     let mut rig = Rig::tampered("bq34z100-g1", |asked, at, read| {
@@ -300,9 +300,9 @@ fn an_unknown_firmware_is_not_written_to() {
     refused(&mut rig, "Gone", &["0x0216", "mount it anew"]);
 }
 
-/// I2C has no check of its own: one lost bit is neither another pack nor a mode.
+/// I2C has no error detection: one wrong bit must not be taken for another pack or a mode.
 #[test]
-fn one_lost_bit_refuses_nothing() {
+fn a_single_bit_error_blocks_no_write() {
     // The answers to FW_VERSION, SerialNumber() and CONTROL_STATUS, by the log of a write.
     for fault in ["flip 2 0 4", "flip 3 0 2", "flip 5 1 4"] {
         let mut rig = Rig::new("bq34z100-g1");
@@ -314,9 +314,9 @@ fn one_lost_bit_refuses_nothing() {
     }
 }
 
-/// The pack's own serial number is written like any other parameter.
+/// The pack's serial number is written like any other parameter.
 #[test]
-fn a_new_serial_number_makes_no_other_pack() {
+fn a_changed_serial_number_is_not_taken_for_another_pack() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.meet();
     assert_eq!(rig.write(48, 4, "0x0102"), WRITTEN);
@@ -325,9 +325,9 @@ fn a_new_serial_number_makes_no_other_pack() {
     assert_eq!(rig.write(80, 53, "3200"), WRITTEN);
 }
 
-/// Between two polls a RAM gauge has lost its power, or is another one.
+/// A RAM gauge has lost power, or was exchanged, between two polls.
 #[test]
-fn a_lost_configuration_is_looked_at_before_it_is_written() {
+fn a_ram_gauge_that_lost_power_is_read_again_before_a_write() {
     for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
         let mut rig = Rig::new(chip);
         rig.meet();
@@ -342,13 +342,13 @@ fn a_lost_configuration_is_looked_at_before_it_is_written() {
 }
 
 #[test]
-fn a_ram_gauge_is_written_at_a_sane_voltage() {
+fn a_ram_gauge_is_written_only_between_2450_and_4500_mv() {
     for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
         for mv in ["0", "2449", "4501"] {
             let mut rig = Rig::new(chip);
             rig.sim.set("voltage_mv", mv).expect("a knob");
             refused(&mut rig, "NotNow", &["Voltage()", mv, "charge the cell"]);
-            // A configuration that is given back does no harm.
+            // Restoring a configuration is not affected.
             let (at, text) = row(chip);
             let mut change = rig.change(at.0, at.1, text);
             change.saved = true;
@@ -369,14 +369,14 @@ fn a_ram_gauge_is_written_at_a_sane_voltage() {
 const SAYS: &[&str] = &["learning", "LearnedStatus()", "--allow-learning"];
 
 #[test]
-fn a_learning_cycle_is_not_ended_by_accident() {
+fn a_write_that_would_end_a_learning_cycle_is_refused() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     refused(&mut rig, "Busy", SAYS);
-    // Nothing would be reset.
+    // A write that needs no reset is allowed.
     assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
     assert_eq!(rig.write(58, 3, "0x5a"), STORED);
-    // Qmax is learned, Ra is not; then both are.
+    // First Qmax is learned and Ra is not, then both are.
     assert_eq!(rig.write(82, 4, "0x05"), WRITTEN);
     refused(&mut rig, "Busy", SAYS);
     assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
@@ -384,7 +384,7 @@ fn a_learning_cycle_is_not_ended_by_accident() {
 }
 
 #[test]
-fn a_learning_cycle_is_ended_by_who_wants_to() {
+fn a_learning_cycle_can_be_ended_on_request() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     let limits = Limits { allow_learning: true, ..Limits::default() };
@@ -392,9 +392,9 @@ fn a_learning_cycle_is_ended_by_who_wants_to() {
     assert_eq!(write(&mut rig), WRITTEN);
 }
 
-/// Update Status among other parameters, as in a golden image, is no wish to end the cycle.
+/// A transaction that contains Update Status among other parameters, as a golden image does, does not end the cycle.
 #[test]
-fn a_golden_image_waits_for_the_cycle() {
+fn a_golden_image_is_refused_during_a_learning_cycle() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     let before = rig.sim.flash();
@@ -404,11 +404,11 @@ fn a_golden_image_waits_for_the_cycle() {
     assert!(rig.sim.flash() == before);
 }
 
-/// On a RAM gauge Update Status stands in data memory only, and the host begins and ends the cycle there.
+/// On a RAM gauge Update Status is in data memory only, and the host begins and ends the cycle there.
 #[test]
-fn a_learning_cycle_of_a_ram_gauge() {
+fn a_write_during_a_learning_cycle_of_a_ram_gauge_is_refused() {
     for chip in ["bq27441-g1", "bq27427"] {
-        // [VOK], which the simulated ones do not set. Bit 7 of Update Status seals the gauge.
+        // [VOK] is forced, because the simulated gauges do not set it. Bit 7 of Update Status seals the gauge.
         let mut rig = Rig::tampered(chip, |asked, at, read| {
             if (asked, at) == (0, 0) {
                 read[0] |= 0x02;
@@ -421,13 +421,13 @@ fn a_learning_cycle_of_a_ram_gauge() {
     }
 }
 
-/// The promise of what a write costs holds for a pack in service too, where Impedance Track runs.
+/// The documented number of transfers also applies to a pack in service, in which Impedance Track runs.
 #[test]
-fn a_write_to_a_pack_in_service_costs_no_more() {
+fn a_write_to_a_pack_in_service_needs_no_more_transfers() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
     assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
-    // As after the mount.
+    // The state after mounting.
     rig.dataflash = DataFlash::default();
     rig.meet();
     rig.dataflash.polled(rig.gauge.chip, |code| (code == 0x28).then_some(1));
@@ -444,9 +444,9 @@ fn a_write_to_a_pack_in_service_costs_no_more() {
     assert!(transfers <= 32 && bytes <= 260, "found UNSEALED: {transfers} transfers, {bytes} bytes");
 }
 
-/// What the engine takes for granted of the tables.
+/// Properties of the tables on which the engine relies.
 #[test]
-fn the_tables_can_be_looked_at() {
+fn the_tables_have_what_the_checks_need() {
     for chip in CHIPS {
         let name = chip.name;
         let near =
@@ -498,7 +498,7 @@ fn count(rig: &Rig, wanted: &str) -> u64 {
 }
 
 #[test]
-fn a_script_that_runs_wild_is_stopped_before_the_gauge_is_touched() {
+fn writes_over_the_hourly_limit_are_refused_before_any_transfer() {
     let mut rig = limited("bq34z100-g1", 3);
     for text in ["3001", "3002", "3003"] {
         assert_eq!(rig.write(80, 53, text), WRITTEN);
@@ -522,7 +522,7 @@ fn a_script_that_runs_wild_is_stopped_before_the_gauge_is_touched() {
 }
 
 #[test]
-fn what_is_there_already_does_not_wear() {
+fn unchanged_values_do_not_count_as_wear() {
     let mut rig = limited("bq34z100-g1", 1);
     for _ in 0..5 {
         assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
@@ -537,9 +537,9 @@ fn what_is_there_already_does_not_wear() {
     assert_eq!(cause(&rig.write(80, 53, "3002").expect_err("one an hour")), "NotNow");
 }
 
-/// All or none: a golden image is not stopped half-way, and what it took is counted after it.
+/// A golden image is not stopped half-way by the limit; its blocks are counted afterwards.
 #[test]
-fn a_transaction_passes_as_a_whole() {
+fn a_transaction_is_not_stopped_half_way_by_the_limit() {
     let mut rig = limited("bq34z100-g1", 2);
     let changes = [(80, 53, "3100"), (48, 11, "2200"), (36, 0, "110"), (58, 3, "0x5a")];
     let changes = changes.map(|(subclass, offset, text)| rig.change(subclass, offset, text));
@@ -549,9 +549,9 @@ fn a_transaction_passes_as_a_whole() {
     assert!(error.to_string().contains("4 blocks"), "{error}");
 }
 
-/// What is put back wears as well, and is never refused.
+/// Blocks that are put back wear the flash as well, so they count, but they are never refused.
 #[test]
-fn a_rollback_counts_and_is_not_refused() {
+fn a_rollback_counts_but_is_never_refused() {
     let mut rig = limited("bq34z100-g1", 1);
     rig.sim.set("fault", "corrupt-commit").expect("a fault");
     let before = rig.sim.flash();
@@ -563,7 +563,7 @@ fn a_rollback_counts_and_is_not_refused() {
 }
 
 #[test]
-fn ram_does_not_wear_and_0_is_no_limit() {
+fn ram_has_no_limit_and_0_means_no_limit() {
     let mut rig = limited("bq27441-g1", 1);
     for text in ["1001", "1002", "1003"] {
         assert_eq!(rig.write(82, 10, text), WRITTEN);

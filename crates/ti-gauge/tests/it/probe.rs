@@ -1,4 +1,4 @@
-//! Finding a gauge on a bus: what is asked of what, and what is left alone.
+//! Finding a gauge on a bus: which transfers each device gets, and which devices are never written.
 
 use std::sync::{Arc, Mutex};
 
@@ -11,7 +11,7 @@ use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, check, find, identify};
 
-/// An EEPROM: a pointer, bytes, and no patience for writes.
+/// An EEPROM with an address pointer, which must not be written.
 struct Eeprom(u8);
 
 impl Bus for Eeprom {
@@ -23,7 +23,7 @@ impl Bus for Eeprom {
 }
 
 #[test]
-fn an_eeprom_is_read_and_left_alone() {
+fn an_eeprom_is_read_but_never_written() {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     for byte in [0x00, 0x41, 0xff] {
         let open = || Ok(Box::new(Eeprom(byte)) as Box<dyn Bus>);
@@ -36,7 +36,7 @@ fn an_eeprom_is_read_and_left_alone() {
 }
 
 #[test]
-fn each_simulated_gauge_is_found_by_asking_it() {
+fn each_simulated_gauge_is_identified() {
     for chip in CHIPS {
         let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
         let Ok(sim) = Sim::new(chip.name, &Options::default(), clock.clone()) else { continue };
@@ -48,7 +48,7 @@ fn each_simulated_gauge_is_found_by_asking_it() {
     }
 }
 
-/// A gauge that answers as its sibling does, and takes down which questions were put to it.
+/// A gauge that answers as one of the siblings, and records the subcommands that it gets.
 struct Sister {
     inner: Box<dyn Bus>,
     sibling: &'static Sibling,
@@ -82,9 +82,9 @@ impl Bus for Sister {
 }
 
 #[test]
-fn each_sibling_is_named_and_asked_for_its_name_only() {
+fn each_sibling_is_identified_and_only_its_type_is_requested() {
     for sibling in SIBLINGS {
-        // Those without a chip that they are like: what has the registers of their time.
+        // Siblings that resemble no supported chip get a gauge with registers of the same generation.
         let chip = match (sibling.like, sibling.identity.device_type) {
             (Some(like), _) => like,
             (None, 0x0520) => Chip::by_name("bq27520-g3").expect("a chip"),
@@ -129,7 +129,7 @@ fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
     clock.sleep(std::time::Duration::from_secs(1));
     let mut rom = sim.bus_at(ROM_ADDRESS);
     assert_eq!(answers_in_rom(&mut rom), Ok(false));
-    // FULL ACCESS with the manual's keys, then told to go there, as a flash programmer does.
+    // FULL ACCESS with the manual's keys, then the subcommand for ROM mode, as a flash programmer sends it.
     for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
         let [low, high] = word.to_le_bytes();
         sim.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");
@@ -143,7 +143,7 @@ fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
 }
 
 #[test]
-fn an_empty_address_is_told_as_such() {
+fn an_empty_address_is_reported() {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
     let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);

@@ -30,14 +30,14 @@ impl Rig {
         sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
         let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
-        // A gauge answers some 250 ms after power-up.
+        // A gauge answers about 250 ms after power-up.
         clock.sleep(Duration::from_secs(1));
-        // As after the first poll.
+        // The state after the first poll.
         gauge.seal().expect("the gauge answers");
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 
-    /// One that is found in that seal state.
+    /// A gauge that is found in the given seal state.
     pub(crate) fn found(chip: &str, found: Seal) -> Self {
         let mut rig = Self::new(chip);
         if found != Seal::Sealed {
@@ -46,14 +46,14 @@ impl Rig {
         rig
     }
 
-    /// A parameter and what it belongs to; with `FLAT` and an address on a part without subclasses.
+    /// A parameter and its subclass; on a part without subclasses, `FLAT` and an address.
     fn find(&self, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
         let mut alike = self.gauge.chip.subclasses.iter().filter(|row| row.id == subclass);
         let found = alike.find_map(|row| Some((row, row.parameter(offset)?)));
         found.expect("a parameter of the table")
     }
 
-    /// A change as `echo text > df/subclass/offset` asks for it.
+    /// The change that `echo text > df/subclass/offset` requests.
     pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
         let (subclass, parameter) = self.find(subclass, offset);
         let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
@@ -84,13 +84,13 @@ impl Rig {
         (find("transfers"), find("bytes"))
     }
 
-    /// What has passed on the wire since the log was last cleared, a line each.
+    /// The transfers since the log was last cleared, one per line.
     pub(crate) fn log(&self) -> Vec<String> {
         self.sim.log().iter().map(ToString::to_string).collect()
     }
 }
 
-/// The name of what went wrong.
+/// The name of the error's cause.
 pub(crate) fn cause(error: &Error) -> &'static str {
     match error.cause() {
         Cause::Invalid(_) => "Invalid",

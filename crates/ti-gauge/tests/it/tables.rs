@@ -1,4 +1,4 @@
-//! The tables of all chips: whole, free of overlaps, and as the manuals print them.
+//! The tables of all chips: complete, free of overlaps, and as in the manuals.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Debug;
@@ -13,7 +13,7 @@ use ti_gauge::codec::{self, WINDOW};
 use ti_gauge::gauge::bursts;
 use ti_gauge::value::{Type, Value};
 
-/// Fails with the first item that is there twice.
+/// Fails with the first duplicate.
 #[track_caller]
 fn assert_unique<T: Eq + Hash + Debug>(what: &str, items: impl IntoIterator<Item = T>) {
     let mut seen = HashSet::new();
@@ -64,7 +64,7 @@ fn names_are_unique() {
         assert_unique("subcommand", chip.subcommands.iter().map(|subcommand| subcommand.name));
         assert_unique("subcommand word", chip.subcommands.iter().map(|one| snake_case(one.name)));
         assert_unique("role", chip.registers.iter().filter_map(|register| register.role));
-        // One by one or all of one address space, as the access scheme has it.
+        // All by subclass, or all in one flat address space, depending on the access scheme.
         if chip.access.scheme == Scheme::Mac {
             assert!(chip.subclasses.iter().all(|subclass| subclass.id == FLAT), "{}", chip.name);
         } else {
@@ -99,7 +99,7 @@ fn registers_are_in_order_and_do_not_overlap() {
 }
 
 #[test]
-fn every_role_that_a_power_supply_needs_is_there() {
+fn every_role_that_a_power_supply_needs_is_present() {
     for chip in CHIPS {
         for role in [Role::VoltageNow, Role::Temp] {
             assert!(chip.register(role).is_some(), "{} lacks {role:?}", chip.name);
@@ -147,16 +147,16 @@ fn a_primary_cell_is_never_charged_or_full() {
 }
 
 #[test]
-fn a_poll_takes_the_bursts_that_it_should() {
+fn a_poll_reads_the_expected_bursts() {
     for chip in CHIPS {
         let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
             "bq27441-g1" | "bq27421-g1" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
-            // Two bytes of 0x06 to 0x19 are read for nothing, and none of the rest; the 16 bytes between would
-            // cost more than the three of a transfer.
+            // Two bytes between 0x06 and 0x19 are read without need. The gap of 16 bytes is not read, because
+            // it would cost more than the three bytes of another transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
-            // No byte is read for nothing.
+            // No byte is read without need.
             "bq35100" => (&[(0x02, 0x0C), (0x2E, 1)], 19),
             name => panic!("{name} has no bursts listed here"),
         };
@@ -172,7 +172,7 @@ fn a_poll_takes_the_bursts_that_it_should() {
 }
 
 #[test]
-fn bits_are_single_named_once_and_inside_their_word() {
+fn bits_are_single_uniquely_named_and_inside_their_word() {
     fn check(at: &str, bits: &[Bit], size: usize) {
         assert_unique(at, bits.iter().map(|bit| bit.name));
         assert_unique(at, bits.iter().map(|bit| bit.mask));
@@ -214,7 +214,7 @@ fn bits_are_single_named_once_and_inside_their_word() {
 }
 
 #[test]
-fn bits_without_a_name_keep_their_value() {
+fn unnamed_bits_are_reserved() {
     for (_, parameter, at) in CHIPS.iter().copied().flat_map(parameters) {
         if parameter.bits.is_empty() {
             continue;
@@ -240,8 +240,8 @@ fn no_subcommand_that_may_be_sent_is_dangerous() {
             if harmful.contains(&subcommand.code) || keys.contains(&subcommand.code) {
                 assert_eq!(subcommand.effect, Effect::Never, "{at}");
             }
-            // What is sent again because its acknowledgement was lost must not undo itself, and an answer
-            // must not be a key.
+            // A subcommand may be repeated after a lost acknowledgement, so it must not toggle; and its answer
+            // must not contain a key.
             if subcommand.name.contains("TOGGLE") || subcommand.name.contains("KEY") {
                 assert_eq!(subcommand.effect, Effect::Guarded, "{at}");
             }
@@ -260,7 +260,7 @@ fn parameters_are_in_order_inside_their_subclass_and_do_not_overlap() {
             assert!(!subclass.parameters.is_empty(), "{} {} is empty", chip.name, subclass.id);
             assert!(subclass.length > 0, "{} {}", chip.name, subclass.id);
         }
-        // Groups of a flat address space have one id, so that they are held apart as well.
+        // All groups of a flat address space have the same id, so they are compared with each other as well.
         let mut last: Option<(u8, usize)> = None;
         for (subclass, parameter, at) in parameters(chip) {
             let start = usize::from(parameter.offset);
@@ -285,9 +285,9 @@ fn flat_groups_end_with_their_last_parameter_and_lie_in_data_flash() {
         let last = subclass.parameters.last().expect("not empty");
         let end = last.offset + last.kind.size() as u16;
         assert_eq!(subclass.start() + subclass.length, end, "{}", subclass.name);
-        // Elsewhere in the same 16 bits are subcommands.
+        // The other addresses in these 16 bits are subcommands.
         assert!(subclass.start() >= 0x4000 && end <= 0x4400, "{}", subclass.name);
-        // What lies between two parameters is read for nothing, and no more than a window of it.
+        // Gaps between parameters are read without need, so they must not be larger than one window.
         for pair in subclass.parameters.windows(2) {
             let gap = usize::from(pair[1].offset - pair[0].offset) - pair[0].kind.size();
             assert!(gap < WINDOW, "{}: {gap} bytes before {}", subclass.name, pair[1].name);
@@ -295,7 +295,7 @@ fn flat_groups_end_with_their_last_parameter_and_lie_in_data_flash() {
     }
 }
 
-/// The bytes of a parameter's default, where it has one.
+/// The bytes of a parameter's default, if it has one.
 fn default_bytes(parameter: &Parameter) -> Option<Vec<u8>> {
     let value = match &parameter.range {
         Range::Int { default, .. } => Value::Int((*default)?),
@@ -306,7 +306,7 @@ fn default_bytes(parameter: &Parameter) -> Option<Vec<u8>> {
 }
 
 #[test]
-fn a_signature_is_a_row_that_fits_and_no_key() {
+fn a_signature_is_an_existing_parameter_and_not_a_key() {
     for chip in CHIPS {
         for signature in chip.signature {
             let at = format!("{} {}/0x{:04x}", chip.name, signature.subclass, signature.offset);
@@ -335,9 +335,9 @@ fn fits(signature: &Signature, bytes: &[u8]) -> bool {
     (signature.min..=signature.max).contains(&value)
 }
 
-/// Owners of the parts with a flat address space met data flash in which rows stood one address lower.
+/// Owners of parts with a flat address space have found parameters one address lower than documented.
 #[test]
-fn a_signature_tells_a_flat_map_that_is_off_by_one() {
+fn a_signature_detects_a_flat_map_that_is_off_by_one() {
     let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme == Scheme::Mac);
     for chip in flat {
         let mut told = 0;
@@ -400,7 +400,7 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
 }
 
 #[test]
-fn no_key_has_a_default_to_show() {
+fn keys_have_no_default() {
     let keys = CHIPS.iter().copied().flat_map(parameters).filter(|(class, ..)| class.kind == Kind::Security);
     let mut found = 0;
     for (_, parameter, at) in keys {
@@ -414,7 +414,7 @@ fn no_key_has_a_default_to_show() {
 }
 
 #[test]
-fn the_flash_gate_refers_to_parameters_that_are_there() {
+fn the_flash_voltage_check_refers_to_existing_parameters() {
     for chip in CHIPS {
         let Some(gate) = &chip.gate else { continue };
         let limit = chip.parameter(gate.limit.0, gate.limit.1).expect(chip.name);
@@ -428,7 +428,7 @@ fn the_flash_gate_refers_to_parameters_that_are_there() {
 }
 
 #[test]
-fn a_quirk_is_about_a_byte_of_a_parameter() {
+fn a_quirk_refers_to_a_byte_of_a_parameter() {
     for chip in CHIPS {
         for quirk in chip.quirks {
             let at = format!("{} {}/{}", chip.name, quirk.subclass, quirk.offset);
@@ -445,7 +445,7 @@ fn a_quirk_is_about_a_byte_of_a_parameter() {
 }
 
 #[test]
-fn data_memory_that_is_ram_says_when_it_is_lost() {
+fn ram_data_memory_has_a_bit_that_reports_its_loss() {
     for chip in CHIPS {
         let Some(lost) = chip.volatile else {
             assert_ne!(chip.access.scheme, Scheme::CfgUpdate, "{}", chip.name);
@@ -459,14 +459,14 @@ fn data_memory_that_is_ram_says_when_it_is_lost() {
 }
 
 #[test]
-fn no_sibling_answers_like_a_chip() {
+fn no_sibling_has_the_identity_of_a_chip() {
     assert_unique("sibling", SIBLINGS.iter().map(|sibling| sibling.name));
     for chip in CHIPS {
         let Identity { device_type, hardware, dm_codes, .. } = chip.identity;
         // A table without firmware versions takes any.
         let firmware = chip.identity.firmware;
         for &firmware_version in if firmware.is_empty() { &[0xeeee] } else { firmware } {
-            // A code that no part claims stands for a part that names none.
+            // A code that no chip has stands for a sibling without a code of its own.
             for dm_code in if dm_codes.is_empty() { &[0xee] } else { dm_codes } {
                 let answers = Answers {
                     device_type,
@@ -483,7 +483,7 @@ fn no_sibling_answers_like_a_chip() {
 }
 
 #[test]
-fn waits_are_those_that_a_gauge_needs() {
+fn waits_are_at_least_those_that_a_gauge_needs() {
     for chip in CHIPS {
         assert!(chip.security.key_silence.as_secs() >= 4, "{}", chip.name);
         let access = &chip.access;
@@ -499,7 +499,7 @@ fn waits_are_those_that_a_gauge_needs() {
 }
 
 #[test]
-fn each_chip_has_as_many_rows_as_its_manual() {
+fn each_chip_has_the_number_of_rows_of_its_manual() {
     let counts: BTreeMap<&str, [usize; 6]> = CHIPS
         .iter()
         .map(|chip| {
@@ -511,7 +511,7 @@ fn each_chip_has_as_many_rows_as_its_manual() {
             (chip.name, counts)
         })
         .collect();
-    // Subclasses, parameters, rewritten by the gauge, with safe limits, registers, subcommands.
+    // Subclasses, parameters, parameters that the gauge updates, parameters with safe limits, registers, subcommands.
     let expected = BTreeMap::from([
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
@@ -551,7 +551,7 @@ fn flags(chip: &'static Chip, name: &str) -> String {
     listed(chip.registers.iter().find(|register| register.name == name).unwrap().bits)
 }
 
-/// Safe limits, each with its place.
+/// Safe limits, each with its address.
 fn limits(chip: &'static Chip) -> Vec<String> {
     parameters(chip)
         .filter_map(|(class, parameter, _)| {
@@ -570,7 +570,7 @@ fn unproven(chip: &'static Chip) -> usize {
 }
 
 #[test]
-fn bq34z100_g1_reads_like_table_7_11() {
+fn bq34z100_g1_matches_table_7_11() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(
@@ -605,9 +605,9 @@ Security | Codes | 112 20 H4 | Authen Key0 | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
+fn bq34z100_g1_safe_limits_exclude_values_that_ruin_a_pack() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
-    // The reserved bits of Tables 7-17, 7-18 and 7-22 among them; Table 7-19 has none.
+    // They include the reserved bits of Tables 7-17, 7-18 and 7-22; Table 7-19 has none.
     assert_eq!(
         limits(chip),
         [
@@ -625,7 +625,7 @@ fn bq34z100_g1_keeps_what_would_ruin_a_pack_out_of_reach() {
 }
 
 #[test]
-fn bq34z100_g1_flags_read_like_their_tables() {
+fn bq34z100_g1_flags_match_their_tables() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let register = |name| chip.registers.iter().find(|register| register.name == name).unwrap();
     assert_eq!(
@@ -643,7 +643,7 @@ fn bq34z100_g1_flags_read_like_their_tables() {
 }
 
 #[test]
-fn bq27441_g1_reads_like_tables_4_3_to_6_9() {
+fn bq27441_g1_matches_tables_4_3_to_6_9() {
     let chip = Chip::by_name("bq27441-g1").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 36, 48, 49, 64, 68, 80, 81, 82, 89, 104, 105, 107, 112]);
@@ -691,7 +691,7 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
+fn bq27421_g1_has_the_rows_of_bq27441_g1_and_marks_the_unproven_ones() {
     let rows = |name| {
         let chip = Chip::by_name(name).unwrap();
         let key =
@@ -707,7 +707,7 @@ fn bq27421_g1_has_the_rows_of_its_sister_and_marks_those_nobody_has_written() {
 }
 
 #[test]
-fn bq27427_has_the_state_block_of_the_trace() {
+fn bq27427_has_the_state_block_of_a_recorded_trace() {
     let chip = Chip::by_name("bq27427").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 36, 49, 64, 68, 80, 81, 82, 89, 109, 104, 105, 107, 112]);
@@ -740,8 +740,8 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
             "82/6 at least 1",
         ]
     );
-    // As a part had it in ROM, complete, with the checksum it gave: the defaults of the table and two
-    // words without a name make the same sum.
+    // The whole block as recorded from a part's ROM, with its checksum: the defaults of the table and two
+    // undocumented words give the same checksum.
     let state = chip.subclass(82).unwrap();
     let mut block = [0_u8; 32];
     block[12..16].copy_from_slice(&[0x00, 0xC8, 0x00, 0x32]);
@@ -754,7 +754,7 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
 }
 
 #[test]
-fn bq27520_g3_has_what_drivers_agree_on_and_marks_the_rest() {
+fn bq27520_g3_matches_published_drivers_and_marks_the_rest_unproven() {
     let chip = Chip::by_name("bq27520-g3").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
     assert_eq!(ids, [2, 32, 34, 36, 48, 49, 57, 64, 68, 80, 81, 87, 88, 91, 92, 93, 94, 104, 107, 112]);
@@ -806,7 +806,7 @@ Security | Codes | 112 6 H2 | Full-Access Key 1 | 0 65535 ? | hex
 }
 
 #[test]
-fn two_classes_of_one_name_get_the_manuals_class_in_front() {
+fn equal_class_names_are_prefixed_with_the_manuals_class() {
     let chip = Chip::by_name("bq34z100-g1").unwrap();
     let dir = |id| chip.class_dir(chip.subclass(id).unwrap());
     assert_eq!(dir(48), "configuration-data");
@@ -816,7 +816,7 @@ fn two_classes_of_one_name_get_the_manuals_class_in_front() {
 }
 
 #[test]
-fn bq34110_reads_like_what_its_drivers_agree_on() {
+fn bq34110_matches_published_drivers() {
     let chip = Chip::by_name("bq34110").unwrap();
     // 16384 is 0x4000. Design Capacity's address and byte order are those of E2E 797502.
     let golden = "\
@@ -841,7 +841,7 @@ Gas Gauging | CEDV Config | 0 17054 U1 | RemCap Init Percent | 0 100 ? | %
 }
 
 #[test]
-fn bq35100_reads_like_its_documents() {
+fn bq35100_matches_its_documents() {
     let chip = Chip::by_name("bq35100").unwrap();
     // 16817 is 0x41B1, the address of SLUA790's example; SLUUBH1C chapters 7 and 8; SLUAAL7, section 7.
     let golden = "\
@@ -867,7 +867,7 @@ Accumulator Table | Table1 | 0 17144 I4 | Table1 Fractional Part 8 | -2147483648
 }
 
 #[test]
-fn bq34110_and_bq35100_flags_read_like_their_sources() {
+fn bq34110_and_bq35100_flags_match_their_sources() {
     let bits = |chip: &str, name| {
         let register = Chip::by_name(chip).unwrap().registers.iter().find(|one| one.name == name);
         listed(register.unwrap().bits)
@@ -891,7 +891,7 @@ fn bq34110_and_bq35100_flags_read_like_their_sources() {
 }
 
 #[test]
-fn flat_groups_of_one_name_get_their_class_in_front() {
+fn equal_names_of_flat_groups_are_prefixed_with_their_class() {
     let chip = Chip::by_name("bq35100").unwrap();
     let dirs: Vec<String> = chip.subclasses.iter().map(|class| chip.class_dir(class)).collect();
     for name in ["calibration-data", "configuration-data", "lifetime-data", "registers", "values", "table0"] {

@@ -1,4 +1,4 @@
-//! The write transaction against the simulated gauge: its bytes on the wire, its cost, its refusals.
+//! Write transactions on simulated gauges: the bytes on the wire, the number of transfers, and the refusals.
 
 use std::time::Duration;
 
@@ -22,14 +22,14 @@ fn spent(rig: &mut Rig, run: impl FnOnce(&mut Rig)) -> (u64, u64) {
 }
 
 #[test]
-fn a_value_is_stored_and_the_gauge_sealed_again() {
+fn a_value_is_stored_and_the_gauge_is_sealed_again() {
     let mut rig = Rig::new("bq34z100-g1");
     assert_eq!(rig.seal(), Seal::Sealed);
     assert_eq!(rig.read(80, 53), Ok(vec![0x0b, 0xb8]));
     assert_eq!(rig.write(80, 53, "3100"), Ok(WRITTEN));
     assert_eq!(rig.seal(), Seal::Sealed);
     assert_eq!(rig.read(80, 53), Ok(vec![0x0c, 0x1c]));
-    // Power off and on: flash, not the window's buffer.
+    // A power cycle shows that the value is in flash, and not only in the window's buffer.
     rig.sim.set("power", "off").expect("a knob");
     rig.sim.set("power", "on").expect("a knob");
     gauge_bus::clock::Clock::sleep(&*rig.clock, Duration::from_secs(1));
@@ -38,7 +38,7 @@ fn a_value_is_stored_and_the_gauge_sealed_again() {
 
 /// SLUSBZ5D 7.3.3.1 with byte-wise writes: the order and the bytes of the manual's own example, VOLTSEL.
 #[test]
-fn the_bytes_are_those_of_the_manuals_example() {
+fn the_bytes_on_the_wire_match_the_manuals_example() {
     let mut rig = Rig::with("bq34z100-g1", Keys::default(), true);
     rig.read(64, 0).expect("the gate is known from here on");
     rig.sim.clear_log();
@@ -71,7 +71,7 @@ fn the_bytes_are_those_of_the_manuals_example() {
 }
 
 #[test]
-fn a_write_costs_no_more_than_promised() {
+fn a_write_needs_no_more_transfers_than_documented() {
     let mut rig = Rig::new("bq34z100-g1");
     let (transfers, bytes) = spent(&mut rig, |rig| assert_eq!(rig.write(80, 53, "3100"), Ok(WRITTEN)));
     assert!(transfers <= 40 && bytes <= 300, "found SEALED: {transfers} transfers, {bytes} bytes");
@@ -82,7 +82,7 @@ fn a_write_costs_no_more_than_promised() {
 }
 
 #[test]
-fn an_unchanged_value_costs_no_flash_write() {
+fn an_unchanged_value_is_not_programmed() {
     let mut rig = Rig::new("bq34z100-g1");
     let before = rig.sim.get("wear");
     assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
@@ -97,16 +97,16 @@ fn a_class_that_is_only_stored_needs_no_reset() {
     assert_eq!(rig.read(58, 3), Ok(vec![0x5a]));
 }
 
-/// Device Name stands across two blocks: both are programmed, one reset.
+/// Device Name spans two blocks: both are programmed, with one reset.
 #[test]
-fn a_string_across_two_blocks() {
+fn a_string_across_two_blocks_programs_both() {
     let mut rig = Rig::new("bq34z100-g1");
     assert_eq!(rig.write(48, 31, "My Pack"), Ok(WRITTEN));
     assert_eq!(rig.read(48, 31), Ok(b"\x07My Pack\0\0\0\0".to_vec()));
     assert_eq!(rig.read(48, 43), Ok(b"\x0bTexas Inst.".to_vec()));
 }
 
-/// Every refusal leaves data flash as it was, bit for bit, and the gauge sealed.
+/// Every refusal leaves data flash unchanged and the gauge sealed.
 #[test]
 fn refusals_change_nothing() {
     type Set = fn(&mut Rig);
@@ -147,10 +147,10 @@ fn without_a_key_a_sealed_gauge_stays_sealed() {
     }
 }
 
-/// Acknowledged and not stored, stored wrongly, and a checksum that came through damaged: three errors,
-/// each seen, and the old value back.
+/// A value that is acknowledged but not stored, one that is stored wrongly, and a damaged checksum: each is
+/// detected, and the old value is put back.
 #[test]
-fn what_the_gauge_did_not_store_is_seen() {
+fn a_value_that_was_not_stored_is_detected() {
     for (fault, says) in [("drop-commit", "stored nothing"), ("corrupt-commit", "wrote 0x")] {
         let mut rig = Rig::new("bq34z100-g1");
         let before = rig.sim.flash();
@@ -164,10 +164,10 @@ fn what_the_gauge_did_not_store_is_seen() {
     }
 }
 
-/// Design Capacity of each part with its own table, at its own place: stored, sealed again, and no mode
-/// left on.
+/// Design Capacity of each chip is stored at its own address, the gauge is sealed again, and no mode is left
+/// on.
 #[test]
-fn every_part_takes_its_design_capacity() {
+fn design_capacity_can_be_written_on_every_part() {
     for (chip, at, text) in [
         ("bq27520-g3", (48, 10), "1200"),
         ("bq27441-g1", (82, 10), "1200"),
@@ -189,7 +189,7 @@ fn every_part_takes_its_design_capacity() {
 
 /// SLUA790 section 3 through the engine: the bytes that set Operation Config A to the end-of-service mode.
 #[test]
-fn a_flat_part_gets_the_bytes_of_its_example() {
+fn on_a_flat_part_the_bytes_match_slua790() {
     let mut rig = Rig::new("bq35100");
     assert_eq!(rig.read(FLAT, 0x41B1), Ok(vec![0x80]));
     rig.sim.clear_log();
@@ -201,9 +201,9 @@ fn a_flat_part_gets_the_bytes_of_its_example() {
     assert_eq!(rig.read(FLAT, 0x41B1), Ok(vec![0x82]));
 }
 
-/// The same byte by byte: the sum still comes before the length.
+/// The same, byte by byte: the checksum is still written before the length.
 #[test]
-fn a_flat_part_takes_single_bytes() {
+fn a_flat_part_can_be_written_byte_by_byte() {
     let mut rig = Rig::with("bq34110", Keys::default(), true);
     assert_eq!(rig.write(FLAT, 0x41F5, "6000"), Ok(STORED));
     let sent = rig.log();
@@ -243,10 +243,10 @@ fn flat_parts_store_refuse_and_seal() {
     }
 }
 
-/// A window that is ready late shows the block before it, or a blank one, with a valid checksum. Believed, it
-/// was written back over the block that was meant.
+/// A window that is ready late shows the previous block, or a blank one, with a valid checksum. These bytes
+/// must not be written into the requested block.
 #[test]
-fn regression_a_block_that_is_ready_late_is_not_destroyed() {
+fn regression_a_block_that_is_ready_late_is_not_overwritten() {
     for chip in ["bq34z100-g1", "bq27520-g3", "bq27441-g1"] {
         for ready in ["0", "9", "10", "15", "20", "25", "30"] {
             for text in ["2200", "1500"] {
@@ -270,9 +270,9 @@ fn regression_a_block_that_is_ready_late_is_not_destroyed() {
     }
 }
 
-/// A part that fetches slowly: what is written before it has is lost to it.
+/// On a part that loads a block slowly, bytes that are written too early are lost.
 #[test]
-fn a_slow_flat_part_is_waited_for() {
+fn a_write_waits_for_a_slow_flat_part() {
     for (chip, at) in [("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
         for (load, ok) in [("4", true), ("200", false)] {
             let mut rig = Rig::new(chip);
@@ -283,9 +283,9 @@ fn a_slow_flat_part_is_waited_for() {
     }
 }
 
-/// Owners found data flash one byte lower than printed: nothing is written there.
+/// A part whose data flash is one byte lower than documented, as owners have found, is not written.
 #[test]
-fn a_shifted_part_is_left_alone() {
+fn a_part_with_shifted_data_flash_is_not_written() {
     for (chip, at) in [("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
         let mut rig = Rig::new(chip);
         rig.sim.set("df_shift", "1").expect("a knob");
@@ -308,11 +308,11 @@ fn flat_parts_go_to_full_access_and_back() {
     }
 }
 
-/// Regression: on a flat part, whose windows overlap, values in descending order failed to verify (EIO).
-/// A golden image that changes every block, whatever order its values come in, has its answer long before
-/// write(2) must have one: with the waits of each part, on its own clock.
+/// Regression test: on a flat part, whose windows overlap, values in descending order failed to verify (EIO).
+/// A golden image that changes every block, in any order of its values, is finished well within the 30 s after
+/// which write(2) must return. Time is simulated, with the waits of each part.
 #[test]
-fn a_whole_image_is_written_in_time() {
+fn a_whole_image_is_written_within_30_s() {
     for chip in ti_gauge::chip::CHIPS {
         for reversed in [false, true] {
             let mut rig = Rig::new(chip.name);
