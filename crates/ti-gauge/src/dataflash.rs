@@ -234,7 +234,7 @@ impl DataFlash {
         let (mut touched, mut finished) = (0, false);
         let forward = dirty.iter().try_for_each(|block| {
             if !in_window && sequence(gauge).fills_window() {
-                sequence(gauge).load(gauge, block.place)?;
+                sequence(gauge).reload(gauge, block.place, &block.old)?;
             }
             store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
         });

@@ -18,6 +18,9 @@ pub(super) trait Sequence {
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
     /// Loads a block into the window, reads all of it and verifies its checksum.
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
+    /// Loads a block whose content is known into the window again. One reading that agrees with `known` is enough:
+    /// it is the second one.
+    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()>;
     /// Loads a block into the window and reads some of its bytes.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent

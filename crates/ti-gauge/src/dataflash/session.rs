@@ -97,7 +97,7 @@ impl Session {
         }
         self.begin(gauge)?;
         if sequence(gauge).fills_window() {
-            sequence(gauge).load(gauge, block.place)?;
+            sequence(gauge).reload(gauge, block.place, &present)?;
         }
         let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
         store(gauge, &back, &mut 0)

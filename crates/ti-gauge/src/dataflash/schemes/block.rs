@@ -57,6 +57,14 @@ impl Sequence for Block {
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
+    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()> {
+        select(gauge, place)?;
+        match read_window(gauge, place) {
+            Ok((window, true)) if window == *known => Ok(()),
+            _ => self.load(gauge, place).map(drop),
+        }
+    }
+
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         select(gauge, place)?;
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))

@@ -42,6 +42,10 @@ impl Sequence for CfgUpdate {
         Block.load(gauge, place)
     }
 
+    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()> {
+        Block.reload(gauge, place, known)
+    }
+
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         Block.read_part(gauge, place, at, into)
     }

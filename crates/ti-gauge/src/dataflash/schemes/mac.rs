@@ -39,6 +39,10 @@ impl Sequence for Mac {
         outcome
     }
 
+    fn reload(&self, gauge: &mut Gauge, place: Window, _: &[u8; WINDOW]) -> Result<()> {
+        self.load(gauge, place).map(drop)
+    }
+
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         let window = self.load(gauge, place)?;
         into.copy_from_slice(&window[at..at + into.len()]);
