@@ -96,6 +96,35 @@ fn encode_f4(value: f64) -> Option<[u8; 4]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    /// Every type that a table may name, with bytes of its size.
+    fn stored() -> impl Strategy<Value = (Type, Vec<u8>)> {
+        let size = || prop::sample::select(vec![1u8, 2, 4]);
+        let kind = prop_oneof![
+            size().prop_map(Type::I),
+            size().prop_map(Type::U),
+            size().prop_map(Type::H),
+            Just(Type::F4),
+            (1u8..=32).prop_map(Type::S),
+        ];
+        kind.prop_flat_map(|kind| (Just(kind), prop::collection::vec(any::<u8>(), kind.size())))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 2048, failure_persistence: None, ..ProptestConfig::default() })]
+
+        /// Of a string, the bytes after its end may change.
+        #[test]
+        fn what_is_decoded_encodes_to_the_same_value((kind, bytes) in stored()) {
+            let value = decode(kind, &bytes);
+            let again = encode(kind, &value).expect("a decoded value fits its type");
+            prop_assert_eq!(decode(kind, &again), value);
+            if !matches!(kind, Type::S(_)) {
+                prop_assert_eq!(again, bytes);
+            }
+        }
+    }
 
     /// Vectors seen on silicon or printed by TI (SLUSBZ5D table 7-12 and TI's forum), and edges.
     #[test]

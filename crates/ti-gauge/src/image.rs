@@ -447,6 +447,8 @@ fn chip_of(
 mod tests {
     use super::*;
     use crate::chip::{Range, Scheme};
+    use proptest::prelude::*;
+    use proptest::sample::Index;
 
     /// What a gauge would hold with the manual's defaults.
     pub(super) fn defaults(chip: &'static Chip) -> Image {
@@ -545,30 +547,27 @@ mod tests {
     /// Whatever a file holds, it is an image or an error.
     #[test]
     fn garbage_is_refused_without_a_panic() {
-        let mut seed = 1u64;
-        let mut random = move |below: usize| {
-            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (seed >> 33) as usize % below
-        };
-        for chip in [CHIPS[0], CHIPS[2], CHIPS[5]] {
-            for format in FORMATS {
-                let whole = written(&defaults(chip), format).into_bytes();
-                for _ in 0..50 {
-                    let mut bytes = whole.clone();
-                    for _ in 0..=random(4) {
-                        let at = random(bytes.len());
-                        let letters = b"\n\r\t ;:*=[]#\",.0xfFWCX-\xff\x00e9";
-                        bytes[at] = letters[random(letters.len())];
-                    }
-                    if random(3) == 0 {
-                        bytes.truncate(random(whole.len()));
-                    }
-                    let text = String::from_utf8_lossy(&bytes);
-                    let _ = Image::parse(&text, None);
-                    let _ = Image::parse(&text, Some(chip));
-                }
+        let chips = [CHIPS[0], CHIPS[2], CHIPS[5]].into_iter();
+        let whole: Vec<_> = chips
+            .flat_map(|chip| FORMATS.map(|format| (chip, written(&defaults(chip), format).into_bytes())))
+            .collect();
+        let letter = prop::sample::select(b"\n\r\t ;:*=[]#\",.0xfFWCX-\xff\x00e9".to_vec());
+        let edits = prop::collection::vec((any::<Index>(), letter), 1..=4);
+        let end = prop::option::weighted(0.3, any::<Index>());
+        let config = ProptestConfig { cases: 450, failure_persistence: None, ..ProptestConfig::default() };
+        proptest!(config, |(file in prop::sample::select(whole), edits in edits, end in end)| {
+            let (chip, mut bytes) = file;
+            for (at, letter) in edits {
+                let at = at.index(bytes.len());
+                bytes[at] = letter;
             }
-        }
+            if let Some(end) = end {
+                bytes.truncate(end.index(bytes.len()));
+            }
+            let text = String::from_utf8_lossy(&bytes);
+            let _ = Image::parse(&text, None);
+            let _ = Image::parse(&text, Some(chip));
+        });
         for text in ["", "\n", ";", "*", ":", "W:", "X:", "W: AA", "* Field Order:", "[", "\u{feff}"] {
             let _ = Image::parse(text, Some(CHIPS[0]));
         }

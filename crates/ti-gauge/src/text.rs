@@ -133,6 +133,60 @@ pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chip::CHIPS;
+    use proptest::prelude::*;
+
+    fn parameters() -> impl Iterator<Item = &'static Parameter> {
+        CHIPS.iter().flat_map(|chip| chip.subclasses).flat_map(|subclass| subclass.parameters)
+    }
+
+    fn cases(cases: u32) -> ProptestConfig {
+        ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+    }
+
+    #[test]
+    fn every_number_of_every_chip_reads_back_as_it_is_shown() {
+        proptest!(cases(24), |(bytes: [u8; 4], place in 0.0..=1.0)| {
+            for parameter in parameters() {
+                let kind = parameter.kind;
+                if matches!(kind, Type::S(_)) {
+                    continue;
+                }
+                let stored = codec::decode(kind, &bytes[..kind.size()]);
+                let shown = render(kind, &stored);
+                let read = parse_stored(parameter, shown.as_bytes());
+                let read = read.map_err(|error| TestCaseError::fail(error.to_string()))?;
+                prop_assert_eq!(codec::encode(kind, &read), codec::encode(kind, &stored), "{}", parameter.name);
+                if let Range::Int { min, max, .. } = parameter.range {
+                    let value = Value::Int(min + ((max - min) as f64 * place) as i64);
+                    let shown = render(kind, &value);
+                    prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", parameter.name);
+                }
+            }
+        });
+    }
+
+    #[test]
+    fn every_string_of_every_chip_reads_back_as_it_is_shown() {
+        proptest!(cases(64), |(letters in prop::collection::vec(prop::sample::select(b"AZaz09.,:+-_/=@%".to_vec()), 32))| {
+            for parameter in parameters().filter(|parameter| matches!(parameter.kind, Type::S(_))) {
+                let value = Value::Text(letters[..parameter.kind.size() - 1].to_vec());
+                let shown = render(parameter.kind, &value);
+                prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", parameter.name);
+            }
+        });
+    }
+
+    #[test]
+    fn the_shortest_f4_reads_back_to_the_same_bytes() {
+        proptest!(cases(2048), |(bytes: [u8; 4])| {
+            let shown = render(Type::F4, &codec::decode(Type::F4, &bytes));
+            let Ok(Value::Float(read)) = parse_stored(&GAIN, shown.as_bytes()) else {
+                return Err(TestCaseError::fail(format!("{shown} is refused")));
+            };
+            prop_assert_eq!(codec::encode(Type::F4, &Value::Float(read)), Some(bytes.to_vec()), "{}", shown);
+        });
+    }
 
     const VOLTAGE: Parameter =
         Parameter::int(53, Type::I(2), "Cell Terminate Voltage", 1000, 3700, 3000, "mV");
