@@ -433,7 +433,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
         gaugefs(lint).done();
     }
     let chemistry = "tests/it/images/chemistry.gm.fs";
-    gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: a BQ27427 has no subclass 83", "--raw"]);
+    gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: subclass 83 of a BQ27427", "--raw"]);
     let shown = gaugefs(&["import", "--raw", "--dry-run", &gauge, chemistry]).done();
     assert!(shown.starts_with("raw 83/0: - -> 2011"), "{shown}");
     // The mode that writes firmware is always refused.

@@ -209,7 +209,7 @@ impl Keys {
                 let section =
                     section.ok_or_else(|| refuse("expected a gauge's name in brackets, such as [BAT0]"))?;
                 if sections.contains(&section) {
-                    return Err(refuse("this gauge had a section before"));
+                    return Err(refuse("this gauge already has a section"));
                 }
                 sections.push(section);
                 present = Self::default();
@@ -220,10 +220,10 @@ impl Keys {
             };
             let key = Name::ALL.into_iter().find(|known| known.line() == key.trim());
             let key =
-                key.ok_or_else(|| refuse("the name is none of: unseal, full_access, authentication"))?;
+                key.ok_or_else(|| refuse("unknown name; expected unseal, full_access or authentication"))?;
             let secret = Secret::parse(key, value).ok_or_else(|| refuse(key.form()))?;
             if present.secret(key).is_some() {
-                return Err(refuse("this key was given on a line before"));
+                return Err(refuse("this key was already given"));
             }
             present.set(key, &secret);
             match sections.last() {
@@ -324,12 +324,12 @@ mod tests {
         assert_eq!(error("0414beef"), "keys: line 1: not of the form `name = value`");
         assert_eq!(
             error("beef = cafe"),
-            "keys: line 1: the name is none of: unseal, full_access, authentication"
+            "keys: line 1: unknown name; expected unseal, full_access or authentication"
         );
         assert_eq!(error("authentication = 0123"), "keys: line 1: expected 32 hexadecimal digits");
         assert_eq!(
             error("unseal = 1234 5678\nunseal = 1234 5678"),
-            "keys: line 2: this key was given on a line before"
+            "keys: line 2: this key was already given"
         );
         assert_eq!(error("unseal = +123 5678 1"), error("unseal = 1"));
     }
@@ -353,10 +353,10 @@ mod tests {
             ("[BAT0\n", 1, "expected a gauge's name in brackets"),
             ("\n[a/b]", 2, "expected a gauge's name in brackets"),
             ("[]", 1, "expected a gauge's name in brackets"),
-            ("[BAT0]\n[BAT1]\n[BAT0]", 3, "this gauge had a section before"),
+            ("[BAT0]\n[BAT1]\n[BAT0]", 3, "this gauge already has a section"),
             ("[BAT1]\nunseal = 1234", 2, "expected two words"),
-            ("[BAT1]\nunseal = 1234 5678\nunseal = 1234 5678", 3, "this key was given on a line before"),
-            ("[BAT1]\nbeef = 1234", 2, "the name is none of"),
+            ("[BAT1]\nunseal = 1234 5678\nunseal = 1234 5678", 3, "this key was already given"),
+            ("[BAT1]\nbeef = 1234", 2, "unknown name"),
         ] {
             let told = error(text);
             assert!(told.starts_with(&format!("keys: line {line}: {why}")), "{told}");

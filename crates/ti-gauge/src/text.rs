@@ -63,7 +63,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
             }
             if text.len() >= usize::from(size) {
                 let room = size - 1;
-                return Err(invalid(format!("{} characters are too many, {room} fit", text.len())));
+                return Err(invalid(format!("{} characters, but only {room} fit", text.len())));
             }
             Ok(Value::Text(text.into()))
         }

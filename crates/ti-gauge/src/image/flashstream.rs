@@ -70,21 +70,21 @@ fn command(line: &str) -> Result<Command, String> {
     };
     if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
-        return decimal.map(|_| Command::Wait).map_err(|_| "X: wants a number of milliseconds".into());
+        return decimal.map(|_| Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
     }
     if !["W", "C", "R"].iter().any(|known| letter.trim().eq_ignore_ascii_case(known)) {
         return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
     }
     let bytes: Option<Vec<u8>> = rest.split_ascii_whitespace().map(byte).collect();
-    let bytes = bytes.ok_or("bytes are two hexadecimal digits each, with spaces between")?;
+    let bytes = bytes.ok_or("expected bytes of two hexadecimal digits, separated by spaces")?;
     let [address, register, ref data @ ..] = bytes[..] else {
-        return Err("address, register and at least one byte are wanted".into());
+        return Err("expected an address, a register and at least one byte".into());
     };
     if data.is_empty() {
-        return Err("address, register and at least one byte are wanted".into());
+        return Err("expected an address, a register and at least one byte".into());
     }
     if data.len() > LONGEST {
-        return Err(format!("{} bytes, where a row holds {LONGEST} at most", data.len()));
+        return Err(format!("{} bytes, but a row holds at most {LONGEST}", data.len()));
     }
     let bytes = data.to_vec();
     match letter.trim() {
@@ -154,15 +154,15 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
             Command::Write { register: CONTROL | SELECT, bytes, .. }
                 if bytes[..] == ROM_MODE.to_le_bytes() =>
             {
-                let why = "Control(ROM_MODE): what follows writes flash row by row, past the gauge's firmware or over \
-                           it; never done. A .gm.fs or .gg.csv of the same gauge can be read";
+                let why = "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the \
+                           gauge's firmware, which gaugefs never does; use a .gm.fs or .gg.csv of the same gauge";
                 Err(at_line(number, why))
             }
             _ => Ok(()),
         },
         ROM | 0x0b => Err(at_line(
             number,
-            "address 0x16 is the gauge in ROM mode, where its firmware is written; never done",
+            "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware",
         )),
         other => Err(at_line(number, format!("address 0x{other:02x} is not the gauge's, which is AA"))),
     }
@@ -255,7 +255,7 @@ impl Stream {
         let mut bytes = bytes;
         if register == CONTROL || (register == SELECT && self.is_mac()) {
             let [low, high, rest @ ..] = bytes else {
-                return Err("half a word; gaugefs reads words written in one line only".into());
+                return Err("half a word; gaugefs only reads words that are written in one line".into());
             };
             let word = u16::from_le_bytes([*low, *high]);
             if register == SELECT && self.is_flash(word) {
@@ -285,8 +285,8 @@ impl Stream {
                 LENGTH if self.is_mac() => self.commit_mac(line, byte)?,
                 SUM => self.commit_block(line, byte)?,
                 LENGTH if byte == 0 => {}
-                LENGTH => return Err("BlockDataControl() other than 0 does not lead to data flash".into()),
-                _ => return Err(format!("register 0x{register:02x} is none that configures a gauge")),
+                LENGTH => return Err("BlockDataControl() other than 0 does not select data flash".into()),
+                _ => return Err(format!("register 0x{register:02x} does not configure a gauge")),
             }
         }
         Ok(())
@@ -303,7 +303,7 @@ impl Stream {
     fn select(&mut self) -> Result<(), String> {
         if let Some(line) = self.pending {
             return Err(format!(
-                "the bytes of line {line} are not committed before the next block is chosen"
+                "the bytes of line {line} are not committed before the next block is selected"
             ));
         }
         self.window.clear();
@@ -322,7 +322,7 @@ impl Stream {
             let pair = second(rest) || rest.is_empty() && follows;
             if !pair {
                 let model = self.chip.model;
-                return Err(format!("no subcommand of a {model}, and no pair of key words (not shown)"));
+                return Err(format!("neither a subcommand of a {model} nor a pair of key words (not shown)"));
             }
             self.half_key = rest.is_empty();
             self.notes.push(format!("line {line}: key words; an import uses the keys of the mount"));
@@ -348,7 +348,7 @@ impl Stream {
     }
 
     fn commit_block(&mut self, line: usize, sum: u8) -> Result<(), String> {
-        let Some(class) = self.class else { return Err("a checksum before any subclass is chosen".into()) };
+        let Some(class) = self.class else { return Err("a checksum before any subclass is selected".into()) };
         self.pending = None;
         let window = std::mem::take(&mut self.window);
         if window.len() == WINDOW {
@@ -363,7 +363,7 @@ impl Stream {
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
                 let last = (subclass.stored() - 1) / WINDOW as u16;
-                return Err(format!("block {} of subclass {class}, the last of which is {last}", self.block));
+                return Err(format!("block {} of subclass {class}, whose last block is {last}", self.block));
             }
         }
         let start = u16::from(self.block) * WINDOW as u16;
@@ -380,13 +380,13 @@ impl Stream {
         let whole = window.keys().copied().eq(0..window.len() as u8);
         if !whole || usize::from(length) != window.len() + usize::from(OVERHEAD) {
             let want = window.len() + usize::from(OVERHEAD);
-            return Err(format!("MACDataLen() is {length}, where {want} bytes count; a gauge drops them"));
+            return Err(format!("MACDataLen() is {length} instead of {want}; a gauge would discard the bytes"));
         }
         let bytes: Vec<u8> = window.into_values().collect();
         check_sum(self.sum, mac_sum(address, &bytes))?;
         let mut documented = bytes.is_empty();
         for (at, byte) in (0u16..).zip(bytes) {
-            let address = address.checked_add(at).ok_or("behind the last address")?;
+            let address = address.checked_add(at).ok_or("beyond the last address")?;
             let within = |subclass: &&Subclass| {
                 subclass.id == FLAT
                     && address >= subclass.start()
@@ -407,7 +407,7 @@ impl Stream {
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is none that is documented for a {}", self.chip.model))
+        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
     }
 
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
@@ -416,7 +416,7 @@ impl Stream {
         };
         match self.sums.get(&(class, self.block)) {
             Some(sum) if sum != told => {
-                Err(format!("checksum 0x{told:02x} is expected, where the file wrote 0x{sum:02x}"))
+                Err(format!("checksum 0x{told:02x} is expected, but the file wrote 0x{sum:02x}"))
             }
             _ => Ok(()),
         }
@@ -431,7 +431,7 @@ impl Stream {
                     offsets.filter_map(|offset| self.stored.remove(&(subclass.id, offset))).collect();
                 let Some(&(_, line)) = found.first() else { continue };
                 if found.len() < parameter.kind.size() {
-                    return Err(at_line(line, format!("{}: only a part of it is written", parameter.name)));
+                    return Err(at_line(line, format!("{}: only part of it is written", parameter.name)));
                 }
                 let bytes: Vec<u8> = found.iter().map(|(byte, _)| *byte).collect();
                 image.add(subclass, parameter, codec::decode(parameter.kind, &bytes), line);
@@ -453,7 +453,7 @@ fn check_sum(told: u8, sum: u8) -> Result<(), String> {
     if told == sum {
         return Ok(());
     }
-    Err(format!("checksum 0x{told:02x}, where the bytes add up to 0x{sum:02x}; a gauge drops them"))
+    Err(format!("checksum 0x{told:02x}, but the bytes give 0x{sum:02x}; a gauge would discard them"))
 }
 
 /// MACDataSum(): the complement of the sum of address and data.
@@ -581,7 +581,7 @@ mod tests {
         assert_eq!(places, [("raw 68/0".into(), 7, 14), ("raw 68/11".into(), 21, 14)]);
         assert_eq!(
             image.undocumented(),
-            "line 14: 28 bytes of subclass 68 without a parameter; refused where a gauge has others\n"
+            "line 14: 28 undocumented bytes of subclass 68; refused if the gauge has other values\n"
         );
     }
 
@@ -598,7 +598,7 @@ mod tests {
             why.map(|why| why.map(|why| why.to_string())).collect()
         };
         let why = |line| {
-            format!("line {line}: a BQ27427 has no subclass 83 that is documented; --raw takes its bytes")
+            format!("line {line}: subclass 83 of a BQ27427 is undocumented; write its bytes with --raw")
         };
         assert_eq!(told(false), [Some(why(3)), Some(why(7))]);
         assert_eq!(told(true), [None, None]);
@@ -619,7 +619,7 @@ mod tests {
             assert!(error.starts_with(&format!("line {line}: Control(ROM_MODE)")), "{error}");
         }
         let error = read("bq34110", &format!("{row} FF\n")).expect_err("too long").to_string();
-        assert_eq!(error, "line 1: 101 bytes, where a row holds 100 at most");
+        assert_eq!(error, "line 1: 101 bytes, but a row holds at most 100");
     }
 
     /// Files written by hand have comments behind their commands, subclass and block in two lines, and
@@ -647,7 +647,7 @@ mod tests {
         let error = parse(&text("02 20 00 03"), None).expect_err("a bq27220").to_string();
         assert_eq!(
             error,
-            "line 2: it is for device type 0x0220, firmware 0x0003: no gauge that gaugefs knows"
+            "line 2: it is for device type 0x0220, firmware 0x0003: not a gauge that gaugefs knows"
         );
         // What bqStudio writes for a bq34110, having asked in the wrong place.
         let image = parse(&text("FF A5 FF A5"), Chip::by_name("bq34110")).expect("an image");
@@ -663,20 +663,20 @@ mod tests {
             ("W: 0B 00 0C", "line 2: address 0x16 is the gauge in ROM mode"),
             ("W: 55 00 13 00", "line 2: address 0x55 is not the gauge's, which is AA"),
             ("W: AA 00 1C 00", "line 2: SHUTDOWN: gaugefs never sends it"),
-            ("W: AA 00 34 12", "line 2: no subcommand of a bq27441-G1, and no pair of key words (not shown)"),
-            ("W: AA 10 00", "line 2: register 0x10 is none that configures a gauge"),
+            ("W: AA 00 34 12", "line 2: neither a subcommand of a bq27441-G1 nor a pair of key words (not shown)"),
+            ("W: AA 10 00", "line 2: register 0x10 does not configure a gauge"),
             ("W: AA 61 01", "line 2: BlockDataControl() other than 0"),
-            ("W: AA 60 00", "line 2: a checksum before any subclass is chosen"),
+            ("W: AA 60 00", "line 2: a checksum before any subclass is selected"),
             ("W: AA 3E 44 00\nW: AA 40 00", "line 3: these bytes are never committed"),
             ("W: AA 3E 44 00\nW: AA 40 00\nW: AA 3E 44 00", "line 4: the bytes of line 3 are not committed"),
             (
                 "W: AA 3E 02 01\nW: AA 40 00\nW: AA 60 00",
-                "line 4: block 1 of subclass 2, the last of which is 0",
+                "line 4: block 1 of subclass 2, whose last block is 0",
             ),
-            ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only a part of it"),
-            ("X: soon", "line 2: X: wants a number of milliseconds"),
-            ("W: AA 3", "line 2: bytes are two hexadecimal digits"),
-            ("W: AA 3E", "line 2: address, register and at least one byte"),
+            ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only part of it"),
+            ("X: soon", "line 2: X: needs a number of milliseconds"),
+            ("W: AA 3", "line 2: expected bytes of two hexadecimal digits"),
+            ("W: AA 3E", "line 2: expected an address, a register and at least one byte"),
             (":", "line 2: not a command of a FlashStream"),
             ("hello", "line 2: not a line of a FlashStream"),
             ("M: AA 00 00", "line 2: not a command of a FlashStream"),
@@ -686,10 +686,10 @@ mod tests {
         }
         let bent = STREAM.replace("03 20", "03 21");
         let error = read("bq27441-g1", &bent).expect_err("a wrong sum").to_string();
-        assert_eq!(error, "line 14: checksum 0xdc, where the bytes add up to 0xdb; a gauge drops them");
+        assert_eq!(error, "line 14: checksum 0xdc, but the bytes give 0xdb; a gauge would discard them");
         let error =
             read("bq27441-g1", &STREAM.replace("C: AA 60 DC", "C: AA 60 DD")).expect_err("another sum");
-        assert_eq!(error.to_string(), "line 17: checksum 0xdd is expected, where the file wrote 0xdc");
+        assert_eq!(error.to_string(), "line 17: checksum 0xdd is expected, but the file wrote 0xdc");
         let error = read("bq34z100-g1", STREAM).expect_err("another part").to_string();
         assert!(error.starts_with("line 6: it is for device type 0x0421, firmware 0x0109"), "{error}");
         let error =
@@ -730,10 +730,10 @@ mod tests {
         for (text, says) in [
             (
                 "W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n",
-                "line 2: checksum 0x6d, where the bytes add up to 0x6c",
+                "line 2: checksum 0x6d, but the bytes give 0x6c",
             ),
-            ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7, where 6 bytes count"),
-            ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only a part of it is written"),
+            ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7 instead of 6"),
+            ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only part of it is written"),
             ("W: AA 61 06\n", "line 1: MACDataLen() before any address"),
             ("W: AA 3E 00 0F\n", "line 1: Control(ROM_MODE)"),
             ("W: AA 3E 01 00 FB 50\n", "line 1: more than a word for DEVICE_TYPE"),

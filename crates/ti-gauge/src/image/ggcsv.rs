@@ -111,7 +111,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
         let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
             if order.is_none() && line.trim_start().starts_with('[') {
                 let why =
-                    "a .gg file in sections, which tell neither units nor formats; export it as .gg.csv";
+                    "a .gg file in sections has neither units nor formats; export it as .gg.csv";
                 return Err(at_line(number, why));
             }
             if !line.trim().is_empty() {
@@ -149,7 +149,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     for (number, line) in rows {
         let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
         if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
-            let why = format!("{} fields, where the head names {}", fields.len(), order.len());
+            let why = format!("{} fields, but the header names {}", fields.len(), order.len());
             return Err(at_line(number, why));
         }
         let field = |name: &str| {
@@ -185,7 +185,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
     if let Some(formula) = field("write-formula").filter(|formula| !matches!(*formula, "" | "x" | "X")) {
         return Err(bad(format!(
-            "its value goes through the formula {formula}, which gaugefs does not know"
+            "its value is converted by the formula {formula}, which gaugefs does not support"
         )));
     }
     let format = field("display-format").unwrap_or_default();
@@ -193,7 +193,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let Some(decimals) = unit.map_or_else(|| Some(decimals(format)), |unit| short_form(parameter, unit))
     else {
         let (name, unit, stored) = (parameter.name, unit.unwrap_or_default(), parameter.unit);
-        let why = format!("shown in {unit}, stored in {stored}, and the file does not say how; left out");
+        let why = format!("shown in {unit}, stored in {stored}, and the file does not give the conversion; left out");
         image.notes.push(format!("line {number}: {name}: {why}"));
         return Ok(());
     };
@@ -206,7 +206,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
         _ => unscaled(shown, decimals).ok_or_else(|| {
             let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
-            bad(format!("`{shown}` is not of the format {format}"))
+            bad(format!("`{shown}` does not match the format {format}"))
         })?,
     };
     let value = text::parse_stored(parameter, text.as_bytes());
@@ -287,9 +287,9 @@ mod tests {
                     Gas Gauging\tIT Cfg\tCell Terminate Voltage\t31.1\tdd.dd\tx\n";
         assert_eq!(entries(text).expect("an image").0[0].1, "3110");
         let error = entries(&text.replace("31.1", "31.111")).expect_err("too many decimals").to_string();
-        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` is not of the format dd.dd");
+        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` does not match the format dd.dd");
         let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
-        assert!(error.starts_with("line 2: Cell Terminate Voltage: its value goes through the formula x/10"));
+        assert!(error.starts_with("line 2: Cell Terminate Voltage: its value is converted by the formula x/10"));
     }
 
     /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is; only
@@ -319,7 +319,7 @@ mod tests {
                     "it-cfg/load-select 1"
                 ]
             );
-            let why = "shown in mOhm, stored in Num, and the file does not say how; left out";
+            let why = "shown in mOhm, stored in Num, and the file does not give the conversion; left out";
             assert_eq!(notes, [format!("line 5: CC Gain: {why}")]);
         }
         let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
@@ -336,7 +336,7 @@ mod tests {
             ("* Device Number 421\n", "it is for device type 0x0421, which a bq34z100-G1 is not"),
             ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\n", "line 1: no line `* Field Order:`"),
             (&format!("{order}Gas Gauging,IT Cfg\n"), "line 2: no field `parameter-name`"),
-            (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, where the head names 4"),
+            (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, but the header names 4"),
             (
                 &format!("{order}Gas Gauging,IT Cfg,Cell Terminate Voltage,low\n"),
                 "line 2: Cell Terminate Voltage: `low` is not a whole number",
