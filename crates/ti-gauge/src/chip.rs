@@ -1,4 +1,4 @@
-//! A chip is a table: the vocabulary in which one is written, and the list of them.
+//! A chip is a table: the types of its rows, and the list of all chips.
 //!
 //! Rows keep the manual's columns and order, so that a reviewer checks them with the manual open
 //! alongside. No code asks which chip it has: a difference between chips is a field here.
@@ -38,7 +38,7 @@ pub static CHIPS: &[&Chip] = &[
     &bq35100::CHIP,
 ];
 
-/// One fuel gauge: everything that tells it from another.
+/// One fuel gauge: everything in which parts differ.
 #[derive(Debug)]
 pub struct Chip {
     /// Name on the command line: TI's, lower case.
@@ -49,7 +49,7 @@ pub struct Chip {
     pub documents: &'static [&'static str],
     /// How far the table has been checked.
     pub evidence: Evidence,
-    /// What the gauge answers when asked who it is.
+    /// The answers that identify the part.
     pub identity: Identity,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
@@ -61,11 +61,11 @@ pub struct Chip {
     pub control_status: &'static [Bit],
     /// What the flags mean to a power_supply.
     pub condition: Condition,
-    /// How seal, unseal and full access are told and reached.
+    /// How the seal state is read and changed.
     pub security: Security,
-    /// How data flash is reached and committed, with its waits.
+    /// How data flash is read and written, with the delays.
     pub access: Access,
-    /// What a data-flash write needs first.
+    /// The voltage that a data-flash write needs.
     pub gate: Option<Gate>,
     /// SHA-1 authentication at AuthenticateData(); `None` where no source has the part's sequence.
     pub authentication: Option<Authentication>,
@@ -73,42 +73,43 @@ pub struct Chip {
     pub subclasses: &'static [Subclass],
     /// Single-byte writes only above this bus clock; `None` where the manual says nothing.
     pub byte_writes_above_hz: Option<u32>,
-    /// What data flash looks like where offsets moved between firmwares: all of it has to fit before
-    /// the first write. Empty where the answers to [`Identity`] are enough.
+    /// Values that data flash must hold before the first write, for parts whose offsets differ between
+    /// firmwares. Empty where [`Identity`] is enough.
     pub signature: &'static [Signature],
-    /// The flag that tells that data memory has its defaults again, where it is RAM: `[ITPOR]`.
+    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; `None` where
+    /// it is flash.
     pub volatile: Option<u16>,
-    /// What is wrong with some parts as they leave the factory, and what helps.
+    /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
-    /// What is looked at before anything is written.
+    /// What is checked before a write.
     pub preflight: Preflight,
 }
 
-/// How far anyone has checked a table or a row.
+/// How far a table or a row has been checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
     /// Printed in TI's manual for this part.
     Manual,
-    /// Seen in byte-level transcripts of this part as well.
+    /// Also seen in byte-level transcripts of this part.
     Transcript,
     /// Inferred from a sibling or from one driver only: read-only unless the user insists.
     Unproven,
 }
 
-/// A flaw of some parts that shows in a byte of data flash.
+/// A defect of some parts that a byte of data flash reveals.
 #[derive(Debug)]
 pub struct Quirk {
     /// Subclass id.
     pub subclass: u8,
     /// Offset of the byte in the subclass.
     pub offset: u16,
-    /// The bits that tell.
+    /// The bits to compare.
     pub mask: u8,
-    /// Their value on a part with the flaw.
+    /// Their value on a part with the defect.
     pub wrong: u8,
-    /// What the flaw does.
+    /// What the defect does.
     pub effect: &'static str,
-    /// What helps.
+    /// What to do about it.
     pub remedy: &'static str,
 }
 
@@ -121,7 +122,7 @@ pub enum Tier {
     Slow,
     /// When the gauge is opened: copies of data flash.
     Static,
-    /// Never by itself: Control() and the block-access window.
+    /// Only on request: Control() and the block-access window.
     Window,
 }
 
@@ -179,7 +180,7 @@ pub struct Register {
     pub tier: Tier,
     /// The property it feeds.
     pub role: Option<Role>,
-    /// Names of its bits, where it is a word of flags.
+    /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
 }
 
@@ -199,7 +200,7 @@ pub struct Subcommand {
     pub code: u16,
     /// TI's name.
     pub name: &'static str,
-    /// Whether a sealed gauge takes it.
+    /// Whether a sealed gauge accepts it.
     pub sealed: bool,
     /// What sending it does.
     pub effect: Effect,
@@ -210,11 +211,11 @@ pub struct Subcommand {
 pub enum Effect {
     /// Answers with a word and changes nothing.
     Answers,
-    /// Changes the gauge's state in a way that the user may ask for through `gauge/control`.
+    /// Changes the gauge's state in a way that the user may request through `gauge/control`.
     Safe,
-    /// Has a guarded way of its own (seal, reset) and is refused in `gauge/control`.
+    /// Has a guarded interface of its own (seal, reset) and is refused in `gauge/control`.
     Guarded,
-    /// Ruins, locks out or disturbs a gauge: never sent.
+    /// Can ruin, lock or disturb a gauge: never sent.
     Never,
 }
 
@@ -231,17 +232,17 @@ pub struct Condition {
     pub overheat: u16,
     /// Under temperature.
     pub cold: u16,
-    /// Set while a battery is present; 0 where the gauge cannot tell.
+    /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
-    /// A primary cell, which nobody charges: `status` is `Discharging` while a current flows, whatever its
-    /// sign, and else `Not charging`; never `Charging` or `Full`.
+    /// A primary cell, which is never charged: `status` is `Discharging` while a current flows, whatever its
+    /// sign, and otherwise `Not charging`; never `Charging` or `Full`.
     pub primary: bool,
 }
 
 /// Seal states and keys.
 #[derive(Debug)]
 pub struct Security {
-    /// Where the seal state shows.
+    /// Where the seal state is read.
     pub status: SealStatus,
     /// The manual's default unseal key, in the order it is sent.
     pub default_unseal: [u16; 2],
@@ -249,22 +250,22 @@ pub struct Security {
     pub full_access: bool,
     /// Subcommand that seals.
     pub seal: u16,
-    /// Silence that the gauge wants before keys that it refused once.
+    /// Time without traffic that the gauge needs before it accepts keys after a refusal.
     pub key_silence: Duration,
-    /// Where the keys are kept, for whoever changes them.
+    /// Where the keys are stored, for changing them.
     pub storage: KeyStorage,
 }
 
-/// Where and how a part keeps its keys.
+/// Where and how a part stores its keys.
 #[derive(Debug)]
 pub enum KeyStorage {
-    /// They are not changed here, and why.
+    /// Changing them is not supported; the text gives the reason.
     Fixed(&'static str),
     /// Together in one block of data flash.
     Flash(KeyBlock),
 }
 
-/// The part of a block that holds keys and nothing else. Places count from its first byte.
+/// The part of a block that holds only keys. Positions count from its first byte.
 #[derive(Debug)]
 pub struct KeyBlock {
     /// Subclass id, or [`FLAT`].
@@ -277,22 +278,22 @@ pub struct KeyBlock {
     pub unseal: usize,
     /// The full-access key.
     pub full_access: usize,
-    /// The authentication key, most significant byte first; `None` where there is none that can be tried.
+    /// The authentication key, most significant byte first; `None` where there is none that can be tested.
     pub authentication: Option<usize>,
-    /// How the two words of a key lie there.
+    /// How the two words of a key are stored there.
     pub order: KeyOrder,
 }
 
-/// How two key words lie in data flash, beside the order in which they are sent.
+/// How two key words are stored in data flash, relative to the order in which they are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KeyOrder {
-    /// All four bytes as they pass over the wire, reversed: the second word, then the first.
+    /// The four bytes in the reverse of their order on the wire: the second word, then the first.
     Reversed,
     /// The first word, then the second, each with its most significant byte first.
     AsSent,
 }
 
-/// Where and how the seal state shows.
+/// Where and how the seal state is read.
 #[derive(Debug)]
 pub enum SealStatus {
     /// In CONTROL_STATUS: a bit that is set while SEALED, a bit that is set while not in FULL ACCESS.
@@ -311,23 +312,23 @@ pub enum SealStatus {
     },
 }
 
-/// How data flash is reached, and the waits that go with it. None is optional; each names its source in
-/// the table.
+/// How data flash is accessed, and the delays that this needs. No delay is optional; the table gives the
+/// source of each.
 #[derive(Debug)]
 pub struct Access {
     /// The sequence that reads and writes a block.
     pub scheme: Scheme,
-    /// From selecting a block until its bytes stand in the window.
+    /// From selecting a block until its bytes are in the window.
     pub select: Duration,
     /// From the checksum that commits until the gauge has stored the block.
     pub commit: Duration,
-    /// From SET_CFGUPDATE until it is worth asking for `[CFGUPMODE]`, and how long to go on asking.
+    /// From SET_CFGUPDATE until `[CFGUPMODE]` is first polled.
     pub enter: Duration,
-    /// See `enter`.
+    /// For how long `[CFGUPMODE]` is polled.
     pub enter_limit: Duration,
-    /// From RESET, or SOFT_RESET, until the gauge answers again, and how long to go on asking.
+    /// From RESET, or SOFT_RESET, until the gauge is first polled for an answer.
     pub reset: Duration,
-    /// See `reset`.
+    /// For how long it is polled for an answer.
     pub reset_limit: Duration,
 }
 
@@ -343,16 +344,16 @@ pub enum Scheme {
     Mac,
 }
 
-/// The waits of SHA-1 authentication, each with its source in the table.
+/// The delays of SHA-1 authentication, each with its source in the table.
 #[derive(Debug)]
 pub struct Authentication {
     /// From the challenge until its checksum may follow.
     pub challenge: Duration,
-    /// From the checksum until the digest stands in AuthenticateData().
+    /// From the checksum until the digest is in AuthenticateData().
     pub digest: Duration,
 }
 
-/// The voltage below which the gauge takes a flash write, acknowledges it and stores nothing.
+/// The voltage below which the gauge acknowledges a flash write but stores nothing.
 #[derive(Debug)]
 pub struct Gate {
     /// Parameter that holds the limit in mV a cell: subclass and offset.
@@ -392,12 +393,12 @@ impl Bit {
 }
 
 impl Subcommand {
-    /// A subcommand that a sealed gauge takes as well.
+    /// A subcommand that a sealed gauge also accepts.
     pub const fn new(code: u16, name: &'static str, effect: Effect) -> Self {
         Self { code, name, sealed: true, effect }
     }
 
-    /// A sealed gauge does not take it.
+    /// A sealed gauge does not accept it.
     #[must_use]
     pub const fn unsealed(mut self) -> Self {
         self.sealed = false;
@@ -416,8 +417,8 @@ impl Chip {
         self.registers.iter().find(|register| register.role == Some(role))
     }
 
-    /// The folder of a subclass in `df/by-name`: its name, and where two subclasses have the same one
-    /// the manual's class in front of both.
+    /// The folder of a subclass in `df/by-name`: its name, preceded by the manual's class if two subclasses
+    /// have the same name.
     pub fn class_dir(&self, subclass: &Subclass) -> String {
         let name = kebab_case(subclass.name);
         let alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name).count();
@@ -429,8 +430,8 @@ impl Chip {
         self.subclasses.iter().find(|subclass| subclass.id == id)
     }
 
-    /// The parameter that stands at `df/SUBCLASS/OFFSET`, and what it belongs to; with `flash` and an
-    /// address in hexadecimal on a part without subclasses.
+    /// The parameter at `df/SUBCLASS/OFFSET` and its subclass; on a part without subclasses, `flash` and an
+    /// address in hexadecimal.
     pub fn row(&self, subclass: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
         let (id, offset) = match (subclass, offset.strip_prefix("0x")) {
             ("flash", Some(digits)) => (FLAT, u16::from_str_radix(digits, 16).ok()?),

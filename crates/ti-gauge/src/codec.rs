@@ -10,7 +10,7 @@ pub fn checksum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
 }
 
-/// The value that stands in data flash as `bytes`, which must be as many as the type has.
+/// The value stored in data flash as `bytes`, whose number must be the type's size.
 pub fn decode(kind: Type, bytes: &[u8]) -> Value {
     debug_assert_eq!(bytes.len(), kind.size());
     match kind {
@@ -27,7 +27,7 @@ pub fn decode(kind: Type, bytes: &[u8]) -> Value {
     }
 }
 
-/// The bytes of a value in data flash; `None` where the value does not fit the type.
+/// The bytes of a value in data flash; `None` if the value does not fit the type.
 pub fn encode(kind: Type, value: &Value) -> Option<Vec<u8>> {
     match (kind, value) {
         (Type::I(size) | Type::U(size) | Type::H(size), Value::Int(value)) => {

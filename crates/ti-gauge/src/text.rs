@@ -16,8 +16,7 @@ pub fn render(kind: Type, value: &Value) -> String {
     }
 }
 
-/// A gauge's string is whatever somebody once wrote into it. What a shell or a terminal would act on
-/// becomes `_`.
+/// A gauge's string may hold any bytes. Those that a shell or a terminal could act on become `_`.
 fn harmless(byte: u8) -> char {
     match byte {
         b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => byte.into(),
@@ -35,14 +34,13 @@ fn shortest(value: f64) -> String {
         .to_string()
 }
 
-/// The value that `text` gives to a parameter: of its type and inside the manual's range, or an error
-/// that says what is allowed. Spaces around and a newline at the end are fine; numbers are decimal,
-/// `0x` or `0b`.
+/// Parses a value for a parameter. It must be of its type and in the manual's range; otherwise the error
+/// says what is allowed. White space around it is ignored; numbers are decimal, `0x` or `0b`.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
 
-/// The same for a value that stands in a gauge already, wherever it lies: only the type is asked for.
+/// The same for a value that a gauge already holds, in or out of range: only the type is checked.
 pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, None, text)
 }
@@ -99,7 +97,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
     }
 }
 
-/// `None` for what is no number at all, `Some(None)` for a number that is too long for any type.
+/// `None` for text that is not a number, `Some(None)` for a number too large for any type.
 fn integer(text: &str) -> Option<Option<i64>> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(digits) => (true, digits),
@@ -123,7 +121,7 @@ pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The same, read back; `None` where anything else stands in it.
+/// The reverse of [`hex`]; `None` for any other text.
 pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
     let digit = |byte: u8| char::from(byte).to_digit(16).map(|digit| digit as u8);
     let byte = |pair: &[u8]| Some(digit(pair[0])? << 4 | digit(pair[1])?);
@@ -248,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_a_gauge_need_not_be_in_range() {
+    fn a_stored_value_need_not_be_in_range() {
         assert_eq!(parse_stored(&VOLTAGE, b"9999"), Ok(Value::Int(9999)));
         assert!(is_out_of_range(&parse_stored(&VOLTAGE, b"99999").expect_err("no I2")));
         assert_eq!(parse_stored(&GAIN, b"41"), Ok(Value::Float(41.0)));

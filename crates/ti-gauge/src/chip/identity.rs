@@ -8,14 +8,14 @@ use crate::value::Type;
 pub struct Identity {
     /// Control(DEVICE_TYPE).
     pub device_type: u16,
-    /// Control(FW_VERSION) values the table was made for; empty where none is known and any is taken.
+    /// Control(FW_VERSION) values the table was made for; empty where none is known and any is accepted.
     pub firmware: &'static [u16],
-    /// Control(HW_VERSION), where it tells colliding device types apart.
+    /// Control(HW_VERSION), where it distinguishes parts with the same device type.
     pub hardware: Option<u16>,
-    /// Control(DM_CODE) values, where they tell colliding device types apart; empty for any that no
-    /// other part has.
+    /// Control(DM_CODE) values, where they distinguish parts with the same device type; empty for any value
+    /// that no other part has.
     pub dm_codes: &'static [u16],
-    /// Where the answers to DEVICE_TYPE and its like are read.
+    /// The register in which the answers to DEVICE_TYPE and the like are read.
     pub answer: u8,
 }
 
@@ -29,7 +29,7 @@ impl Identity {
     }
 }
 
-/// What a part answered when it was asked who it is.
+/// A part's answers to the subcommands that identify it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Answers {
     /// Control(DEVICE_TYPE).
@@ -44,7 +44,7 @@ pub struct Answers {
     pub dm_code: Option<u16>,
 }
 
-/// A parameter that has to hold a plausible value before anything is written.
+/// A parameter that must hold a plausible value before the first write.
 #[derive(Debug)]
 pub struct Signature {
     /// Subclass id.
@@ -66,7 +66,7 @@ impl Signature {
     }
 }
 
-/// A part without a table of its own, which answers to some of the same questions as one with.
+/// A known part without a table, which gives some of the same answers as a part that has one.
 #[derive(Debug)]
 pub struct Sibling {
     /// TI's name.
@@ -90,18 +90,18 @@ impl Sibling {
     }
 }
 
-/// Known parts that no table covers and that could be taken for one of [`CHIPS`].
+/// Known parts without a table that could be mistaken for one of [`CHIPS`](super::CHIPS).
 pub static SIBLINGS: &[Sibling] = &[
     // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
     Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
     // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
-    // the kernel's driver, the last another map of commands; 6.04 is a product's build of it.
+    // the kernel's driver, the last another map of commands; 6.04 is a build for one product.
     Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], None),
     Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
     Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], None),
     // Same State block in the kernel's driver, the rest of its data memory unknown.
     Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
-    // A shipped driver (Chromium's) knows the type; its State block is another.
+    // A shipped driver (Chromium's) knows the type; its State block differs.
     Sibling::new("bq27621-G1", 0x0621, &[], &[], None),
     // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
     // memory.

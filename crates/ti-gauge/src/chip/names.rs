@@ -20,8 +20,8 @@ pub fn snake_case(name: &str) -> String {
     words.split('_').filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
 }
 
-/// A name of the manual's as a file name of `df/by-name`: lower case, `%` is `pct`, every other run of
-/// characters `-`.
+/// A name from the manual as a file name of `df/by-name`: lower case, `%` as `pct`, every other run of
+/// characters as `-`.
 pub fn kebab_case(name: &str) -> String {
     let lower = name.to_lowercase().replace('%', " pct ");
     let words = lower.split(|letter: char| !letter.is_ascii_alphanumeric());

@@ -18,7 +18,7 @@ pub struct Subclass {
     pub id: u8,
     /// Bytes from [`Subclass::start`] to the end of its last documented parameter.
     pub length: u16,
-    /// What its parameters need and allow.
+    /// What a write to its parameters needs.
     pub kind: Kind,
     /// Its documented parameters, by offset.
     pub parameters: &'static [Parameter],
@@ -30,8 +30,8 @@ impl Subclass {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
     }
 
-    /// Bytes that are read and committed with it: its blocks, whole, behind the last documented parameter as
-    /// well. Of a flat group it is its own bytes only.
+    /// Bytes that are read and committed with it: whole blocks, including bytes after the last documented
+    /// parameter. For a flat group, only its own bytes.
     pub fn stored(&self) -> u16 {
         if self.id == FLAT { self.length } else { self.length.next_multiple_of(WINDOW as u16) }
     }
@@ -42,14 +42,14 @@ impl Subclass {
     }
 }
 
-/// What a subclass needs and allows.
+/// What a write to a subclass needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Takes effect for sure only after a reset.
+    /// A reset: only then is the change certain to be in effect.
     Reset,
-    /// Only stored: no reset.
+    /// No reset.
     Plain,
-    /// Keys: never read, exported or shown; written only by a guarded way of its own.
+    /// Keys: never read, exported or shown; written only by the guarded key change.
     Security,
 }
 
@@ -66,13 +66,13 @@ pub struct Parameter {
     pub range: Range,
     /// Unit as the manual prints it; empty for none.
     pub unit: &'static str,
-    /// Names of its bits, where it is a word of flags.
+    /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
     /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
     pub learned: bool,
-    /// Narrower limits than the manual's, where its range lets a pack be ruined.
+    /// Narrower limits than the manual's, where its range allows values that ruin a pack.
     pub safe: Option<Safe>,
-    /// Address or range is not sure: read-only unless the user insists.
+    /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
 }
 
@@ -111,7 +111,7 @@ impl Parameter {
         Self::new(offset, Type::S(size), name, Range::Text { default: Some(default) }, "")
     }
 
-    /// An integer row of which no default is known.
+    /// An integer row without a known default.
     pub const fn within(
         offset: u16,
         kind: Type,
@@ -123,7 +123,7 @@ impl Parameter {
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
     }
 
-    /// An integer row of which no range and no default are printed: whatever the type can hold.
+    /// An integer row without a printed range or default: whatever the type can hold.
     pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
         let (min, max) = kind.bounds().expect("an integer type");
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
@@ -167,12 +167,12 @@ impl Parameter {
     /// Narrower limits than the manual's.
     #[must_use]
     pub const fn safe(mut self, safe: Safe) -> Self {
-        assert!(self.safe.is_none(), "one safe limit a parameter");
+        assert!(self.safe.is_none(), "a parameter has at most one safe limit");
         self.safe = Some(safe);
         self
     }
 
-    /// Address or range is not sure.
+    /// Address or range is uncertain.
     #[must_use]
     pub const fn unproven(mut self) -> Self {
         self.unproven = true;
@@ -208,10 +208,10 @@ pub enum Range {
     },
 }
 
-/// A limit that keeps a pack alive, narrower than the manual's range. Each says why in its message.
+/// A limit narrower than the manual's range, to protect the pack. The text gives the reason.
 #[derive(Debug)]
 pub enum Safe {
-    /// At least so much.
+    /// A minimum.
     AtLeast(i64, &'static str),
     /// Not above the voltage that the gauge measures now, scaled as its flash gate scales it.
     BelowPresentVoltage(&'static str),

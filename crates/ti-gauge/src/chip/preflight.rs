@@ -1,15 +1,15 @@
 //! What is checked before a write, as data.
 
-/// What is looked at before anything is written, beside identity, gate and seal.
+/// What is checked before a write, besides identity, gate and seal.
 #[derive(Debug)]
 pub struct Preflight {
-    /// What tells a pack from another one with the same part; `None` where nothing is known that does.
+    /// What distinguishes packs with the same part; `None` where nothing is known to.
     pub pack: Option<Pack>,
-    /// Modes that somebody else may have left on.
+    /// Modes that another program may have left on.
     pub modes: &'static [Mode],
-    /// How a cycle of learning shows that a reset would throw away; `None` where nothing tells for sure.
+    /// How to recognise a learning cycle, which a reset would lose; `None` where there is no sure sign.
     pub learning: Option<Learning>,
-    /// Voltage() between which the part works, where no [`Gate`] watches.
+    /// Range of Voltage() in which the part works, where there is no [`Gate`](super::Gate).
     pub voltage_mv: Option<(u16, u16)>,
 }
 
@@ -20,41 +20,41 @@ pub enum Word {
     ControlStatus,
     /// A standard command of two bytes.
     Register(u8),
-    /// What a subcommand answers.
+    /// The answer to a subcommand.
     Answer(u16),
 }
 
 /// A word that differs from pack to pack.
 #[derive(Debug)]
 pub struct Pack {
-    /// The word. A register, read alone, also tells parts of another type apart, which have something else
-    /// at its address.
+    /// The word. Reading a register also detects a part of another type, which has something else at that
+    /// address.
     pub word: Word,
     /// Its name in a message.
     pub name: &'static str,
-    /// Subclass and offset of the rows that it follows from: whoever writes those changes it.
+    /// Subclass and offset of the rows that determine it: a write to those changes it.
     pub rows: &'static [(u8, u16)],
 }
 
-/// A mode in which a write would be lost, or would disturb whoever began it.
+/// A mode in which a write would be lost, or would disturb the program that entered it.
 #[derive(Debug)]
 pub struct Mode {
-    /// The word that shows it. A subcommand is asked only once the gauge is unsealed.
+    /// The word that shows it. A subcommand is sent only after the gauge is unsealed.
     pub word: Word,
-    /// The bit that is set meanwhile.
+    /// The bit that is set in this mode.
     pub mask: u16,
-    /// Where that stands, in a message.
+    /// Name of word and bit, for a message.
     pub name: &'static str,
-    /// What goes on.
+    /// What is going on, for a message.
     pub what: &'static str,
-    /// What helps.
+    /// What to do, for a message.
     pub remedy: &'static str,
-    /// Whether our own transactions begin it too, so that one that was cut short can have left it on.
+    /// Whether gaugefs' own transactions enter it too, so that an interrupted one may have left it on.
     pub ours: bool,
 }
 
 impl Mode {
-    /// A calibration that is running: a bit of CONTROL_STATUS that the gauge clears by itself.
+    /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
     pub const fn measuring(mask: u16, name: &'static str, what: &'static str) -> Self {
         let remedy = "it ends by itself; try again in a minute";
         Self { word: Word::ControlStatus, mask, name, what, remedy, ours: false }
@@ -66,20 +66,20 @@ impl Mode {
     }
 }
 
-/// A cycle of learning.
+/// How a learning cycle is recognised.
 #[derive(Debug)]
 pub struct Learning {
-    /// CONTROL_STATUS bits that are all set meanwhile.
+    /// CONTROL_STATUS bits that are all set during a cycle.
     pub status: u16,
-    /// Subclass and offset of Update Status, the byte that tells a first cycle from what goes on in a finished
-    /// pack for ever. Writing it alone is how a cycle is begun and ended by hand.
+    /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous
+    /// learning of a finished pack. A write to this byte alone starts or ends a cycle by hand.
     pub row: (u8, u16),
     /// A standard command that shows the same bits without unsealing.
     pub register: Option<u8>,
-    /// Its bits that tell.
+    /// The bits of Update Status to compare.
     pub mask: u8,
-    /// Their value until the cycle has come to its end.
+    /// Their value until the cycle has ended.
     pub value: u8,
-    /// Both, in a message.
+    /// Names of the bits, for a message.
     pub name: &'static str,
 }

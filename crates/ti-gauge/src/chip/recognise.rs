@@ -2,21 +2,21 @@
 
 use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};
 
-/// What follows from the answers of a part.
+/// What a part's answers identify it as.
 #[derive(Debug)]
 pub enum Recognised {
     /// A chip with a table.
     Chip(&'static Chip),
     /// A known part without one: its standard commands may be read, its data flash is out of bounds.
     Sibling(&'static Sibling),
-    /// Several chips answer so; only the user can tell.
+    /// Several chips give these answers; only the user can decide.
     Ambiguous(Vec<&'static Chip>),
-    /// No part that is known.
+    /// An unknown part.
     Unknown,
 }
 
-/// Tells from its answers which part it is. A part that names a code, hardware or DM_CODE, is meant
-/// rather than one that does without.
+/// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence
+/// over one whose identity does not.
 pub fn recognise(answers: &Answers) -> Recognised {
     let names_hardware = |one: &Identity| one.hardware.is_some();
     let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
@@ -42,7 +42,7 @@ pub fn recognise(answers: &Answers) -> Recognised {
 mod tests {
     use super::*;
 
-    /// What a part of that type and firmware is taken for.
+    /// What a part with these answers is recognised as.
     fn seen(device_type: u16, firmware_version: u16, hardware_version: u16, dm_code: Option<u16>) -> String {
         let answers = Answers { device_type, firmware_version, hardware_version, chem_id: None, dm_code };
         match recognise(&answers) {
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_firmware_of_its_own_makes_a_sibling() {
+    fn a_firmware_without_a_table_is_a_sibling() {
         assert_eq!(seen(0x0100, 0x0016, 0x0008, None), "bq34z100-g1");
         assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-R2 like bq34z100-g1");
         assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn dm_code_tells_parts_of_one_type_apart() {
+    fn dm_code_distinguishes_parts_of_one_type() {
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x48)), "bq27441-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x58)), "bq27441-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x80)), "bq27411-G1 like bq27441-g1");
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_type_of_its_own_is_enough_where_it_is_alone() {
+    fn a_unique_device_type_is_enough() {
         assert_eq!(seen(0x0427, 0x0202, 0, Some(0x9f)), "bq27427");
         assert_eq!(seen(0x0427, 0x0202, 0, None), "bq27427");
         assert_eq!(seen(0x0427, 0x0109, 0, None), "unknown");

@@ -1,7 +1,7 @@
 //! An image as FlashStream: what a host sends to a gauge, transfer by transfer.
 //!
-//! A file is never replayed. It is read as the gauge would read it, down to the parameters that would then
-//! have other values; whatever else it would do to a gauge is refused, with the line.
+//! A file is never replayed. It is interpreted as the gauge would interpret it, which yields the parameters that
+//! it would change; anything else that it would do to a gauge is refused, with the line.
 
 use std::collections::BTreeMap;
 
@@ -31,13 +31,13 @@ const DATA: u8 = 0x40;
 const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen().
 const LENGTH: u8 = 0x61;
-/// What MACDataLen() counts beside the data.
+/// Bytes that MACDataLen() counts in addition to the data.
 const OVERHEAD: u8 = 4;
-/// The comment that names the chip: device type and firmware do not tell all of them apart.
+/// The comment that names the chip: device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
-/// Bytes of a row after the register: TI's tools bound them to 96 behind the four that name a row in ROM mode.
+/// Bytes of a row after the register: TI's tools write at most 96 after the four that name a row in ROM mode.
 const LONGEST: usize = 100;
-/// What bqStudio has in place of device type and firmware where it has read them from the wrong register.
+/// What bqStudio writes for device type and firmware if it has read them from the wrong register.
 const NOT_READ: u16 = 0xffa5;
 
 /// One line of a FlashStream.
@@ -54,7 +54,7 @@ fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
-        // Tools write comments on lines of their own; people write them behind a command as well.
+        // Tools write comments on lines of their own; people also write them after a command.
         let line = line.split(';').next().unwrap_or_default().trim();
         if !line.is_empty() {
             commands.push((number, command(line).map_err(|why| at_line(number, why))?));
@@ -171,13 +171,13 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
 /// A word that the file expects, and the line that says so.
 type Expected = Option<(usize, u16)>;
 
-/// Device type and firmware that the file asks for.
+/// Device type and firmware that the file expects.
 fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
     let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
     match answer(commands, FW_VERSION) {
-        // MACData() tells both at once, the most significant byte first, and more behind them.
+        // MACData() returns both at once, the most significant byte first, followed by other data.
         Some((line, &[a, b, c, d, ..])) => {
             let (kind, version) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
             (told((line, kind)).or(device_type), told((line, version)))
@@ -194,7 +194,7 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
         _ => false,
     };
     let at = commands.iter().position(|(_, command)| asks(command))?;
-    // Waits may stand between.
+    // There may be waits in between.
     let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
     match next {
         // The echo of ManufacturerAccessControl() comes first.
@@ -206,7 +206,7 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     }
 }
 
-/// A gauge as far as a FlashStream sees one: what is selected, the window, and what has been committed.
+/// The state of a gauge that a FlashStream acts on: what is selected, the window, and what has been committed.
 struct Stream {
     chip: &'static Chip,
     class: Option<u8>,
@@ -310,7 +310,7 @@ impl Stream {
         Ok(())
     }
 
-    /// A word for Control(). Key words are not shown, whatever is wrong with them.
+    /// A word for Control(). Key words are never shown, even in an error.
     fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
         if std::mem::take(&mut self.half_key) && rest.is_empty() {
             return Ok(());
@@ -380,7 +380,9 @@ impl Stream {
         let whole = window.keys().copied().eq(0..window.len() as u8);
         if !whole || usize::from(length) != window.len() + usize::from(OVERHEAD) {
             let want = window.len() + usize::from(OVERHEAD);
-            return Err(format!("MACDataLen() is {length} instead of {want}; a gauge would discard the bytes"));
+            return Err(format!(
+                "MACDataLen() is {length} instead of {want}; a gauge would discard the bytes"
+            ));
         }
         let bytes: Vec<u8> = window.into_values().collect();
         check_sum(self.sum, mac_sum(address, &bytes))?;
@@ -422,7 +424,7 @@ impl Stream {
         }
     }
 
-    /// What is stored, as parameters; what is left of it, as bytes.
+    /// The stored bytes as parameters, and the rest as raw bytes.
     fn into_image(mut self, image: &mut Image) -> Result<()> {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
@@ -462,8 +464,7 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
     checksum(bytes).wrapping_sub(low).wrapping_sub(high)
 }
 
-/// The image as text. `raw` is asked for all bytes of a subclass, block by block: what no manual documents
-/// is committed as it is.
+/// The image as text. `raw` returns all bytes of a subclass: undocumented bytes are written as they are.
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
@@ -524,8 +525,8 @@ fn row(letter: char, register: u8, bytes: &[u8]) -> String {
     format!("{letter}: {GAUGE:02X} {register:02X}{bytes}\n")
 }
 
-/// The parameters of a flat data flash, those that are next to each other as one, as far as a window goes.
-/// What is not proven is not written.
+/// The parameters of a flat data flash, adjacent ones joined into runs of at most a window. Unproven ones are left
+/// out.
 fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
     let mut entries: Vec<_> = image.entries.iter().filter(|entry| !entry.parameter.unproven).collect();
     entries.sort_by_key(|entry| entry.parameter.offset);
@@ -558,7 +559,7 @@ mod tests {
         Ok((entries.collect(), image.notes))
     }
 
-    /// The identity lines of a bq27441-G1, key words, CONFIG UPDATE, a block, in the manner of TI's files:
+    /// The identity lines of a bq27441-G1, key words, CONFIG UPDATE, a block, in the style of TI's files:
     /// carriage returns, X: without a space, lower case, tabs.
     const STREAM: &str = "; a comment\r\nW: AA 00 00 80\r\nW: AA 00 00 80\r\nX:10\r\nW: AA 00 01 00\r\n\
         C: AA 00 21 04\r\nW: AA 00 02 00\r\nC: AA 00 09 01\r\nW: AA 00 13 00\r\nX: 1100\r\n\
@@ -585,7 +586,7 @@ mod tests {
         );
     }
 
-    /// As the chemistry files of TI's tools have them: subclasses that no manual names, in blocks.
+    /// As in the chemistry files of TI's tools: blocks of undocumented subclasses.
     #[test]
     fn a_subclass_that_is_not_in_the_table_is_read_as_bytes() {
         let data = format!("W: AA 40{}", " 11".repeat(32));
@@ -605,10 +606,10 @@ mod tests {
         assert_eq!((image.raw[1].name(), image.raw[1].text()), ("raw 83/32".into(), "11".repeat(32)));
     }
 
-    /// The whole of a file for firmware is of no use here: rows of ROM mode have 96 bytes behind four that
-    /// name the row. The reason that is told is the mode, not the row.
+    /// A firmware file is refused: rows of ROM mode have 96 bytes after four that name the row. The error gives
+    /// the mode as the reason, not the row.
     #[test]
-    fn a_file_for_rom_mode_is_told_as_one() {
+    fn a_file_for_rom_mode_is_refused_as_such() {
         let row = format!("W: 16 00 02 00 00 00{}", " FF".repeat(96));
         let unseal = "W: AA 00 14 04\nW: AA 00 72 36\nX: 1000\n";
         for check in ["", "W: AA 3E 02 00\nC: AA 3E 02 00 FF A5 FF A5\n"] {
@@ -622,8 +623,8 @@ mod tests {
         assert_eq!(error, "line 1: 101 bytes, but a row holds at most 100");
     }
 
-    /// Files written by hand have comments behind their commands, subclass and block in two lines, and
-    /// checksums of blocks of which they change a part.
+    /// Files written by hand have comments after commands, subclass and block in two lines, and
+    /// checksums of blocks that they change only in part.
     #[test]
     fn files_written_by_hand_are_read() {
         let text = "\u{feff}; Terminate voltage\nW: AA 3E 50        ; IT Cfg\n W : AA 3F 01\n\
@@ -637,9 +638,9 @@ mod tests {
         assert_eq!((image.entries.len(), image.raw.len(), entry.line), (1, 0, 5));
     }
 
-    /// A gauge with MACData() tells device type and version in one answer, the most significant byte first.
+    /// A gauge with MACData() returns device type and version in one answer, the most significant byte first.
     #[test]
-    fn one_answer_may_tell_device_type_and_firmware() {
+    fn one_answer_may_hold_device_type_and_firmware() {
         let row = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
         let text = |answer: &str| format!("W: AA 3E 02 00\nC: AA 3E 02 00 {answer}\n{row}");
         let image = parse(&text("01 10 00 02 00 08"), None).expect("an image");
@@ -656,14 +657,17 @@ mod tests {
     }
 
     #[test]
-    fn what_a_gauge_would_not_survive_is_refused_with_its_line() {
+    fn a_dangerous_or_broken_line_is_refused() {
         for (line, says) in [
             ("W: AA 00 00 0F", "line 2: Control(ROM_MODE)"),
             ("W: 16 00 0C 00", "line 2: address 0x16 is the gauge in ROM mode"),
             ("W: 0B 00 0C", "line 2: address 0x16 is the gauge in ROM mode"),
             ("W: 55 00 13 00", "line 2: address 0x55 is not the gauge's, which is AA"),
             ("W: AA 00 1C 00", "line 2: SHUTDOWN: gaugefs never sends it"),
-            ("W: AA 00 34 12", "line 2: neither a subcommand of a bq27441-G1 nor a pair of key words (not shown)"),
+            (
+                "W: AA 00 34 12",
+                "line 2: neither a subcommand of a bq27441-G1 nor a pair of key words (not shown)",
+            ),
             ("W: AA 10 00", "line 2: register 0x10 does not configure a gauge"),
             ("W: AA 61 01", "line 2: BlockDataControl() other than 0"),
             ("W: AA 60 00", "line 2: a checksum before any subclass is selected"),
@@ -716,7 +720,7 @@ mod tests {
         }
     }
 
-    /// A row that joins address and data, and one that parts them, as ManufacturerAccessControl() takes both.
+    /// Address and data in one row or in two: ManufacturerAccessControl() accepts both.
     #[test]
     fn a_flat_address_is_read_as_its_parameters() {
         for text in [
@@ -728,10 +732,7 @@ mod tests {
             assert!(entries[0].ends_with("data/cc-offset -1200"), "{entries:?}");
         }
         for (text, says) in [
-            (
-                "W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n",
-                "line 2: checksum 0x6d, but the bytes give 0x6c",
-            ),
+            ("W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n", "line 2: checksum 0x6d, but the bytes give 0x6c"),
             ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7 instead of 6"),
             ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only part of it is written"),
             ("W: AA 61 06\n", "line 1: MACDataLen() before any address"),

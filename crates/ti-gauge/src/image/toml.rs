@@ -1,4 +1,4 @@
-//! An image as TOML: a table a class, a key a parameter, named as in `df/by-name`.
+//! An image as TOML: a table for each class and a key for each parameter, named as in `df/by-name`.
 
 use std::borrow::Cow;
 
@@ -29,7 +29,7 @@ pub fn write(image: &Image) -> String {
             let (parameter, shown) = (entry.parameter, entry.text());
             let shown = match parameter.kind {
                 Type::S(_) => format!("\"{shown}\""),
-                // A float may have more digits than an integer of TOML's.
+                // A float may have more digits than a TOML integer may.
                 Type::F4 if !shown.contains('.') => shown + ".0",
                 _ => shown,
             };
@@ -46,8 +46,8 @@ pub fn write(image: &Image) -> String {
     text
 }
 
-/// Reads an image. A table or key that the chip does not have is an error, and so is a value that is not
-/// of its parameter's type.
+/// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
+/// type.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
     let document = DeTable::parse(text).map_err(|error| {
@@ -122,7 +122,7 @@ fn add_table(
     Ok(())
 }
 
-/// A value as the text that a parameter's file takes.
+/// A value as the text that a parameter's file accepts.
 fn plain(value: &DeValue<'_>) -> Option<String> {
     match value {
         DeValue::String(text) => Some(text.to_string()),
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_line() {
+    fn an_error_names_its_line() {
         for (text, says) in [
             ("[it-cfg]\nno-such = 1", "line 3: a bq34z100-G1 has no parameter it-cfg/no-such"),
             ("[no-such]\n", "line 2: a bq34z100-G1 has no class no-such"),
