@@ -420,7 +420,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
     fs::write(&file, &text).expect("a file");
     assert_eq!(gaugefs(&["import", &gauge, &file]).done(), "");
     fs::write(&file, bent.replace("C: AA 60 06\n", "C: AA 60 05\n")).expect("a file");
-    let says = format!("line {at_line}: raw 64/11: 04 -> 05: no manual documents these bytes");
+    let says = format!("line {at_line}: raw 64/11: 04 -> 05: these bytes are undocumented");
     gaugefs(&["import", &gauge, &file]).failed(&[&file, &says, "--raw writes them"]);
     assert_eq!(gaugefs(&["import", "--exclude", "undocumented", &gauge, &file]).done(), "");
     let changed = "raw 64/11: 04 -> 05\n";
@@ -433,7 +433,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
         gaugefs(lint).done();
     }
     let chemistry = "tests/it/images/chemistry.gm.fs";
-    gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: a BQ27427 has no subclass 83", "--raw"]);
+    gaugefs(&["import", &gauge, chemistry]).failed(&["line 11: subclass 83 of a BQ27427", "--raw"]);
     let shown = gaugefs(&["import", "--raw", "--dry-run", &gauge, chemistry]).done();
     assert!(shown.starts_with("raw 83/0: - -> 2011"), "{shown}");
     // The mode that writes firmware is always refused.

@@ -10,7 +10,7 @@ pub fn checksum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
 }
 
-/// The value that stands in data flash as `bytes`, which must be as many as the type has.
+/// The value stored in data flash as `bytes`, whose number must be the type's size.
 pub fn decode(kind: Type, bytes: &[u8]) -> Value {
     debug_assert_eq!(bytes.len(), kind.size());
     match kind {
@@ -27,7 +27,7 @@ pub fn decode(kind: Type, bytes: &[u8]) -> Value {
     }
 }
 
-/// The bytes of a value in data flash; `None` where the value does not fit the type.
+/// The bytes of a value in data flash; `None` if the value does not fit the type.
 pub fn encode(kind: Type, value: &Value) -> Option<Vec<u8>> {
     match (kind, value) {
         (Type::I(size) | Type::U(size) | Type::H(size), Value::Int(value)) => {
@@ -96,6 +96,35 @@ fn encode_f4(value: f64) -> Option<[u8; 4]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    /// Every type that a table may name, with bytes of its size.
+    fn stored() -> impl Strategy<Value = (Type, Vec<u8>)> {
+        let size = || prop::sample::select(vec![1u8, 2, 4]);
+        let kind = prop_oneof![
+            size().prop_map(Type::I),
+            size().prop_map(Type::U),
+            size().prop_map(Type::H),
+            Just(Type::F4),
+            (1u8..=32).prop_map(Type::S),
+        ];
+        kind.prop_flat_map(|kind| (Just(kind), prop::collection::vec(any::<u8>(), kind.size())))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 2048, failure_persistence: None, ..ProptestConfig::default() })]
+
+        /// Of a string, the bytes after its end may change.
+        #[test]
+        fn what_is_decoded_encodes_to_the_same_value((kind, bytes) in stored()) {
+            let value = decode(kind, &bytes);
+            let again = encode(kind, &value).expect("a decoded value fits its type");
+            prop_assert_eq!(decode(kind, &again), value);
+            if !matches!(kind, Type::S(_)) {
+                prop_assert_eq!(again, bytes);
+            }
+        }
+    }
 
     /// Vectors seen on silicon or printed by TI (SLUSBZ5D table 7-12 and TI's forum), and edges.
     #[test]

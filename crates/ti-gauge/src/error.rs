@@ -1,6 +1,6 @@
 //! What went wrong, at which step, to which register or parameter, and what to do.
 //!
-//! Every failure ends as one [`Error`]: one line that a technician can act on, and a [`Cause`] that a program
+//! Every failure is one [`Error`]: one line that a technician can act on, and a [`Cause`] that a program
 //! can match on, to choose an errno or an exit code.
 
 use std::{fmt, io};
@@ -41,7 +41,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// The word that stands for the step in a message.
+    /// The step's name in a message.
     pub fn as_str(self) -> &'static str {
         match self {
             Step::Open => "open",
@@ -71,13 +71,13 @@ pub enum Cause {
     NotPermitted(String),
     /// Something else holds the gauge: a transaction, a kernel driver, another process.
     Busy(String),
-    /// Right now the gauge would not do it: voltage below its flash-update limit, and the like.
+    /// The gauge cannot do it now: voltage below its flash-update limit, and the like.
     NotNow(String),
     /// The checksum of a block that was read is wrong.
     BadChecksum(String),
     /// The reply breaks the protocol.
     Protocol(String),
-    /// The gauge did not do in time what it was asked.
+    /// The gauge did not finish in time.
     TimedOut(String),
     /// Failed, and the old block was put back and verified.
     RolledBack(String),
@@ -109,7 +109,7 @@ impl Error {
         Self { subject: subject.into(), step: None, cause }
     }
 
-    /// What the host said when it was asked to do `what`.
+    /// The host's error; `what` says what failed.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
         Self::new(subject, Cause::Io(error.kind(), format!("{what}: {}", reason(error))))
     }
@@ -128,7 +128,7 @@ impl Error {
         self
     }
 
-    /// The same error inside a larger subject: the parameter whose transaction met it.
+    /// The same error inside a larger subject: the parameter whose transaction failed.
     #[must_use]
     pub fn within(mut self, subject: &str) -> Self {
         if self.subject.is_empty() {

@@ -1,7 +1,7 @@
-//! Golden images: a gauge's configuration as a file, in three formats, and what two of them differ in.
+//! Images: a gauge's configuration as a file, in three formats, and how two of them differ.
 //!
-//! Nothing in here reaches a gauge. Keys are in no image: not read, not shown, not written, whatever a file
-//! holds.
+//! Nothing here accesses a gauge. Keys are never part of an image: they are not read, shown or written, even if a
+//! file contains them.
 
 use std::fmt;
 use std::path::Path;
@@ -20,7 +20,7 @@ pub mod toml;
 /// The formats of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Named values, fit for git.
+    /// Named values, suited to version control.
     Toml,
     /// The table that bqStudio exports and imports.
     GgCsv,
@@ -31,15 +31,15 @@ pub enum Format {
 /// The configuration of a gauge, or a part of it.
 #[derive(Debug)]
 pub struct Image {
-    /// What it is for.
+    /// The chip that it is for.
     pub chip: &'static Chip,
-    /// Control(FW_VERSION) of the gauge that it was read from, where that is told.
+    /// Control(FW_VERSION) of the gauge that it was read from, if known.
     pub firmware: Option<u16>,
     /// Values, in the table's order.
     pub entries: Vec<Entry>,
-    /// Bytes of a FlashStream that are no parameter's.
+    /// Bytes of a FlashStream that belong to no parameter.
     pub raw: Vec<Raw>,
-    /// What a reader should know beside the values, a line each.
+    /// Notes for the reader, a line each.
     pub notes: Vec<String>,
 }
 
@@ -48,7 +48,7 @@ pub struct Image {
 pub enum Group {
     /// The classes of calibration: measured for each circuit.
     Calibration,
-    /// What tells one pack from the next: serial number, date and lots.
+    /// What distinguishes packs: serial number, date and lots.
     Serial,
     /// What the gauge itself rewrites.
     Learned,
@@ -71,20 +71,20 @@ impl Group {
 /// One value of an image.
 #[derive(Debug)]
 pub struct Entry {
-    /// Where it belongs.
+    /// Its subclass.
     pub subclass: &'static Subclass,
     /// The parameter.
     pub parameter: &'static Parameter,
-    /// Its value, of the parameter's type; whether in its range is another question.
+    /// Its value, of the parameter's type but not necessarily in its range.
     pub value: Value,
-    /// The line of the file that it is from; 0 for a gauge's own.
+    /// The line of the file that it is from; 0 for a value read from a gauge.
     pub line: usize,
 }
 
-/// Bytes that no manual documents, next to each other, of one line.
+/// A run of undocumented bytes from one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Raw {
-    /// Subclass, which the table need not have, or [`FLAT`].
+    /// Subclass, which may be missing from the table, or [`FLAT`].
     pub subclass: u8,
     /// Offset of the first, or its address.
     pub offset: u16,
@@ -94,12 +94,12 @@ pub struct Raw {
     pub line: usize,
 }
 
-/// Bytes without a parameter that a gauge does not have as a file wants them.
+/// Undocumented bytes that a gauge and a file have different values for.
 #[derive(Debug)]
 pub struct RawDifference {
-    /// What the gauge has; `None` where its files do not show it.
+    /// The gauge's bytes; `None` where its files do not show them.
     pub old: Option<Vec<u8>>,
-    /// What the file has.
+    /// The file's bytes.
     pub new: Raw,
 }
 
@@ -114,7 +114,7 @@ pub struct Difference<'a> {
     pub new: &'a Entry,
 }
 
-/// What two images differ in.
+/// How two images differ.
 #[derive(Debug)]
 pub struct Comparison<'a> {
     /// Parameters that both have, with different values.
@@ -140,9 +140,8 @@ impl Entry {
         text::render(self.parameter.kind, &self.value)
     }
 
-    /// Whether an import writes it: not where its address is not sure, nor where the gauge itself has
-    /// learned what nobody may write. Any other value outside its range is an error, with line and
-    /// parameter.
+    /// Whether an import writes it. Skipped are parameters whose address is uncertain, and learned values
+    /// outside the range. Any other value outside its range is an error, with line and parameter.
     pub fn is_imported(&self) -> Result<bool> {
         match text::parse(self.parameter, self.text().as_bytes()) {
             _ if self.parameter.unproven => Ok(false),
@@ -192,36 +191,37 @@ impl Image {
         Self { chip, firmware, entries: Vec::new(), raw: Vec::new(), notes: Vec::new() }
     }
 
-    /// Why bytes that are no parameter's are not written to any gauge; those of a subclass that the table
-    /// does not have are where they are `allowed`.
+    /// Why these undocumented bytes are not written to any gauge. Those of a subclass that the table does not
+    /// have are written if `allowed`.
     pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
         let Raw { subclass, offset, line, .. } = *raw;
         if subclass == FLAT {
-            let why = "is none that is documented; --exclude undocumented leaves it as it is";
+            let why = "is undocumented; skip it with --exclude undocumented";
             return Some(at_line(line, format!("address 0x{offset:04x} {why}")));
         }
         if allowed || self.chip.subclass(subclass).is_some() {
             return None;
         }
         let model = self.chip.model;
-        let why = format!("a {model} has no subclass {subclass} that is documented; --raw takes its bytes");
+        let why = format!("subclass {subclass} of a {model} is undocumented; write its bytes with --raw");
         Some(at_line(line, why))
     }
 
-    /// The lines with bytes between and behind the parameters of a subclass, and how many each has.
+    /// The lines with undocumented bytes of documented subclasses, and the number of bytes in each.
     pub fn undocumented(&self) -> String {
         let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
         let told = known.chunk_by(|one, other| one.line == other.line).map(|line| {
             let count: usize = line.iter().map(|raw| raw.bytes.len()).sum();
             let (number, id) = (line[0].line, line[0].subclass);
-            let what = if count == 1 { "1 byte".into() } else { format!("{count} bytes") };
-            format!("line {number}: {what} of subclass {id} without a parameter; refused where a gauge has others\n")
+            let what =
+                if count == 1 { "1 undocumented byte".into() } else { format!("{count} undocumented bytes") };
+            format!("line {number}: {what} of subclass {id}; refused if the gauge has other values\n")
         });
         told.collect()
     }
 
-    /// What the bytes of a file that are no parameter's would change on a gauge whose subclasses `stored` gives
-    /// whole, by their ids. Only with `allowed` is there anything; without, the first such change is an error.
+    /// What the undocumented bytes of a file would change on a gauge. `stored` returns a whole subclass of it, by
+    /// id. Unless `allowed`, the first such change is an error.
     pub fn raw_changes(
         &self,
         stored: impl Fn(u8) -> Result<Vec<u8>>,
@@ -251,8 +251,7 @@ impl Image {
             let new = Raw { offset, bytes: raw.bytes[from..=to].to_vec(), ..*raw };
             let change = RawDifference { old: Some(stored[from..=to].to_vec()), new };
             if !allowed {
-                let why =
-                    "no manual documents these bytes; --raw writes them, --exclude undocumented leaves them";
+                let why = "these bytes are undocumented; write them with --raw or skip them with --exclude undocumented";
                 return Err(at_line(raw.line, format!("{change}: {why}")));
             }
             changes.push(change);
@@ -260,16 +259,16 @@ impl Image {
         Ok(changes)
     }
 
-    /// Reads a file of any format. `chip` is what it is for where it does not say so itself.
+    /// Reads a file of any format. `chip` is the chip that it is for, if the file does not name one.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
-        // Tools have left other encodings in comments and units, which nothing here depends on.
+        // Tools use other encodings in comments and units, which are not needed here.
         let text = String::from_utf8_lossy(&bytes);
         Self::parse(&text, chip).map_err(|error| error.within(&name))
     }
 
-    /// Reads the text of a file in any format, told apart by its first line.
+    /// Reads the text of a file. Its first line shows which format it has.
     pub fn parse(text: &str, chip: Option<&'static Chip>) -> Result<Self> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut image = match format_of(text) {
@@ -284,19 +283,19 @@ impl Image {
         if let Some(firmware) = image.firmware
             && !fits(image.chip.identity.firmware, firmware)
         {
-            let why = format!("firmware 0x{firmware:04x} is not one that the {} has", image.chip.model);
+            let why = format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model);
             return Err(Error::new("", Cause::Invalid(why)));
         }
         Ok(image)
     }
 
-    /// What has to be written to the gauge that this image is of, so that it has the values of a file. Rows
-    /// that are not imported are passed over; a value that may not be written is an error.
+    /// What must be written to the gauge of this image to give it the values of a file. Rows that are not
+    /// imported are skipped; a value that may not be written is an error.
     pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Vec<Difference<'a>>> {
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
         {
-            let why = format!("it is for firmware 0x{there:04x}, and the gauge has 0x{here:04x}");
+            let why = format!("it is for firmware 0x{there:04x}, but the gauge has 0x{here:04x}");
             return Err(Error::new("", Cause::Invalid(why)));
         }
         let mut changes = Vec::new();
@@ -309,8 +308,8 @@ impl Image {
         Ok(changes)
     }
 
-    /// The changes that give a gauge this configuration again after it has lost it with its power. Rows that are
-    /// not proven are left out.
+    /// The changes that restore this configuration on a gauge that has lost it with its power. Unproven rows are
+    /// left out.
     pub fn to_restore(&self) -> Result<Vec<Change>> {
         let mut changes = Vec::new();
         for entry in &self.entries {
@@ -327,8 +326,8 @@ impl Image {
         Ok(changes)
     }
 
-    /// The image in a format. A FlashStream needs the bytes between parameters as well: `stored` gives a
-    /// subclass whole, by its id.
+    /// The image in a format. A FlashStream also needs the bytes between parameters: `stored` returns a whole
+    /// subclass, by id.
     pub fn write(&self, format: Format, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
         match format {
             Format::Toml => Ok(toml::write(self)),
@@ -346,8 +345,8 @@ impl Image {
         format!("{}/{}", self.chip.class_dir(entry.subclass), kebab_case(entry.parameter.name))
     }
 
-    /// What another image of the same chip has different values for. A file need not hold everything:
-    /// what only one of the two has is counted, and is no difference.
+    /// Compares with another image of the same chip. A file need not hold everything: parameters that only one
+    /// of the two has are counted, but are not differences.
     pub fn compare<'a>(&'a self, new: &'a Image) -> Result<Comparison<'a>> {
         if !std::ptr::eq(self.chip, new.chip) {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
@@ -371,7 +370,7 @@ impl Image {
     }
 }
 
-/// The format of a text, by its first line that is not blank and no comment of all formats' kind.
+/// The format of a text, by its first line that is not blank.
 fn format_of(text: &str) -> Format {
     let first = text.split(['\r', '\n']).map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let mut letters = first.chars();
@@ -391,8 +390,8 @@ fn word(text: &str) -> Option<u16> {
     u16::from_str_radix(text.strip_prefix("0x").unwrap_or(text), 16).ok()
 }
 
-/// The chip that a file is for, from what it says of device type and firmware and from what is known
-/// otherwise. A contradiction is an error.
+/// The chip that a file is for, by the device type and firmware in it and by the chip that is `told`. A
+/// contradiction is an error.
 fn chip_of(
     told: Option<&'static Chip>,
     device_type: Option<u16>,
@@ -418,7 +417,7 @@ fn chip_of(
     if device_type.is_none() {
         return invalid("it does not say which gauge it is for; name it with --chip".into());
     }
-    // A part that names the firmware is meant rather than one of which none is known.
+    // A part whose identity names this firmware takes precedence over one without known firmware.
     let names = |known: &[u16]| firmware.is_some_and(|code| known.contains(&code));
     let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| is(chip)).collect();
     if chips.iter().any(|chip| names(chip.identity.firmware)) {
@@ -430,12 +429,15 @@ fn chip_of(
     });
     if let ([], Some(relative)) = (chips.as_slice(), relative) {
         let name = relative.name;
-        return invalid(format!("it is for {}: a {name}, of whose data flash gaugefs has no table", codes()));
+        return invalid(format!(
+            "it is for {}: a {name}, whose data flash gaugefs does not support",
+            codes()
+        ));
     }
     let names = chips.iter().map(|chip| chip.name).chain(relative.map(|relative| relative.name));
     match (chips.as_slice(), relative) {
         ([chip], None) => Ok(chip),
-        ([], _) => invalid(format!("it is for {}: no gauge that gaugefs knows", codes())),
+        ([], _) => invalid(format!("it is for {}: not a gauge that gaugefs knows", codes())),
         _ => {
             let names = names.collect::<Vec<_>>().join(" or ");
             invalid(format!("it is for {}: {names}; choose with --chip", codes()))
@@ -447,8 +449,10 @@ fn chip_of(
 mod tests {
     use super::*;
     use crate::chip::{Range, Scheme};
+    use proptest::prelude::*;
+    use proptest::sample::Index;
 
-    /// What a gauge would hold with the manual's defaults.
+    /// The image of a gauge with the manual's defaults.
     pub(super) fn defaults(chip: &'static Chip) -> Image {
         let mut image = Image::new(chip, chip.identity.firmware.first().copied());
         for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {
@@ -486,7 +490,7 @@ mod tests {
     const FORMATS: [Format; 3] = [Format::Toml, Format::GgCsv, Format::FlashStream];
 
     #[test]
-    fn every_format_holds_what_was_written() {
+    fn every_format_reads_back_what_was_written() {
         for chip in CHIPS {
             let image = defaults(chip);
             for format in FORMATS {
@@ -497,7 +501,7 @@ mod tests {
                 let compared = image.compare(&again).expect("one chip");
                 let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
                 assert!(differences.is_empty(), "{} {format:?}: {differences:?}", chip.name);
-                // A flat part's FlashStream leaves out what is not proven.
+                // The FlashStream of a flat part leaves out unproven parameters.
                 let may_lack = format == Format::FlashStream && chip.access.scheme == Scheme::Mac;
                 assert!(compared.only_first == 0 || may_lack, "{} {format:?}", chip.name);
                 assert_eq!(compared.only_second, 0);
@@ -506,7 +510,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_is_told_by_name() {
+    fn a_difference_is_shown_by_name() {
         let old = defaults(CHIPS[0]);
         let text = written(&old, Format::Toml)
             .replace("cell-terminate-voltage = 3000", "cell-terminate-voltage = 3100");
@@ -539,36 +543,33 @@ mod tests {
         let ambiguous = Image::parse("device_type = 0x0421\nfirmware = 0x0109\n", None);
         assert!(ambiguous.expect_err("two chips").to_string().ends_with(why));
         let relative = Image::parse("device_type = 0x0426\n", None).expect_err("no table").to_string();
-        assert!(relative.contains("a bq27426, of whose data flash gaugefs has no table"), "{relative}");
+        assert!(relative.contains("a bq27426, whose data flash gaugefs does not support"), "{relative}");
     }
 
     /// Whatever a file holds, it is an image or an error.
     #[test]
     fn garbage_is_refused_without_a_panic() {
-        let mut seed = 1u64;
-        let mut random = move |below: usize| {
-            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (seed >> 33) as usize % below
-        };
-        for chip in [CHIPS[0], CHIPS[2], CHIPS[5]] {
-            for format in FORMATS {
-                let whole = written(&defaults(chip), format).into_bytes();
-                for _ in 0..50 {
-                    let mut bytes = whole.clone();
-                    for _ in 0..=random(4) {
-                        let at = random(bytes.len());
-                        let letters = b"\n\r\t ;:*=[]#\",.0xfFWCX-\xff\x00e9";
-                        bytes[at] = letters[random(letters.len())];
-                    }
-                    if random(3) == 0 {
-                        bytes.truncate(random(whole.len()));
-                    }
-                    let text = String::from_utf8_lossy(&bytes);
-                    let _ = Image::parse(&text, None);
-                    let _ = Image::parse(&text, Some(chip));
-                }
+        let chips = [CHIPS[0], CHIPS[2], CHIPS[5]].into_iter();
+        let whole: Vec<_> = chips
+            .flat_map(|chip| FORMATS.map(|format| (chip, written(&defaults(chip), format).into_bytes())))
+            .collect();
+        let letter = prop::sample::select(b"\n\r\t ;:*=[]#\",.0xfFWCX-\xff\x00e9".to_vec());
+        let edits = prop::collection::vec((any::<Index>(), letter), 1..=4);
+        let end = prop::option::weighted(0.3, any::<Index>());
+        let config = ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() };
+        proptest!(config, |(file in prop::sample::select(whole), edits in edits, end in end)| {
+            let (chip, mut bytes) = file;
+            for (at, letter) in edits {
+                let at = at.index(bytes.len());
+                bytes[at] = letter;
             }
-        }
+            if let Some(end) = end {
+                bytes.truncate(end.index(bytes.len()));
+            }
+            let text = String::from_utf8_lossy(&bytes);
+            let _ = Image::parse(&text, None);
+            let _ = Image::parse(&text, Some(chip));
+        });
         for text in ["", "\n", ";", "*", ":", "W:", "X:", "W: AA", "* Field Order:", "[", "\u{feff}"] {
             let _ = Image::parse(text, Some(CHIPS[0]));
         }

@@ -1,7 +1,7 @@
 //! Key words, which appear nowhere: not in a log, a trace, an error or a process list.
 //!
-//! Errors about a key file name the file and the line, never what stands there: a line that is not
-//! understood may be a key all the same. The words are wiped from memory when they are dropped.
+//! Errors about a key file name the file and the line, never its content: a line that is not understood
+//! may still be a key. The words are wiped from memory when they are dropped.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub enum Name {
     Unseal,
     /// From UNSEALED to FULL ACCESS.
     FullAccess,
-    /// With which the gauge answers a challenge.
+    /// The one with which the gauge answers a challenge.
     Authentication,
 }
 
@@ -24,7 +24,7 @@ impl Name {
     /// All of them.
     pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
 
-    /// The word that stands for it.
+    /// Its name in a command.
     pub fn as_str(self) -> &'static str {
         match self {
             Name::Unseal => "unseal",
@@ -65,7 +65,7 @@ impl Secret {
         })
     }
 
-    /// The same key once more.
+    /// A copy of the key.
     pub fn clone_of(other: &Self) -> Self {
         Self(other.0.clone())
     }
@@ -92,7 +92,7 @@ impl Secret {
         [word(0), word(2)]
     }
 
-    /// As it is typed.
+    /// The key as it is typed.
     pub fn text(&self) -> Zeroizing<String> {
         let mut text = Zeroizing::new(String::with_capacity(2 * self.0.len() + 1));
         for (at, byte) in self.0.iter().enumerate() {
@@ -113,19 +113,19 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// What is written to `gauge/keys`: another key in place of the old one, which proves who asks.
+/// What is written to `gauge/keys`: a new key, and the old one as proof of permission.
 #[derive(Debug)]
 pub struct Change {
     /// Which key.
     pub name: Name,
-    /// The one that the gauge has.
+    /// The gauge's present key.
     pub old: Secret,
-    /// The one that it shall have.
+    /// The key that replaces it.
     pub new: Secret,
 }
 
 impl Change {
-    /// Reads `unseal OLD NEW`. An error does not say what stands there.
+    /// Reads `unseal OLD NEW`. An error does not repeat the text.
     pub fn parse(text: &[u8]) -> Result<Self> {
         let change = Self::parse_line(text);
         wipe_stack();
@@ -183,15 +183,15 @@ impl fmt::Debug for Keys {
     }
 }
 
-/// Wipes what functions that have returned left of keys where their frames were.
+/// Wipes copies of keys that functions have left on the stack.
 #[inline(never)]
 pub fn wipe_stack() {
     [0u128; 4 * 1024].zeroize();
 }
 
 impl Keys {
-    /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section are for
-    /// all gauges, those below `[NAME]` for the gauge of that name, where they count instead.
+    /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section apply to
+    /// all gauges; those below `[NAME]` apply to the gauge of that name and take precedence.
     pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
         let (mut general, mut own) = (Self::default(), Self::default());
         let mut sections: Vec<&str> = Vec::new();
@@ -209,7 +209,7 @@ impl Keys {
                 let section =
                     section.ok_or_else(|| refuse("expected a gauge's name in brackets, such as [BAT0]"))?;
                 if sections.contains(&section) {
-                    return Err(refuse("this gauge had a section before"));
+                    return Err(refuse("this gauge already has a section"));
                 }
                 sections.push(section);
                 present = Self::default();
@@ -220,10 +220,10 @@ impl Keys {
             };
             let key = Name::ALL.into_iter().find(|known| known.line() == key.trim());
             let key =
-                key.ok_or_else(|| refuse("the name is none of: unseal, full_access, authentication"))?;
+                key.ok_or_else(|| refuse("unknown name; expected unseal, full_access or authentication"))?;
             let secret = Secret::parse(key, value).ok_or_else(|| refuse(key.form()))?;
             if present.secret(key).is_some() {
-                return Err(refuse("this key was given on a line before"));
+                return Err(refuse("this key was already given"));
             }
             present.set(key, &secret);
             match sections.last() {
@@ -251,7 +251,7 @@ impl Keys {
         }
     }
 
-    /// From now on this one.
+    /// Replaces the key of that name.
     pub fn set(&mut self, name: Name, secret: &Secret) {
         match name {
             Name::Unseal => self.unseal = Some(secret.words()),
@@ -261,7 +261,7 @@ impl Keys {
     }
 }
 
-/// Whether a gauge's folder may be called so.
+/// Whether this is a valid name for a gauge's folder.
 pub fn is_name(text: &str) -> bool {
     let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
     !text.is_empty() && text.len() <= 64 && text.bytes().all(allowed) && !text.starts_with(['.', '-'])
@@ -282,7 +282,7 @@ pub fn words(text: &str) -> Option<[u16; 2]> {
 }
 
 fn digits(text: &str) -> Option<[u8; 16]> {
-    // Reserved at once: growing would leave copies behind that nobody wipes.
+    // Reserved at once: growing would leave copies behind that are not wiped.
     let mut tight = Zeroizing::new(String::with_capacity(text.len()));
     text.split_ascii_whitespace().for_each(|word| tight.push_str(word));
     let text = tight;
@@ -324,12 +324,12 @@ mod tests {
         assert_eq!(error("0414beef"), "keys: line 1: not of the form `name = value`");
         assert_eq!(
             error("beef = cafe"),
-            "keys: line 1: the name is none of: unseal, full_access, authentication"
+            "keys: line 1: unknown name; expected unseal, full_access or authentication"
         );
         assert_eq!(error("authentication = 0123"), "keys: line 1: expected 32 hexadecimal digits");
         assert_eq!(
             error("unseal = 1234 5678\nunseal = 1234 5678"),
-            "keys: line 2: this key was given on a line before"
+            "keys: line 2: this key was already given"
         );
         assert_eq!(error("unseal = +123 5678 1"), error("unseal = 1"));
     }
@@ -348,15 +348,15 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_section_is_refused_whoever_it_is_for() {
+    fn a_bad_section_is_refused_for_any_gauge() {
         for (text, line, why) in [
             ("[BAT0\n", 1, "expected a gauge's name in brackets"),
             ("\n[a/b]", 2, "expected a gauge's name in brackets"),
             ("[]", 1, "expected a gauge's name in brackets"),
-            ("[BAT0]\n[BAT1]\n[BAT0]", 3, "this gauge had a section before"),
+            ("[BAT0]\n[BAT1]\n[BAT0]", 3, "this gauge already has a section"),
             ("[BAT1]\nunseal = 1234", 2, "expected two words"),
-            ("[BAT1]\nunseal = 1234 5678\nunseal = 1234 5678", 3, "this key was given on a line before"),
-            ("[BAT1]\nbeef = 1234", 2, "the name is none of"),
+            ("[BAT1]\nunseal = 1234 5678\nunseal = 1234 5678", 3, "this key was already given"),
+            ("[BAT1]\nbeef = 1234", 2, "unknown name"),
         ] {
             let told = error(text);
             assert!(told.starts_with(&format!("keys: line {line}: {why}")), "{told}");

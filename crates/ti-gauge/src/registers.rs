@@ -25,7 +25,7 @@ impl Registers {
     /// None has been read.
     pub const UNREAD: Self = Self { bytes: [0; ADDRESSES], known: 0 };
 
-    /// Reads the registers of the wanted tiers. Where a read fails, the bytes that it was for stay as they were.
+    /// Reads the registers of the wanted tiers. If a read fails, the bytes that it was for keep their values.
     pub fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
         for (start, length) in bursts(gauge.chip.registers, wanted) {
             let mut bytes = [0; ADDRESSES];
@@ -151,6 +151,7 @@ mod tests {
         assert_eq!(bursts(&registers, |_| true), [(0x02, 6), (0x0c, 4)]);
         assert_eq!(bursts(&registers, |tier| tier == Tier::Window), []);
     }
+
     /// Each byte reads as its address; from `broken` on nothing is acknowledged.
     struct Addresses {
         broken: u8,

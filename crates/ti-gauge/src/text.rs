@@ -16,8 +16,7 @@ pub fn render(kind: Type, value: &Value) -> String {
     }
 }
 
-/// A gauge's string is whatever somebody once wrote into it. What a shell or a terminal would act on
-/// becomes `_`.
+/// A gauge's string may hold any bytes. Those that a shell or a terminal could act on become `_`.
 fn harmless(byte: u8) -> char {
     match byte {
         b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => byte.into(),
@@ -35,14 +34,13 @@ fn shortest(value: f64) -> String {
         .to_string()
 }
 
-/// The value that `text` gives to a parameter: of its type and inside the manual's range, or an error
-/// that says what is allowed. Spaces around and a newline at the end are fine; numbers are decimal,
-/// `0x` or `0b`.
+/// Parses a value for a parameter. It must be of its type and in the manual's range; otherwise the error
+/// says what is allowed. White space around it is ignored; numbers are decimal, `0x` or `0b`.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
 
-/// The same for a value that stands in a gauge already, wherever it lies: only the type is asked for.
+/// The same for a value that a gauge already holds, in or out of range: only the type is checked.
 pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, None, text)
 }
@@ -63,7 +61,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
             }
             if text.len() >= usize::from(size) {
                 let room = size - 1;
-                return Err(invalid(format!("{} characters are too many, {room} fit", text.len())));
+                return Err(invalid(format!("{} characters, but only {room} fit", text.len())));
             }
             Ok(Value::Text(text.into()))
         }
@@ -99,7 +97,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
     }
 }
 
-/// `None` for what is no number at all, `Some(None)` for a number that is too long for any type.
+/// `None` for text that is not a number, `Some(None)` for a number too large for any type.
 fn integer(text: &str) -> Option<Option<i64>> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(digits) => (true, digits),
@@ -123,7 +121,7 @@ pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The same, read back; `None` where anything else stands in it.
+/// The reverse of [`hex`]; `None` for any other text.
 pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
     let digit = |byte: u8| char::from(byte).to_digit(16).map(|digit| digit as u8);
     let byte = |pair: &[u8]| Some(digit(pair[0])? << 4 | digit(pair[1])?);
@@ -133,6 +131,60 @@ pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chip::CHIPS;
+    use proptest::prelude::*;
+
+    fn parameters() -> impl Iterator<Item = &'static Parameter> {
+        CHIPS.iter().flat_map(|chip| chip.subclasses).flat_map(|subclass| subclass.parameters)
+    }
+
+    fn cases(cases: u32) -> ProptestConfig {
+        ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+    }
+
+    #[test]
+    fn every_number_of_every_chip_reads_back_as_it_is_shown() {
+        proptest!(cases(24), |(bytes: [u8; 4], place in 0.0..=1.0)| {
+            for parameter in parameters() {
+                let kind = parameter.kind;
+                if matches!(kind, Type::S(_)) {
+                    continue;
+                }
+                let stored = codec::decode(kind, &bytes[..kind.size()]);
+                let shown = render(kind, &stored);
+                let read = parse_stored(parameter, shown.as_bytes());
+                let read = read.map_err(|error| TestCaseError::fail(error.to_string()))?;
+                prop_assert_eq!(codec::encode(kind, &read), codec::encode(kind, &stored), "{}", parameter.name);
+                if let Range::Int { min, max, .. } = parameter.range {
+                    let value = Value::Int(min + ((max - min) as f64 * place) as i64);
+                    let shown = render(kind, &value);
+                    prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", parameter.name);
+                }
+            }
+        });
+    }
+
+    #[test]
+    fn every_string_of_every_chip_reads_back_as_it_is_shown() {
+        proptest!(cases(64), |(letters in prop::collection::vec(prop::sample::select(b"AZaz09.,:+-_/=@%".to_vec()), 32))| {
+            for parameter in parameters().filter(|parameter| matches!(parameter.kind, Type::S(_))) {
+                let value = Value::Text(letters[..parameter.kind.size() - 1].to_vec());
+                let shown = render(parameter.kind, &value);
+                prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", parameter.name);
+            }
+        });
+    }
+
+    #[test]
+    fn the_shortest_f4_reads_back_to_the_same_bytes() {
+        proptest!(cases(2048), |(bytes: [u8; 4])| {
+            let shown = render(Type::F4, &codec::decode(Type::F4, &bytes));
+            let Ok(Value::Float(read)) = parse_stored(&GAIN, shown.as_bytes()) else {
+                return Err(TestCaseError::fail(format!("{shown} is refused")));
+            };
+            prop_assert_eq!(codec::encode(Type::F4, &Value::Float(read)), Some(bytes.to_vec()), "{}", shown);
+        });
+    }
 
     const VOLTAGE: Parameter =
         Parameter::int(53, Type::I(2), "Cell Terminate Voltage", 1000, 3700, 3000, "mV");
@@ -194,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_a_gauge_need_not_be_in_range() {
+    fn a_stored_value_need_not_be_in_range() {
         assert_eq!(parse_stored(&VOLTAGE, b"9999"), Ok(Value::Int(9999)));
         assert!(is_out_of_range(&parse_stored(&VOLTAGE, b"99999").expect_err("no I2")));
         assert_eq!(parse_stored(&GAIN, b"41"), Ok(Value::Float(41.0)));

@@ -3,18 +3,18 @@
 use std::fmt;
 
 /// The type of a data-flash parameter, named as TI's manuals name it: a letter for the kind and the
-/// number of bytes. Multi-byte values stand in data flash with the most significant byte first.
+/// number of bytes. Multi-byte values are stored with the most significant byte first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Type {
-    /// A signed integer of so many bytes, two's complement.
+    /// A signed integer of this many bytes, two's complement.
     I(u8),
-    /// An unsigned integer of so many bytes.
+    /// An unsigned integer of this many bytes.
     U(u8),
-    /// A bit field or code of so many bytes, shown in hexadecimal.
+    /// A bit field or code of this many bytes, shown in hexadecimal.
     H(u8),
     /// TI's four-byte floating-point number, which is not IEEE 754.
     F4,
-    /// A string of so many bytes, the first of which is its length.
+    /// A string of this many bytes, the first of which is its length.
     S(u8),
 }
 

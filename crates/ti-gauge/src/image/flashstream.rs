@@ -1,7 +1,7 @@
 //! An image as FlashStream: what a host sends to a gauge, transfer by transfer.
 //!
-//! A file is never replayed. It is read as the gauge would read it, down to the parameters that would then
-//! have other values; whatever else it would do to a gauge is refused, with the line.
+//! A file is never replayed. It is interpreted as the gauge would interpret it, which yields the parameters that
+//! it would change; anything else that it would do to a gauge is refused, with the line.
 
 use std::collections::BTreeMap;
 
@@ -31,13 +31,13 @@ const DATA: u8 = 0x40;
 const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen().
 const LENGTH: u8 = 0x61;
-/// What MACDataLen() counts beside the data.
+/// Bytes that MACDataLen() counts in addition to the data.
 const OVERHEAD: u8 = 4;
-/// The comment that names the chip: device type and firmware do not tell all of them apart.
+/// The comment that names the chip: device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
-/// Bytes of a row after the register: TI's tools bound them to 96 behind the four that name a row in ROM mode.
+/// Bytes of a row after the register: TI's tools write at most 96 after the four that name a row in ROM mode.
 const LONGEST: usize = 100;
-/// What bqStudio has in place of device type and firmware where it has read them from the wrong register.
+/// What bqStudio writes for device type and firmware if it has read them from the wrong register.
 const NOT_READ: u16 = 0xffa5;
 
 /// One line of a FlashStream.
@@ -54,7 +54,7 @@ fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
-        // Tools write comments on lines of their own; people write them behind a command as well.
+        // Tools write comments on lines of their own; people also write them after a command.
         let line = line.split(';').next().unwrap_or_default().trim();
         if !line.is_empty() {
             commands.push((number, command(line).map_err(|why| at_line(number, why))?));
@@ -70,21 +70,21 @@ fn command(line: &str) -> Result<Command, String> {
     };
     if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
-        return decimal.map(|_| Command::Wait).map_err(|_| "X: wants a number of milliseconds".into());
+        return decimal.map(|_| Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
     }
     if !["W", "C", "R"].iter().any(|known| letter.trim().eq_ignore_ascii_case(known)) {
         return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
     }
     let bytes: Option<Vec<u8>> = rest.split_ascii_whitespace().map(byte).collect();
-    let bytes = bytes.ok_or("bytes are two hexadecimal digits each, with spaces between")?;
+    let bytes = bytes.ok_or("expected bytes of two hexadecimal digits, separated by spaces")?;
     let [address, register, ref data @ ..] = bytes[..] else {
-        return Err("address, register and at least one byte are wanted".into());
+        return Err("expected an address, a register and at least one byte".into());
     };
     if data.is_empty() {
-        return Err("address, register and at least one byte are wanted".into());
+        return Err("expected an address, a register and at least one byte".into());
     }
     if data.len() > LONGEST {
-        return Err(format!("{} bytes, where a row holds {LONGEST} at most", data.len()));
+        return Err(format!("{} bytes, but a row holds at most {LONGEST}", data.len()));
     }
     let bytes = data.to_vec();
     match letter.trim() {
@@ -154,15 +154,15 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
             Command::Write { register: CONTROL | SELECT, bytes, .. }
                 if bytes[..] == ROM_MODE.to_le_bytes() =>
             {
-                let why = "Control(ROM_MODE): what follows writes flash row by row, past the gauge's firmware or over \
-                           it; never done. A .gm.fs or .gg.csv of the same gauge can be read";
+                let why = "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the \
+                           gauge's firmware, which gaugefs never does; use a .gm.fs or .gg.csv of the same gauge";
                 Err(at_line(number, why))
             }
             _ => Ok(()),
         },
         ROM | 0x0b => Err(at_line(
             number,
-            "address 0x16 is the gauge in ROM mode, where its firmware is written; never done",
+            "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware",
         )),
         other => Err(at_line(number, format!("address 0x{other:02x} is not the gauge's, which is AA"))),
     }
@@ -171,13 +171,13 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
 /// A word that the file expects, and the line that says so.
 type Expected = Option<(usize, u16)>;
 
-/// Device type and firmware that the file asks for.
+/// Device type and firmware that the file expects.
 fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
     let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
     match answer(commands, FW_VERSION) {
-        // MACData() tells both at once, the most significant byte first, and more behind them.
+        // MACData() returns both at once, the most significant byte first, followed by other data.
         Some((line, &[a, b, c, d, ..])) => {
             let (kind, version) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
             (told((line, kind)).or(device_type), told((line, version)))
@@ -194,7 +194,7 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
         _ => false,
     };
     let at = commands.iter().position(|(_, command)| asks(command))?;
-    // Waits may stand between.
+    // There may be waits in between.
     let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
     match next {
         // The echo of ManufacturerAccessControl() comes first.
@@ -206,7 +206,7 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     }
 }
 
-/// A gauge as far as a FlashStream sees one: what is selected, the window, and what has been committed.
+/// The state of a gauge that a FlashStream acts on: what is selected, the window, and what has been committed.
 struct Stream {
     chip: &'static Chip,
     class: Option<u8>,
@@ -255,7 +255,7 @@ impl Stream {
         let mut bytes = bytes;
         if register == CONTROL || (register == SELECT && self.is_mac()) {
             let [low, high, rest @ ..] = bytes else {
-                return Err("half a word; gaugefs reads words written in one line only".into());
+                return Err("half a word; gaugefs only reads words that are written in one line".into());
             };
             let word = u16::from_le_bytes([*low, *high]);
             if register == SELECT && self.is_flash(word) {
@@ -285,8 +285,8 @@ impl Stream {
                 LENGTH if self.is_mac() => self.commit_mac(line, byte)?,
                 SUM => self.commit_block(line, byte)?,
                 LENGTH if byte == 0 => {}
-                LENGTH => return Err("BlockDataControl() other than 0 does not lead to data flash".into()),
-                _ => return Err(format!("register 0x{register:02x} is none that configures a gauge")),
+                LENGTH => return Err("BlockDataControl() other than 0 does not select data flash".into()),
+                _ => return Err(format!("register 0x{register:02x} does not configure a gauge")),
             }
         }
         Ok(())
@@ -303,14 +303,14 @@ impl Stream {
     fn select(&mut self) -> Result<(), String> {
         if let Some(line) = self.pending {
             return Err(format!(
-                "the bytes of line {line} are not committed before the next block is chosen"
+                "the bytes of line {line} are not committed before the next block is selected"
             ));
         }
         self.window.clear();
         Ok(())
     }
 
-    /// A word for Control(). Key words are not shown, whatever is wrong with them.
+    /// A word for Control(). Key words are never shown, even in an error.
     fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
         if std::mem::take(&mut self.half_key) && rest.is_empty() {
             return Ok(());
@@ -322,7 +322,7 @@ impl Stream {
             let pair = second(rest) || rest.is_empty() && follows;
             if !pair {
                 let model = self.chip.model;
-                return Err(format!("no subcommand of a {model}, and no pair of key words (not shown)"));
+                return Err(format!("neither a subcommand of a {model} nor a pair of key words (not shown)"));
             }
             self.half_key = rest.is_empty();
             self.notes.push(format!("line {line}: key words; an import uses the keys of the mount"));
@@ -348,7 +348,7 @@ impl Stream {
     }
 
     fn commit_block(&mut self, line: usize, sum: u8) -> Result<(), String> {
-        let Some(class) = self.class else { return Err("a checksum before any subclass is chosen".into()) };
+        let Some(class) = self.class else { return Err("a checksum before any subclass is selected".into()) };
         self.pending = None;
         let window = std::mem::take(&mut self.window);
         if window.len() == WINDOW {
@@ -363,7 +363,7 @@ impl Stream {
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
                 let last = (subclass.stored() - 1) / WINDOW as u16;
-                return Err(format!("block {} of subclass {class}, the last of which is {last}", self.block));
+                return Err(format!("block {} of subclass {class}, whose last block is {last}", self.block));
             }
         }
         let start = u16::from(self.block) * WINDOW as u16;
@@ -380,13 +380,15 @@ impl Stream {
         let whole = window.keys().copied().eq(0..window.len() as u8);
         if !whole || usize::from(length) != window.len() + usize::from(OVERHEAD) {
             let want = window.len() + usize::from(OVERHEAD);
-            return Err(format!("MACDataLen() is {length}, where {want} bytes count; a gauge drops them"));
+            return Err(format!(
+                "MACDataLen() is {length} instead of {want}; a gauge would discard the bytes"
+            ));
         }
         let bytes: Vec<u8> = window.into_values().collect();
         check_sum(self.sum, mac_sum(address, &bytes))?;
         let mut documented = bytes.is_empty();
         for (at, byte) in (0u16..).zip(bytes) {
-            let address = address.checked_add(at).ok_or("behind the last address")?;
+            let address = address.checked_add(at).ok_or("beyond the last address")?;
             let within = |subclass: &&Subclass| {
                 subclass.id == FLAT
                     && address >= subclass.start()
@@ -407,7 +409,7 @@ impl Stream {
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is none that is documented for a {}", self.chip.model))
+        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
     }
 
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
@@ -416,13 +418,13 @@ impl Stream {
         };
         match self.sums.get(&(class, self.block)) {
             Some(sum) if sum != told => {
-                Err(format!("checksum 0x{told:02x} is expected, where the file wrote 0x{sum:02x}"))
+                Err(format!("checksum 0x{told:02x} is expected, but the file wrote 0x{sum:02x}"))
             }
             _ => Ok(()),
         }
     }
 
-    /// What is stored, as parameters; what is left of it, as bytes.
+    /// The stored bytes as parameters, and the rest as raw bytes.
     fn into_image(mut self, image: &mut Image) -> Result<()> {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
@@ -431,7 +433,7 @@ impl Stream {
                     offsets.filter_map(|offset| self.stored.remove(&(subclass.id, offset))).collect();
                 let Some(&(_, line)) = found.first() else { continue };
                 if found.len() < parameter.kind.size() {
-                    return Err(at_line(line, format!("{}: only a part of it is written", parameter.name)));
+                    return Err(at_line(line, format!("{}: only part of it is written", parameter.name)));
                 }
                 let bytes: Vec<u8> = found.iter().map(|(byte, _)| *byte).collect();
                 image.add(subclass, parameter, codec::decode(parameter.kind, &bytes), line);
@@ -453,7 +455,7 @@ fn check_sum(told: u8, sum: u8) -> Result<(), String> {
     if told == sum {
         return Ok(());
     }
-    Err(format!("checksum 0x{told:02x}, where the bytes add up to 0x{sum:02x}; a gauge drops them"))
+    Err(format!("checksum 0x{told:02x}, but the bytes give 0x{sum:02x}; a gauge would discard them"))
 }
 
 /// MACDataSum(): the complement of the sum of address and data.
@@ -462,8 +464,7 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
     checksum(bytes).wrapping_sub(low).wrapping_sub(high)
 }
 
-/// The image as text. `raw` is asked for all bytes of a subclass, block by block: what no manual documents
-/// is committed as it is.
+/// The image as text. `raw` returns all bytes of a subclass: undocumented bytes are written as they are.
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
@@ -524,8 +525,8 @@ fn row(letter: char, register: u8, bytes: &[u8]) -> String {
     format!("{letter}: {GAUGE:02X} {register:02X}{bytes}\n")
 }
 
-/// The parameters of a flat data flash, those that are next to each other as one, as far as a window goes.
-/// What is not proven is not written.
+/// The parameters of a flat data flash, adjacent ones joined into runs of at most a window. Unproven ones are left
+/// out.
 fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
     let mut entries: Vec<_> = image.entries.iter().filter(|entry| !entry.parameter.unproven).collect();
     entries.sort_by_key(|entry| entry.parameter.offset);
@@ -558,7 +559,7 @@ mod tests {
         Ok((entries.collect(), image.notes))
     }
 
-    /// The identity lines of a bq27441-G1, key words, CONFIG UPDATE, a block, in the manner of TI's files:
+    /// The identity lines of a bq27441-G1, key words, CONFIG UPDATE, a block, in the style of TI's files:
     /// carriage returns, X: without a space, lower case, tabs.
     const STREAM: &str = "; a comment\r\nW: AA 00 00 80\r\nW: AA 00 00 80\r\nX:10\r\nW: AA 00 01 00\r\n\
         C: AA 00 21 04\r\nW: AA 00 02 00\r\nC: AA 00 09 01\r\nW: AA 00 13 00\r\nX: 1100\r\n\
@@ -581,11 +582,11 @@ mod tests {
         assert_eq!(places, [("raw 68/0".into(), 7, 14), ("raw 68/11".into(), 21, 14)]);
         assert_eq!(
             image.undocumented(),
-            "line 14: 28 bytes of subclass 68 without a parameter; refused where a gauge has others\n"
+            "line 14: 28 undocumented bytes of subclass 68; refused if the gauge has other values\n"
         );
     }
 
-    /// As the chemistry files of TI's tools have them: subclasses that no manual names, in blocks.
+    /// As in the chemistry files of TI's tools: blocks of undocumented subclasses.
     #[test]
     fn a_subclass_that_is_not_in_the_table_is_read_as_bytes() {
         let data = format!("W: AA 40{}", " 11".repeat(32));
@@ -598,17 +599,17 @@ mod tests {
             why.map(|why| why.map(|why| why.to_string())).collect()
         };
         let why = |line| {
-            format!("line {line}: a BQ27427 has no subclass 83 that is documented; --raw takes its bytes")
+            format!("line {line}: subclass 83 of a BQ27427 is undocumented; write its bytes with --raw")
         };
         assert_eq!(told(false), [Some(why(3)), Some(why(7))]);
         assert_eq!(told(true), [None, None]);
         assert_eq!((image.raw[1].name(), image.raw[1].text()), ("raw 83/32".into(), "11".repeat(32)));
     }
 
-    /// The whole of a file for firmware is of no use here: rows of ROM mode have 96 bytes behind four that
-    /// name the row. The reason that is told is the mode, not the row.
+    /// A firmware file is refused: rows of ROM mode have 96 bytes after four that name the row. The error gives
+    /// the mode as the reason, not the row.
     #[test]
-    fn a_file_for_rom_mode_is_told_as_one() {
+    fn a_file_for_rom_mode_is_refused_as_such() {
         let row = format!("W: 16 00 02 00 00 00{}", " FF".repeat(96));
         let unseal = "W: AA 00 14 04\nW: AA 00 72 36\nX: 1000\n";
         for check in ["", "W: AA 3E 02 00\nC: AA 3E 02 00 FF A5 FF A5\n"] {
@@ -619,11 +620,11 @@ mod tests {
             assert!(error.starts_with(&format!("line {line}: Control(ROM_MODE)")), "{error}");
         }
         let error = read("bq34110", &format!("{row} FF\n")).expect_err("too long").to_string();
-        assert_eq!(error, "line 1: 101 bytes, where a row holds 100 at most");
+        assert_eq!(error, "line 1: 101 bytes, but a row holds at most 100");
     }
 
-    /// Files written by hand have comments behind their commands, subclass and block in two lines, and
-    /// checksums of blocks of which they change a part.
+    /// Files written by hand have comments after commands, subclass and block in two lines, and
+    /// checksums of blocks that they change only in part.
     #[test]
     fn files_written_by_hand_are_read() {
         let text = "\u{feff}; Terminate voltage\nW: AA 3E 50        ; IT Cfg\n W : AA 3F 01\n\
@@ -637,9 +638,9 @@ mod tests {
         assert_eq!((image.entries.len(), image.raw.len(), entry.line), (1, 0, 5));
     }
 
-    /// A gauge with MACData() tells device type and version in one answer, the most significant byte first.
+    /// A gauge with MACData() returns device type and version in one answer, the most significant byte first.
     #[test]
-    fn one_answer_may_tell_device_type_and_firmware() {
+    fn one_answer_may_hold_device_type_and_firmware() {
         let row = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
         let text = |answer: &str| format!("W: AA 3E 02 00\nC: AA 3E 02 00 {answer}\n{row}");
         let image = parse(&text("01 10 00 02 00 08"), None).expect("an image");
@@ -647,7 +648,7 @@ mod tests {
         let error = parse(&text("02 20 00 03"), None).expect_err("a bq27220").to_string();
         assert_eq!(
             error,
-            "line 2: it is for device type 0x0220, firmware 0x0003: no gauge that gaugefs knows"
+            "line 2: it is for device type 0x0220, firmware 0x0003: not a gauge that gaugefs knows"
         );
         // What bqStudio writes for a bq34110, having asked in the wrong place.
         let image = parse(&text("FF A5 FF A5"), Chip::by_name("bq34110")).expect("an image");
@@ -656,27 +657,30 @@ mod tests {
     }
 
     #[test]
-    fn what_a_gauge_would_not_survive_is_refused_with_its_line() {
+    fn a_dangerous_or_broken_line_is_refused() {
         for (line, says) in [
             ("W: AA 00 00 0F", "line 2: Control(ROM_MODE)"),
             ("W: 16 00 0C 00", "line 2: address 0x16 is the gauge in ROM mode"),
             ("W: 0B 00 0C", "line 2: address 0x16 is the gauge in ROM mode"),
             ("W: 55 00 13 00", "line 2: address 0x55 is not the gauge's, which is AA"),
             ("W: AA 00 1C 00", "line 2: SHUTDOWN: gaugefs never sends it"),
-            ("W: AA 00 34 12", "line 2: no subcommand of a bq27441-G1, and no pair of key words (not shown)"),
-            ("W: AA 10 00", "line 2: register 0x10 is none that configures a gauge"),
+            (
+                "W: AA 00 34 12",
+                "line 2: neither a subcommand of a bq27441-G1 nor a pair of key words (not shown)",
+            ),
+            ("W: AA 10 00", "line 2: register 0x10 does not configure a gauge"),
             ("W: AA 61 01", "line 2: BlockDataControl() other than 0"),
-            ("W: AA 60 00", "line 2: a checksum before any subclass is chosen"),
+            ("W: AA 60 00", "line 2: a checksum before any subclass is selected"),
             ("W: AA 3E 44 00\nW: AA 40 00", "line 3: these bytes are never committed"),
             ("W: AA 3E 44 00\nW: AA 40 00\nW: AA 3E 44 00", "line 4: the bytes of line 3 are not committed"),
             (
                 "W: AA 3E 02 01\nW: AA 40 00\nW: AA 60 00",
-                "line 4: block 1 of subclass 2, the last of which is 0",
+                "line 4: block 1 of subclass 2, whose last block is 0",
             ),
-            ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only a part of it"),
-            ("X: soon", "line 2: X: wants a number of milliseconds"),
-            ("W: AA 3", "line 2: bytes are two hexadecimal digits"),
-            ("W: AA 3E", "line 2: address, register and at least one byte"),
+            ("W: AA 3E 52 00\nW: AA 4A 01\nW: AA 60 00", "line 4: Design Capacity: only part of it"),
+            ("X: soon", "line 2: X: needs a number of milliseconds"),
+            ("W: AA 3", "line 2: expected bytes of two hexadecimal digits"),
+            ("W: AA 3E", "line 2: expected an address, a register and at least one byte"),
             (":", "line 2: not a command of a FlashStream"),
             ("hello", "line 2: not a line of a FlashStream"),
             ("M: AA 00 00", "line 2: not a command of a FlashStream"),
@@ -686,10 +690,10 @@ mod tests {
         }
         let bent = STREAM.replace("03 20", "03 21");
         let error = read("bq27441-g1", &bent).expect_err("a wrong sum").to_string();
-        assert_eq!(error, "line 14: checksum 0xdc, where the bytes add up to 0xdb; a gauge drops them");
+        assert_eq!(error, "line 14: checksum 0xdc, but the bytes give 0xdb; a gauge would discard them");
         let error =
             read("bq27441-g1", &STREAM.replace("C: AA 60 DC", "C: AA 60 DD")).expect_err("another sum");
-        assert_eq!(error.to_string(), "line 17: checksum 0xdd is expected, where the file wrote 0xdc");
+        assert_eq!(error.to_string(), "line 17: checksum 0xdd is expected, but the file wrote 0xdc");
         let error = read("bq34z100-g1", STREAM).expect_err("another part").to_string();
         assert!(error.starts_with("line 6: it is for device type 0x0421, firmware 0x0109"), "{error}");
         let error =
@@ -716,7 +720,7 @@ mod tests {
         }
     }
 
-    /// A row that joins address and data, and one that parts them, as ManufacturerAccessControl() takes both.
+    /// Address and data in one row or in two: ManufacturerAccessControl() accepts both.
     #[test]
     fn a_flat_address_is_read_as_its_parameters() {
         for text in [
@@ -728,12 +732,9 @@ mod tests {
             assert!(entries[0].ends_with("data/cc-offset -1200"), "{entries:?}");
         }
         for (text, says) in [
-            (
-                "W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n",
-                "line 2: checksum 0x6d, where the bytes add up to 0x6c",
-            ),
-            ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7, where 6 bytes count"),
-            ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only a part of it is written"),
+            ("W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\n", "line 2: checksum 0x6d, but the bytes give 0x6c"),
+            ("W: AA 3E 08 40 FB 50\nW: AA 60 6C 07\n", "line 2: MACDataLen() is 7 instead of 6"),
+            ("W: AA 3E 08 40 FB\nW: AA 60 BC 05\n", "line 2: CC Offset: only part of it is written"),
             ("W: AA 61 06\n", "line 1: MACDataLen() before any address"),
             ("W: AA 3E 00 0F\n", "line 1: Control(ROM_MODE)"),
             ("W: AA 3E 01 00 FB 50\n", "line 1: more than a word for DEVICE_TYPE"),

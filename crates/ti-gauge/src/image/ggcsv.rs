@@ -1,5 +1,5 @@
-//! An image as bqStudio's gg.csv: a head of lines that begin with `*`, the last of which names the columns,
-//! then a line a parameter.
+//! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
+//! one line for each parameter.
 
 use super::{Image, at_line, chip_of, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::text;
 use crate::value::{Type, Value};
 
-/// The columns, in the order in which bqStudio has them.
+/// The columns in bqStudio's order.
 const COLUMNS: [&str; 18] = [
     "Class name",
     "SubClass name",
@@ -31,14 +31,14 @@ const COLUMNS: [&str; 18] = [
 ];
 /// Where a flat address space begins, from which bqStudio counts its offsets.
 const FLAT_BASE: u16 = 0x4000;
-/// The line of the head that names the chip: bqStudio's own do not tell all of them apart.
+/// The header line that names the chip: bqStudio's own lines do not distinguish all chips.
 const CHIP_LINE: &str = "gaugefs chip";
 
 /// The image as text.
 pub fn write(image: &Image) -> String {
     let rows: Vec<[String; 18]> =
         image.entries.iter().map(|entry| row(entry.subclass, entry.parameter, &entry.value)).collect();
-    // There is no quoting; where a value has a comma, the columns are parted by tabs.
+    // The format has no quoting; if a value contains a comma, the columns are separated by tabs.
     let tabs = rows.iter().flatten().any(|field| field.contains(','));
     let (comma, gap) = if tabs { ("\t", "\t") } else { (",", ", ") };
     let chip = image.chip;
@@ -101,8 +101,8 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
     ]
 }
 
-/// Reads an image. Parameters that the table does not have are left out and noted, and so are keys: what
-/// bqStudio calls a parameter is not always what the manual does.
+/// Reads an image. Parameters that the table does not have are left out with a note, and so are keys: bqStudio
+/// and the manual do not always use the same names.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let (mut named, mut device_type, mut firmware) = (None, None, None);
     let mut order: Option<(char, Vec<String>)> = None;
@@ -110,8 +110,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     for (number, line) in (1..).zip(text.lines()) {
         let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
             if order.is_none() && line.trim_start().starts_with('[') {
-                let why =
-                    "a .gg file in sections, which tell neither units nor formats; export it as .gg.csv";
+                let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
                 return Err(at_line(number, why));
             }
             if !line.trim().is_empty() {
@@ -149,7 +148,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     for (number, line) in rows {
         let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
         if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
-            let why = format!("{} fields, where the head names {}", fields.len(), order.len());
+            let why = format!("{} fields, but the header names {}", fields.len(), order.len());
             return Err(at_line(number, why));
         }
         let field = |name: &str| {
@@ -185,7 +184,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
     if let Some(formula) = field("write-formula").filter(|formula| !matches!(*formula, "" | "x" | "X")) {
         return Err(bad(format!(
-            "its value goes through the formula {formula}, which gaugefs does not know"
+            "its value is converted by the formula {formula}, which gaugefs does not support"
         )));
     }
     let format = field("display-format").unwrap_or_default();
@@ -193,7 +192,9 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let Some(decimals) = unit.map_or_else(|| Some(decimals(format)), |unit| short_form(parameter, unit))
     else {
         let (name, unit, stored) = (parameter.name, unit.unwrap_or_default(), parameter.unit);
-        let why = format!("shown in {unit}, stored in {stored}, and the file does not say how; left out");
+        let why = format!(
+            "shown in {unit}, stored in {stored}, and the file does not give the conversion; left out"
+        );
         image.notes.push(format!("line {number}: {name}: {why}"));
         return Ok(());
     };
@@ -206,7 +207,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
         _ => unscaled(shown, decimals).ok_or_else(|| {
             let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
-            bad(format!("`{shown}` is not of the format {format}"))
+            bad(format!("`{shown}` does not match the format {format}"))
         })?,
     };
     let value = text::parse_stored(parameter, text.as_bytes());
@@ -219,8 +220,8 @@ fn decimals(format: &str) -> usize {
     format.split_once('.').map_or(0, |(_, after)| after.len())
 }
 
-/// With how many decimals a form without formats shows a value, by its unit; `None` where it shows another
-/// quantity than is stored, a resistance for a gain for instance.
+/// The number of decimals with which a file without formats shows a value, by its unit; `None` where it shows
+/// another quantity than the stored one, such as a resistance for a gain.
 fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
     let (shown, stored) = (plain(unit), plain(parameter.unit));
@@ -233,7 +234,7 @@ fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     }
 }
 
-/// A number that is shown with so many decimals, as the whole number that is stored.
+/// A number shown with this many decimals, as the whole number that is stored.
 fn unscaled(shown: &str, decimals: usize) -> Option<String> {
     if decimals == 0 {
         return Some(shown.to_string());
@@ -287,15 +288,17 @@ mod tests {
                     Gas Gauging\tIT Cfg\tCell Terminate Voltage\t31.1\tdd.dd\tx\n";
         assert_eq!(entries(text).expect("an image").0[0].1, "3110");
         let error = entries(&text.replace("31.1", "31.111")).expect_err("too many decimals").to_string();
-        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` is not of the format dd.dd");
+        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` does not match the format dd.dd");
         let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
-        assert!(error.starts_with("line 2: Cell Terminate Voltage: its value goes through the formula x/10"));
+        assert!(
+            error.starts_with("line 2: Cell Terminate Voltage: its value is converted by the formula x/10")
+        );
     }
 
-    /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is; only
-    /// the long form says how one becomes the other.
+    /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is stored;
+    /// only the long form gives the conversion.
     #[test]
-    fn a_short_form_is_read_as_far_as_its_units_tell() {
+    fn a_short_form_is_read_where_its_units_are_clear() {
         for (comma, unit) in [(",", "Units"), ("\t", "Display Units")] {
             let rows = [
                 ["Class name", "Subclass name", "Parameter name", "Parameter Value", unit],
@@ -319,7 +322,7 @@ mod tests {
                     "it-cfg/load-select 1"
                 ]
             );
-            let why = "shown in mOhm, stored in Num, and the file does not say how; left out";
+            let why = "shown in mOhm, stored in Num, and the file does not give the conversion; left out";
             assert_eq!(notes, [format!("line 5: CC Gain: {why}")]);
         }
         let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
@@ -328,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_line() {
+    fn an_error_names_its_line() {
         let order = "* Field Order: Class name, SubClass name, Parameter name, Parameter Value\n";
         for (text, says) in [
             ("* Device Number 27441-G1\n", "line 1: Device Number: not a hexadecimal word"),
@@ -336,7 +339,7 @@ mod tests {
             ("* Device Number 421\n", "it is for device type 0x0421, which a bq34z100-G1 is not"),
             ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\n", "line 1: no line `* Field Order:`"),
             (&format!("{order}Gas Gauging,IT Cfg\n"), "line 2: no field `parameter-name`"),
-            (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, where the head names 4"),
+            (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, but the header names 4"),
             (
                 &format!("{order}Gas Gauging,IT Cfg,Cell Terminate Voltage,low\n"),
                 "line 2: Cell Terminate Voltage: `low` is not a whole number",

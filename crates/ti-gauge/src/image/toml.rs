@@ -1,4 +1,4 @@
-//! An image as TOML: a table a class, a key a parameter, named as in `df/by-name`.
+//! An image as TOML: a table for each class and a key for each parameter, named as in `df/by-name`.
 
 use std::borrow::Cow;
 
@@ -29,7 +29,7 @@ pub fn write(image: &Image) -> String {
             let (parameter, shown) = (entry.parameter, entry.text());
             let shown = match parameter.kind {
                 Type::S(_) => format!("\"{shown}\""),
-                // A float may have more digits than an integer of TOML's.
+                // A float may have more digits than a TOML integer may.
                 Type::F4 if !shown.contains('.') => shown + ".0",
                 _ => shown,
             };
@@ -46,8 +46,8 @@ pub fn write(image: &Image) -> String {
     text
 }
 
-/// Reads an image. A table or key that the chip does not have is an error, and so is a value that is not
-/// of its parameter's type.
+/// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
+/// type.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
     let document = DeTable::parse(text).map_err(|error| {
@@ -65,11 +65,11 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
             },
             ("device_type" | "firmware", number @ DeValue::Integer(_)) => {
                 let code = plain(number).and_then(|text| text.parse::<u16>().ok());
-                let Some(code) = code else { return bad("not a word of 16 bits") };
+                let Some(code) = code else { return bad("not a 16-bit number") };
                 *(if key.get_ref() == "firmware" { &mut firmware } else { &mut device_type }) = Some(code);
             }
             (_, DeValue::Table(table)) => tables.push((key, table)),
-            _ => return bad("outside of tables stand chip, device_type and firmware only"),
+            _ => return bad("only chip, device_type and firmware may be outside a table"),
         }
     }
     if let (Some(named), Some(told)) = (named, told)
@@ -99,7 +99,7 @@ fn add_table(
         return Err(at_line(line(class.span().start), why));
     };
     if subclass.kind == Kind::Security {
-        let why = format!("{}: keys are in no image; take the table out", class.get_ref());
+        let why = format!("{}: images never contain keys; remove the table", class.get_ref());
         return Err(at_line(line(class.span().start), why));
     }
     for (key, value) in table {
@@ -113,7 +113,7 @@ fn add_table(
         let text = plain(value.get_ref()).filter(|_| is_text == matches!(parameter.kind, Type::S(_)));
         let Some(text) = text else {
             let found = value.get_ref().type_str();
-            return Err(at_line(number, format!("{name}: {found}, where {} is stored", parameter.kind)));
+            return Err(at_line(number, format!("{name}: {found}, but {} is expected", parameter.kind)));
         };
         let value = text::parse_stored(parameter, text.as_bytes());
         let value = value.map_err(|error| error.within(&format!("line {number}")))?;
@@ -122,7 +122,7 @@ fn add_table(
     Ok(())
 }
 
-/// A value as the text that a parameter's file takes.
+/// A value as the text that a parameter's file accepts.
 fn plain(value: &DeValue<'_>) -> Option<String> {
     match value {
         DeValue::String(text) => Some(text.to_string()),
@@ -158,27 +158,27 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_line() {
+    fn an_error_names_its_line() {
         for (text, says) in [
             ("[it-cfg]\nno-such = 1", "line 3: a bq34z100-G1 has no parameter it-cfg/no-such"),
             ("[no-such]\n", "line 2: a bq34z100-G1 has no class no-such"),
-            ("[codes]\n", "line 2: codes: keys are in no image; take the table out"),
+            ("[codes]\n", "line 2: codes: images never contain keys; remove the table"),
             (
                 "[it-cfg]\n\ncell-terminate-voltage = \"3\"",
-                "line 4: it-cfg/cell-terminate-voltage: string, where I2 is stored",
+                "line 4: it-cfg/cell-terminate-voltage: string, but I2 is expected",
             ),
             (
                 "[it-cfg]\ncell-terminate-voltage = true",
-                "line 3: it-cfg/cell-terminate-voltage: boolean, where I2 is stored",
+                "line 3: it-cfg/cell-terminate-voltage: boolean, but I2 is expected",
             ),
             (
                 "[it-cfg]\ncell-terminate-voltage = 1.5",
                 "line 3: Cell Terminate Voltage: `1.5` is not a whole number",
             ),
             ("[it-cfg]\ncell-terminate-voltage = 40000", "line 3: Cell Terminate Voltage: 40000 is outside"),
-            ("x = 1", "line 2: x: outside of tables"),
+            ("x = 1", "line 2: x: only chip, device_type and firmware"),
             ("[it-cfg\n", "line 2: not TOML"),
-            ("firmware = 70000", "line 2: firmware: not a word of 16 bits"),
+            ("firmware = 70000", "line 2: firmware: not a 16-bit number"),
         ] {
             let error = parse(&format!("{HEAD}{text}\n"), None).expect_err(text).to_string();
             assert!(error.starts_with(says), "{text}: {error}");

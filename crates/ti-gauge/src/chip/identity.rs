@@ -1,0 +1,109 @@
+//! The answers that identify a part, and the known parts that have no table.
+
+use super::{Chip, bq34z100_g1, bq27427, bq27441_g1, bq27520_g3};
+use crate::value::Type;
+
+/// The answers that identify a part.
+#[derive(Debug)]
+pub struct Identity {
+    /// Control(DEVICE_TYPE).
+    pub device_type: u16,
+    /// Control(FW_VERSION) values the table was made for; empty where none is known and any is accepted.
+    pub firmware: &'static [u16],
+    /// Control(HW_VERSION), where it distinguishes parts with the same device type.
+    pub hardware: Option<u16>,
+    /// Control(DM_CODE) values, where they distinguish parts with the same device type; empty for any value
+    /// that no other part has.
+    pub dm_codes: &'static [u16],
+    /// The register in which the answers to DEVICE_TYPE and the like are read.
+    pub answer: u8,
+}
+
+impl Identity {
+    pub(super) fn fits(&self, answers: &Answers) -> bool {
+        let known = |codes: &[u16], code| codes.is_empty() || codes.contains(&code);
+        self.device_type == answers.device_type
+            && known(self.firmware, answers.firmware_version)
+            && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
+            && answers.dm_code.is_none_or(|code| known(self.dm_codes, code))
+    }
+}
+
+/// A part's answers to the subcommands that identify it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Answers {
+    /// Control(DEVICE_TYPE).
+    pub device_type: u16,
+    /// Control(FW_VERSION).
+    pub firmware_version: u16,
+    /// Control(HW_VERSION); 0 where the part does not have it.
+    pub hardware_version: u16,
+    /// Control(CHEM_ID), where the part has it.
+    pub chem_id: Option<u16>,
+    /// Control(DM_CODE), where the part has it.
+    pub dm_code: Option<u16>,
+}
+
+/// A parameter that must hold a plausible value before the first write.
+#[derive(Debug)]
+pub struct Signature {
+    /// Subclass id.
+    pub subclass: u8,
+    /// Offset in the subclass.
+    pub offset: u16,
+    /// Type; of an `F4` the bytes are compared, as an `H4`.
+    pub kind: Type,
+    /// Smallest plausible value.
+    pub min: i64,
+    /// Largest plausible value.
+    pub max: i64,
+}
+
+impl Signature {
+    /// A row of [`Chip::signature`].
+    pub const fn new(subclass: u8, offset: u16, kind: Type, min: i64, max: i64) -> Self {
+        Self { subclass, offset, kind, min, max }
+    }
+}
+
+/// A known part without a table, which gives some of the same answers as a part that has one.
+#[derive(Debug)]
+pub struct Sibling {
+    /// TI's name.
+    pub name: &'static str,
+    /// What it answers.
+    pub identity: Identity,
+    /// The chip whose standard commands it shares; `None` where the same addresses mean something else,
+    /// so that every number would be wrong.
+    pub like: Option<&'static Chip>,
+}
+
+impl Sibling {
+    const fn new(
+        name: &'static str,
+        device_type: u16,
+        firmware: &'static [u16],
+        dm_codes: &'static [u16],
+        like: Option<&'static Chip>,
+    ) -> Self {
+        Self { name, identity: Identity { device_type, firmware, hardware: None, dm_codes, answer: 0 }, like }
+    }
+}
+
+/// Known parts without a table that could be mistaken for one of [`CHIPS`](super::CHIPS).
+pub static SIBLINGS: &[Sibling] = &[
+    // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
+    Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
+    // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
+    // the kernel's driver, the last another map of commands; 6.04 is a build for one product.
+    Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], None),
+    Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
+    Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], None),
+    // Same State block in the kernel's driver, the rest of its data memory unknown.
+    Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
+    // A shipped driver (Chromium's) knows the type; its State block differs.
+    Sibling::new("bq27621-G1", 0x0621, &[], &[], None),
+    // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
+    // memory.
+    Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
+];

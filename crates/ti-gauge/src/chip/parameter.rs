@@ -1,0 +1,220 @@
+//! Data flash as the manual lists it: subclasses and their parameters.
+
+use super::Bit;
+use crate::codec::WINDOW;
+use crate::value::Type;
+
+/// The id of every group of a part with a flat address space, where offsets are addresses.
+pub const FLAT: u8 = 0;
+
+/// A subclass of data flash.
+#[derive(Debug)]
+pub struct Subclass {
+    /// The manual's class, such as `Configuration`.
+    pub class: &'static str,
+    /// The manual's name, such as `IT Cfg`.
+    pub name: &'static str,
+    /// Subclass id; [`FLAT`] for a group of parameters of a part that addresses data flash directly.
+    pub id: u8,
+    /// Bytes from [`Subclass::start`] to the end of its last documented parameter.
+    pub length: u16,
+    /// What a write to its parameters needs.
+    pub kind: Kind,
+    /// Its documented parameters, by offset.
+    pub parameters: &'static [Parameter],
+}
+
+impl Subclass {
+    /// Offset of its first byte: 0, or the address at which a flat group begins.
+    pub fn start(&self) -> u16 {
+        if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
+    }
+
+    /// Bytes that are read and committed with it: whole blocks, including bytes after the last documented
+    /// parameter. For a flat group, only its own bytes.
+    pub fn stored(&self) -> u16 {
+        if self.id == FLAT { self.length } else { self.length.next_multiple_of(WINDOW as u16) }
+    }
+
+    /// The parameter at that offset.
+    pub fn parameter(&self, offset: u16) -> Option<&'static Parameter> {
+        self.parameters.iter().find(|parameter| parameter.offset == offset)
+    }
+}
+
+/// What a write to a subclass needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A reset: only then is the change certain to be in effect.
+    Reset,
+    /// No reset.
+    Plain,
+    /// Keys: never read, exported or shown; written only by the guarded key change.
+    Security,
+}
+
+/// A documented data-flash parameter.
+#[derive(Debug)]
+pub struct Parameter {
+    /// Offset in its subclass.
+    pub offset: u16,
+    /// Type.
+    pub kind: Type,
+    /// TI's name.
+    pub name: &'static str,
+    /// Range of the manual.
+    pub range: Range,
+    /// Unit as the manual prints it; empty for none.
+    pub unit: &'static str,
+    /// Names of its bits, if it is a flag word.
+    pub bits: &'static [Bit],
+    /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
+    pub learned: bool,
+    /// Narrower limits than the manual's, where its range allows values that ruin a pack.
+    pub safe: Option<Safe>,
+    /// Address or range is uncertain: read-only unless the user insists.
+    pub unproven: bool,
+}
+
+impl Parameter {
+    const fn new(offset: u16, kind: Type, name: &'static str, range: Range, unit: &'static str) -> Self {
+        Self { offset, kind, name, range, unit, bits: &[], learned: false, safe: None, unproven: false }
+    }
+
+    /// An integer row of a manual's table: offset, type, name, min, max, default, unit.
+    pub const fn int(
+        offset: u16,
+        kind: Type,
+        name: &'static str,
+        min: i64,
+        max: i64,
+        default: i64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, kind, name, Range::Int { min, max, default: Some(default) }, unit)
+    }
+
+    /// A floating-point row of a manual's table.
+    pub const fn float(
+        offset: u16,
+        name: &'static str,
+        min: f64,
+        max: f64,
+        default: f64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, Type::F4, name, Range::Float { min, max, default: Some(default) }, unit)
+    }
+
+    /// A string row of a manual's table.
+    pub const fn text(offset: u16, size: u8, name: &'static str, default: &'static str) -> Self {
+        Self::new(offset, Type::S(size), name, Range::Text { default: Some(default) }, "")
+    }
+
+    /// An integer row without a known default.
+    pub const fn within(
+        offset: u16,
+        kind: Type,
+        name: &'static str,
+        min: i64,
+        max: i64,
+        unit: &'static str,
+    ) -> Self {
+        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+    }
+
+    /// An integer row without a printed range or default: whatever the type can hold.
+    pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
+        let (min, max) = kind.bounds().expect("an integer type");
+        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+    }
+
+    /// Sources disagree about the default, or none is known.
+    #[must_use]
+    pub const fn no_default(mut self) -> Self {
+        match &mut self.range {
+            Range::Int { default, .. } => *default = None,
+            Range::Float { default, .. } => *default = None,
+            Range::Text { default } => *default = None,
+        }
+        self
+    }
+
+    /// Names of the bits. Those without a name are reserved, and a write must leave them alone.
+    #[must_use]
+    pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
+        assert!(self.kind.size() <= 2, "a flag word has one byte or two");
+        let mut reserved: u32 = (1 << (8 * self.kind.size())) - 1;
+        let mut at = 0;
+        while at < bits.len() {
+            reserved &= !(bits[at].mask as u32);
+            at += 1;
+        }
+        if reserved != 0 {
+            self.safe = Some(Safe::Keep(reserved, "the manual reserves them"));
+        }
+        self.bits = bits;
+        self
+    }
+
+    /// The gauge rewrites this one itself.
+    #[must_use]
+    pub const fn learned(mut self) -> Self {
+        self.learned = true;
+        self
+    }
+
+    /// Narrower limits than the manual's.
+    #[must_use]
+    pub const fn safe(mut self, safe: Safe) -> Self {
+        assert!(self.safe.is_none(), "a parameter has at most one safe limit");
+        self.safe = Some(safe);
+        self
+    }
+
+    /// Address or range is uncertain.
+    #[must_use]
+    pub const fn unproven(mut self) -> Self {
+        self.unproven = true;
+        self
+    }
+}
+
+/// Range and default of a parameter.
+#[derive(Debug)]
+pub enum Range {
+    /// Of an integer or bit field; `default` is `None` where sources disagree or none is known.
+    Int {
+        /// Smallest value.
+        min: i64,
+        /// Largest value.
+        max: i64,
+        /// The manual's default.
+        default: Option<i64>,
+    },
+    /// Of an `F4`.
+    Float {
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+        /// The manual's default.
+        default: Option<f64>,
+    },
+    /// Of a string: any text that fits.
+    Text {
+        /// The manual's default.
+        default: Option<&'static str>,
+    },
+}
+
+/// A limit narrower than the manual's range, to protect the pack. The text gives the reason.
+#[derive(Debug)]
+pub enum Safe {
+    /// A minimum.
+    AtLeast(i64, &'static str),
+    /// Not above the voltage that the gauge measures now, scaled as its flash gate scales it.
+    BelowPresentVoltage(&'static str),
+    /// The bits of this mask must keep the value they have.
+    Keep(u32, &'static str),
+}

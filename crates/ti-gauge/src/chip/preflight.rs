@@ -1,0 +1,85 @@
+//! What is checked before a write, as data.
+
+/// What is checked before a write, besides identity, gate and seal.
+#[derive(Debug)]
+pub struct Preflight {
+    /// What distinguishes packs with the same part; `None` where nothing is known to.
+    pub pack: Option<Pack>,
+    /// Modes that another program may have left on.
+    pub modes: &'static [Mode],
+    /// How to recognise a learning cycle, which a reset would lose; `None` where there is no sure sign.
+    pub learning: Option<Learning>,
+    /// Range of Voltage() in which the part works, where there is no [`Gate`](super::Gate).
+    pub voltage_mv: Option<(u16, u16)>,
+}
+
+/// A word of the gauge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Word {
+    /// CONTROL_STATUS, which is read for the seal in any case.
+    ControlStatus,
+    /// A standard command of two bytes.
+    Register(u8),
+    /// The answer to a subcommand.
+    Answer(u16),
+}
+
+/// A word that differs from pack to pack.
+#[derive(Debug)]
+pub struct Pack {
+    /// The word. Reading a register also detects a part of another type, which has something else at that
+    /// address.
+    pub word: Word,
+    /// Its name in a message.
+    pub name: &'static str,
+    /// Subclass and offset of the rows that determine it: a write to those changes it.
+    pub rows: &'static [(u8, u16)],
+}
+
+/// A mode in which a write would be lost, or would disturb the program that entered it.
+#[derive(Debug)]
+pub struct Mode {
+    /// The word that shows it. A subcommand is sent only after the gauge is unsealed.
+    pub word: Word,
+    /// The bit that is set in this mode.
+    pub mask: u16,
+    /// Name of word and bit, for a message.
+    pub name: &'static str,
+    /// What is going on, for a message.
+    pub what: &'static str,
+    /// What to do, for a message.
+    pub remedy: &'static str,
+    /// Whether gaugefs' own transactions enter it too, so that an interrupted one may have left it on.
+    pub ours: bool,
+}
+
+impl Mode {
+    /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
+    pub const fn measuring(mask: u16, name: &'static str, what: &'static str) -> Self {
+        let remedy = "it ends by itself; try again in a minute";
+        Self { word: Word::ControlStatus, mask, name, what, remedy, ours: false }
+    }
+
+    /// Calibration mode, which stays until somebody leaves it.
+    pub const fn calibration(word: Word, mask: u16, name: &'static str, remedy: &'static str) -> Self {
+        Self { word, mask, name, what: "somebody has left calibration mode on", remedy, ours: false }
+    }
+}
+
+/// How a learning cycle is recognised.
+#[derive(Debug)]
+pub struct Learning {
+    /// CONTROL_STATUS bits that are all set during a cycle.
+    pub status: u16,
+    /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous
+    /// learning of a finished pack. A write to this byte alone starts or ends a cycle by hand.
+    pub row: (u8, u16),
+    /// A standard command that shows the same bits without unsealing.
+    pub register: Option<u8>,
+    /// The bits of Update Status to compare.
+    pub mask: u8,
+    /// Their value until the cycle has ended.
+    pub value: u8,
+    /// Names of the bits, for a message.
+    pub name: &'static str,
+}

@@ -1,0 +1,95 @@
+//! Which part gave these answers.
+
+use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};
+
+/// What a part's answers identify it as.
+#[derive(Debug)]
+pub enum Recognised {
+    /// A chip with a table.
+    Chip(&'static Chip),
+    /// A known part without one: its standard commands may be read, its data flash is out of bounds.
+    Sibling(&'static Sibling),
+    /// Several chips give these answers; only the user can decide.
+    Ambiguous(Vec<&'static Chip>),
+    /// An unknown part.
+    Unknown,
+}
+
+/// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence
+/// over one whose identity does not.
+pub fn recognise(answers: &Answers) -> Recognised {
+    let names_hardware = |one: &Identity| one.hardware.is_some();
+    let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
+    let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| chip.identity.fits(answers)).collect();
+    let mut siblings: Vec<_> = SIBLINGS.iter().filter(|sibling| sibling.identity.fits(answers)).collect();
+    let choices: [&dyn Fn(&Identity) -> bool; 2] = [&names_hardware, &names_dm_code];
+    for named in choices {
+        let in_chips = chips.iter().any(|chip| named(&chip.identity));
+        if in_chips || siblings.iter().any(|sibling| named(&sibling.identity)) {
+            chips.retain(|chip| named(&chip.identity));
+            siblings.retain(|sibling| named(&sibling.identity));
+        }
+    }
+    match (chips.as_slice(), siblings.as_slice()) {
+        ([], []) => Recognised::Unknown,
+        ([], [sibling, ..]) => Recognised::Sibling(sibling),
+        ([chip], []) => Recognised::Chip(chip),
+        _ => Recognised::Ambiguous(chips),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a part with these answers is recognised as.
+    fn seen(device_type: u16, firmware_version: u16, hardware_version: u16, dm_code: Option<u16>) -> String {
+        let answers = Answers { device_type, firmware_version, hardware_version, chem_id: None, dm_code };
+        match recognise(&answers) {
+            Recognised::Chip(chip) => chip.name.to_string(),
+            Recognised::Sibling(Sibling { name, like: Some(chip), .. }) => {
+                format!("{name} like {}", chip.name)
+            }
+            Recognised::Sibling(Sibling { name, like: None, .. }) => format!("{name} like none"),
+            Recognised::Ambiguous(chips) => {
+                chips.iter().map(|chip| chip.name).collect::<Vec<_>>().join(" or ")
+            }
+            Recognised::Unknown => "unknown".to_string(),
+        }
+    }
+
+    #[test]
+    fn a_firmware_without_a_table_is_a_sibling() {
+        assert_eq!(seen(0x0100, 0x0016, 0x0008, None), "bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-R2 like bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
+        assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
+        assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
+        assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
+        assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like none");
+        assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unknown");
+        assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unknown");
+        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unknown");
+        assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
+        assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
+    }
+
+    #[test]
+    fn dm_code_distinguishes_parts_of_one_type() {
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x48)), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x58)), "bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x80)), "bq27411-G1 like bq27441-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "bq27421-g1");
+        assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1 or bq27421-g1");
+        assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unknown");
+    }
+
+    #[test]
+    fn a_unique_device_type_is_enough() {
+        assert_eq!(seen(0x0427, 0x0202, 0, Some(0x9f)), "bq27427");
+        assert_eq!(seen(0x0427, 0x0202, 0, None), "bq27427");
+        assert_eq!(seen(0x0427, 0x0109, 0, None), "unknown");
+        assert_eq!(seen(0x0426, 0x0202, 0, Some(0x9f)), "bq27426 like bq27427");
+        assert_eq!(seen(0x0621, 0x0110, 0, None), "bq27621-G1 like none");
+    }
+}
