@@ -6,16 +6,15 @@
 //! Three parts:
 //!
 //! - **speed**: one operation is open, pread and close of one small file; only its ratio to sysfs means
-//!   something. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`,
-//!   separated by colons.
-//! - **traffic**: a thousand readers read every attribute, and the transfers on the bus are counted. The promise
-//!   is none.
-//! - **exactness**: 16 threads read while a gauge whose registers carry a serial number is polled more than a
-//!   hundred times a second. The promise is that each text is exactly the text of a poll that was current at
-//!   some moment of the read: a text that is torn, truncated, padded or stale is none.
+//!   something. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`, separated by colons.
+//! - **traffic**: a thousand readers read every attribute, and the transfers on the bus are counted. There must
+//!   be none.
+//! - **exactness**: 16 threads read while a gauge is polled up to 200 times a second, each poll with another
+//!   number in its registers. Every text must be exactly that of a poll that was current at some moment of the
+//!   read. One that is torn, truncated, padded or stale is not.
 //!
-//! The gauge's clock runs a hundred times as fast as the machine's, so that the program's own limit of two
-//! polls a second allows two hundred, and no value reaches its age limit while it is read.
+//! The gauge's clock runs 100 times as fast as the machine's. The program's own limit of two polls a second
+//! then allows 200, and no value reaches its age limit while it is read.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
