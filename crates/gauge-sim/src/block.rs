@@ -6,18 +6,18 @@
 //! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
 //! after every reset, and it ignores silently what it refuses.
 
+use std::mem;
 use std::time::Duration;
 
 use sha1::{Digest, Sha1};
 
 use super::device::{Device, Gauge};
 use super::error::{Error, Kind, Result};
-use super::fault::Plan;
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
 use super::knob;
 use super::model::{Kept, Model, Registers, bits};
-use super::part::{Action, BlockPart, Flag, Gate, Host, Part, Place, Status, Who};
+use super::part::{Action, BlockPart, Flag, Gate, Host, Part, Place, Status};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Source, Window, checksum};
@@ -54,6 +54,7 @@ pub(super) struct Block {
 }
 
 /// Everything that a reset clears.
+#[derive(Default)]
 struct Ram {
     seal: Seal,
     window: Window,
@@ -83,26 +84,15 @@ struct Ram {
 }
 
 impl Ram {
-    /// No key is locked out from `ready` on, and predictions are made from `initialized` on.
+    /// Keys are accepted from `ready` on, and predictions are made from `initialized` on.
     fn new(part: &BlockPart, flash: &Flash, ready: Duration, initialized: Duration) -> Self {
         Self {
             seal: Seal::new(part.level(flash)),
             window: Window::new(part.authentication.is_some()),
-            low: 0,
-            answer: 0,
-            previous: 0,
-            marks: Vec::new(),
-            rom: None,
-            full_sleep: false,
             calibration: is_set(flash, part.own.calibration),
-            board_until: None,
-            offset_until: None,
-            update: Mode::Off,
             locked_until: ready,
-            inserted: false,
             initialized_from: initialized,
-            chemistry: None,
-            registers: None,
+            ..Self::default()
         }
     }
 }
@@ -188,7 +178,7 @@ impl Block {
     }
 
     /// CONFIG UPDATE is over.
-    fn end_update(&mut self, device: &mut Device, exit: Exit, at: Duration) {
+    fn end_update(&mut self, device: &mut Device, exit: Exit) {
         match exit {
             Exit::Anew => self.gauging.load(&device.flash),
             Exit::Plain | Exit::Forgotten => self.gauging.apply(&device.flash),
@@ -199,7 +189,7 @@ impl Block {
         self.ram.registers = None;
         if self.part.level(&device.flash) == Level::Sealed {
             self.close();
-            self.ram.locked_until = at + device.timing.lock;
+            self.ram.locked_until = device.now + device.timing.lock;
         }
         device.save();
     }
@@ -232,14 +222,14 @@ impl Block {
     }
 
     /// Stores something that the gauge itself keeps.
-    fn store(&mut self, device: &mut Device, place: Option<Place>, bytes: &[u8], now: Duration) {
+    fn store(&mut self, device: &mut Device, place: Option<Place>, bytes: &[u8]) {
         if let Some((id, offset)) = place {
-            device.keep(self, vec![Kept::new(id, offset, bytes)], now);
+            device.keep(self, vec![Kept::new(id, offset, bytes)]);
         }
     }
 
     /// The checksum was written.
-    fn commit(&mut self, device: &mut Device, sum: u8, plan: &mut Plan, now: Duration) {
+    fn commit(&mut self, device: &mut Device, sum: u8) {
         let window = &mut self.ram.window;
         let Source::Flash(id, block) = window.source else { return };
         if sum != checksum(&window.data) {
@@ -256,11 +246,11 @@ impl Block {
         }
         let taken = self.part.data_memory.is_none() || matches!(self.ram.update, Mode::On(_));
         let allowed = taken && (!self.sealed() || self.part.sealed_writes == Some(id));
-        device.commit(self, Kept::new(id, usize::from(block) * BLOCK, &content), allowed, plan, now);
+        device.commit(self, Kept::new(id, usize::from(block) * BLOCK, &content), allowed);
     }
 
     /// DataFlashBlock() was written.
-    fn select(&mut self, device: &Device, block: u8, now: Duration) {
+    fn select(&mut self, device: &Device, block: u8) {
         let special = self.sealed() || self.ram.window.control == 0x01;
         let window = &mut self.ram.window;
         window.block = block;
@@ -278,13 +268,13 @@ impl Block {
             Source::Nothing | Source::Authentication => &[],
         };
         let source = if bytes.is_empty() && !special { Source::Nothing } else { source };
-        window.load(source, bytes, special, now + wait);
+        window.load(source, bytes, special, device.now + wait);
     }
 
     /// Answers a challenge with SHA-1 of the key and SHA-1 of the key and the challenge (SLUSBZ5D 7.3.15).
     /// The first byte on the wire is the least significant one, unless set otherwise: no document settles
     /// it.
-    fn authenticate(&mut self, device: &Device, sum: u8, now: Duration) {
+    fn authenticate(&mut self, device: &Device, sum: u8) {
         let mut message = self.ram.window.data[..20].to_vec();
         if sum != checksum(&message) {
             return;
@@ -299,7 +289,7 @@ impl Block {
         if !self.as_sent {
             digest.reverse();
         }
-        let ready = now + device.timing.authentication;
+        let ready = device.now + device.timing.authentication;
         self.ram.window.load(Source::Authentication, &digest, false, ready);
     }
 
@@ -316,7 +306,7 @@ impl Block {
                 is_set(flash, Some(allowed)) && self.gauging.is_quiet(current)
             }),
             Status::LoadMode => own.load_mode.is_some_and(|(id, offset)| flash.u8(id, offset) != 0),
-            Status::Enabled => self.gauging.enabled,
+            Status::Enabled => self.gauging.ram.enabled,
             Status::ChemistryChanged => self.ram.chemistry.is_some(),
             Status::Calibrating
             | Status::ChecksumValid
@@ -342,7 +332,8 @@ impl Block {
     }
 
     /// A word was written to Control(). One that is unknown, or not for a sealed gauge, does nothing.
-    fn subcommand(&mut self, device: &mut Device, word: u16, now: Duration) {
+    fn subcommand(&mut self, device: &mut Device, word: u16) {
+        let now = device.now;
         let keys = self.part.keys.iter().map(|&at| seal::words(device.flash.get(CODES, at)));
         let keys: Vec<_> = keys.collect();
         let locked = now < self.ram.locked_until;
@@ -353,23 +344,19 @@ impl Block {
         if self.ram.seal.word(word, &keys, listening, now) {
             return;
         }
-        if let Some(&(_, who, action)) = self.part.subcommands.iter().find(|(code, _, _)| *code == word) {
-            let least = match who {
-                Who::Anyone => Level::Sealed,
-                Who::Unsealed => Level::Unsealed,
-                Who::FullAccess => Level::FullAccess,
-            };
-            if self.ram.seal.level >= least {
-                self.act(device, action, now);
-            }
+        let known = self.part.subcommands.iter().find(|(code, _, _)| *code == word);
+        if let Some(&(_, least, action)) = known
+            && self.ram.seal.level >= least
+        {
+            self.act(device, action);
         }
         if word < self.part.remembered {
             self.ram.previous = word;
         }
     }
 
-    fn act(&mut self, device: &mut Device, action: Action, now: Duration) {
-        let own = &self.part.own;
+    fn act(&mut self, device: &mut Device, action: Action) {
+        let (own, now) = (&self.part.own, device.now);
         match action {
             Action::ControlStatus => self.ram.answer = self.control_status(device),
             Action::Answer(word) => self.ram.answer = word,
@@ -386,7 +373,7 @@ impl Block {
             }
             Action::CcOffset => self.ram.offset_until = Some(now + device.timing.calibrating),
             Action::WriteCcOffset => {
-                self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes(), now);
+                self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes());
             }
             Action::AnswerOffset if self.is(device, Status::Calibrating) => {
                 self.ram.answer = own.cc_offset.map_or(0, |(id, offset)| device.flash.u16(id, offset));
@@ -420,19 +407,19 @@ impl Block {
             Action::ItEnable => {
                 if let Some((id, offset)) = own.update_status {
                     let status = device.flash.u8(id, offset) | IT_ENABLE;
-                    self.store(device, own.update_status, &[status], now);
+                    self.store(device, own.update_status, &[status]);
                 }
-                self.gauging.enabled = true;
+                self.gauging.ram.enabled = true;
             }
-            Action::ItDisable => self.gauging.enabled = false,
+            Action::ItDisable => self.gauging.ram.enabled = false,
             Action::CalEnable => self.ram.calibration = !self.ram.calibration,
             Action::ExitCalibration if self.ram.calibration => self.mark(Status::Calibrating, false),
             Action::EnterCalibration if self.ram.calibration => self.mark(Status::Calibrating, true),
-            Action::Reset => device.reset(self, now),
+            Action::Reset => device.reset(self),
             Action::ConfigUpdate => self.ram.update.enter(device.timing.update_enter, now),
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
             Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
-            Action::Shutdown if self.is(device, Status::ShutdownArmed) => device.power_down(self, now, None),
+            Action::Shutdown if self.is(device, Status::ShutdownArmed) => device.power_down(self, None),
             Action::Rom => self.ram.rom = Some([0xFF; 3]),
             Action::Hdq => {
                 device.flash.hdq = true;
@@ -448,7 +435,7 @@ impl Block {
     }
 
     /// A byte for the boot loader, of which only the way out is known: 0x0F at 0x00 and 0x000F at 0x64.
-    fn write_rom(&mut self, device: &mut Device, mut sent: [u8; 3], register: u8, byte: u8, now: Duration) {
+    fn write_rom(&mut self, device: &mut Device, mut sent: [u8; 3], register: u8, byte: u8) {
         match register {
             0x00 => sent[0] = byte,
             0x64 | 0x65 => sent[usize::from(register - 0x63)] = byte,
@@ -456,7 +443,7 @@ impl Block {
         }
         self.ram.rom = Some(sent);
         if sent == [0x0F, 0x0F, 0x00] {
-            device.power_up(self, now);
+            device.power_up(self);
         }
     }
 
@@ -467,10 +454,8 @@ impl Block {
             return;
         }
         let word = u16::from_le_bytes([self.ram.low, byte]);
-        match self.part.host_register(register) {
-            Some(Host::AtRate) => self.gauging.at_rate_ma = word as i16,
-            Some(Host::Temperature) => self.gauging.host_temperature = Some(word),
-            None => {}
+        if let Some(host) = self.part.host_register(register) {
+            self.gauging.write(host, word);
         }
         self.ram.registers = None;
     }
@@ -498,7 +483,7 @@ impl Wire for Block {
     fn wake(&mut self, device: &Device) -> Duration {
         let settle = self.part.own.settle.map_or(0, |(id, offset)| device.flash.u8(id, offset));
         let settle = Duration::from_secs(u64::from(settle).max(1));
-        let asleep = std::mem::take(&mut self.ram.full_sleep);
+        let asleep = mem::take(&mut self.ram.full_sleep);
         let sleeps = asleep && device.quiet >= settle && self.is(device, Status::Sleep);
         if sleeps { device.timing.waking } else { Duration::ZERO }
     }
@@ -514,9 +499,9 @@ impl Wire for Block {
             || register & 1 == 1 && self.part.host_register(register).is_some()
     }
 
-    fn write(&mut self, device: &mut Device, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool {
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool {
         if let Some(sent) = self.ram.rom {
-            self.write_rom(device, sent, register, byte, now);
+            self.write_rom(device, sent, register, byte);
             return true;
         }
         if !self.writable(register) {
@@ -524,19 +509,19 @@ impl Wire for Block {
         }
         match register {
             0x00 => self.ram.low = byte,
-            0x01 => self.subcommand(device, u16::from_le_bytes([self.ram.low, byte]), now),
+            0x01 => self.subcommand(device, u16::from_le_bytes([self.ram.low, byte])),
             0x3E => self.ram.window.class = byte,
-            0x3F => self.select(device, byte, now),
-            0x54 if self.ram.window.source == Source::Authentication => self.authenticate(device, byte, now),
-            0x40..=0x5F => self.ram.window.write(usize::from(register - 0x40), byte, now),
-            0x60 => self.commit(device, byte, plan, now),
+            0x3F => self.select(device, byte),
+            0x54 if self.ram.window.source == Source::Authentication => self.authenticate(device, byte),
+            0x40..=0x5F => self.ram.window.write(usize::from(register - 0x40), byte, device.now),
+            0x60 => self.commit(device, byte),
             0x61 => self.ram.window.control = byte,
             _ => self.write_host(register, byte),
         }
         true
     }
 
-    fn read(&mut self, device: &Device, register: u8, now: Duration) -> u8 {
+    fn read(&mut self, device: &Device, register: u8) -> u8 {
         if self.ram.rom.is_some() {
             return 0;
         }
@@ -546,8 +531,8 @@ impl Wire for Block {
             0x3E | 0x3F | 0x60 | 0x61 if self.withheld(register) => 0,
             0x3E => window.class,
             0x3F => window.block,
-            0x40..=0x5F => window.read(usize::from(register - 0x40), now),
-            0x60 => window.read_sum(now),
+            0x40..=0x5F => window.read(usize::from(register - 0x40), device.now),
+            0x60 => window.read_sum(device.now),
             0x61 => window.control,
             _ => {
                 let flash = &device.flash;
@@ -566,32 +551,34 @@ impl Wire for Block {
         }
     }
 
-    fn reset(&mut self, device: &mut Device, ready: Duration) {
+    fn reset(&mut self, device: &mut Device) {
         if self.part.data_memory.is_some() {
             device.flash.reload(device.part.image, CODES);
             self.part.set_gain_sign(&mut device.flash);
             device.flash.itpor = true;
             device.save();
         }
-        let initialized = ready + device.timing.initializing;
-        self.ram = Ram::new(self.part, &device.flash, ready, initialized);
+        let initialized = device.ready_at + device.timing.initializing;
+        self.ram = Ram::new(self.part, &device.flash, device.ready_at, initialized);
     }
 
-    fn run(&mut self, device: &mut Device, now: Duration, settle: bool) {
-        if device.is_on() && now >= device.measured_from {
+    fn run(&mut self, device: &mut Device, settle: bool) {
+        if device.is_on() && device.now >= device.measured_from {
             self.gauging.measure();
         }
         if device.is_on()
-            && let Some((exit, at)) = self.ram.update.run(now)
+            && let Some((exit, at)) = self.ram.update.run(device.now)
         {
-            device.pass(self, at, true);
-            self.end_update(device, exit, at);
+            let now = mem::replace(&mut device.now, at);
+            device.pass(self, true);
+            self.end_update(device, exit);
+            device.now = now;
         }
-        device.pass(self, now, settle);
-        if self.ram.board_until.take_if(|until| now >= *until).is_some() {
-            self.store(device, self.part.own.board_offset, &[self.board_offset as u8], now);
+        device.pass(self, settle);
+        if self.ram.board_until.take_if(|until| device.now >= *until).is_some() {
+            self.store(device, self.part.own.board_offset, &[self.board_offset as u8]);
         }
-        self.ram.offset_until.take_if(|until| now >= *until);
+        self.ram.offset_until.take_if(|until| device.now >= *until);
         // In CONFIG UPDATE the gauge does not gauge.
         if !self.ram.update.shows() {
             self.ram.registers = None;

@@ -36,13 +36,18 @@ pub(super) struct Device {
     pub(super) flash: Flash,
     pub(super) store: Store,
     pub(super) timing: Timing,
+    /// The faults that are still to come.
+    plan: Plan,
+    /// The time up to which everything has happened.
+    pub(super) now: Duration,
     /// Seconds of battery time to a second.
     speed: f64,
-    /// Up to when the battery and its model have been run.
+    /// The time up to which the battery and its model have been run.
     pub(super) modelled: Duration,
     power: Power,
-    /// The gauge starts until then, after power has come if `cold`.
-    ready_at: Duration,
+    /// When the gauge has started and answers.
+    pub(super) ready_at: Duration,
+    /// It starts because power has come, and not after a reset.
     cold: bool,
     /// When Voltage() is measured for the first time since power came.
     pub(super) measured_from: Duration,
@@ -77,6 +82,8 @@ impl Device {
             flash,
             store,
             timing: part.timing,
+            plan: Plan::new(options.seed),
+            now,
             speed: 1.0,
             modelled: now,
             power: Power::On,
@@ -110,27 +117,29 @@ impl Device {
         let _ = self.store.save(&self.flash);
     }
 
-    /// Brings everything that depends on time up to `now`.
+    /// Brings everything up to `now`. `settle` asks for a measurement at once.
     fn run(&mut self, wire: &mut dyn Wire, now: Duration, settle: bool) {
         if let Power::Off(Some(until)) = self.power
             && now >= until
         {
-            self.power_up(wire, until);
+            self.now = until;
+            self.power_up(wire);
         }
+        self.now = now;
         if now >= self.busy_until {
             self.pending = None;
         }
-        wire.run(self, now, settle);
+        wire.run(self, settle);
     }
 
-    /// Lets the battery's time pass up to `now`. Measurements are made once a second of the gauge's time;
-    /// `settle` makes one at once.
-    pub(super) fn pass(&mut self, wire: &mut dyn Wire, now: Duration, settle: bool) {
-        let seconds = now.saturating_sub(self.modelled).as_secs_f64() * self.speed;
+    /// Lets the battery's time pass. Measurements are made once a second of the gauge's time; `settle` makes
+    /// one at once.
+    pub(super) fn pass(&mut self, wire: &mut dyn Wire, settle: bool) {
+        let seconds = self.now.saturating_sub(self.modelled).as_secs_f64() * self.speed;
         if seconds < 1.0 && !settle && self.speed > 0.0 {
             return;
         }
-        self.modelled = now;
+        self.modelled = self.now;
         let mut left = seconds;
         while left > 0.0 {
             // A pack at rest changes in ways that are exact over any time; a long run is coarser.
@@ -141,32 +150,25 @@ impl Device {
             };
             let step = left.min(longest);
             let kept = wire.model().step(step);
-            self.keep(wire, kept, now);
+            self.keep(wire, kept);
             left -= step;
         }
         let learned = wire.model().learned(&self.flash);
-        self.keep(wire, learned, now);
+        self.keep(wire, learned);
     }
 
     /// Stores what the gauge itself keeps, if it has power and its voltage allows it.
-    pub(super) fn keep(&mut self, wire: &mut dyn Wire, kept: Vec<Kept>, now: Duration) {
+    pub(super) fn keep(&mut self, wire: &mut dyn Wire, kept: Vec<Kept>) {
         for kept in kept {
             if self.is_on() && wire.gate(&self.flash) {
-                self.program(wire, kept, now);
+                self.program(wire, kept);
             }
         }
     }
 
     /// Stores what the host has committed, unless the gauge does not allow it or a fault is due.
-    pub(super) fn commit(
-        &mut self,
-        wire: &mut dyn Wire,
-        mut kept: Kept,
-        allowed: bool,
-        plan: &mut Plan,
-        now: Duration,
-    ) {
-        let fault = plan.commit();
+    pub(super) fn commit(&mut self, wire: &mut dyn Wire, mut kept: Kept, allowed: bool) {
+        let fault = self.plan.commit();
         if !allowed || !wire.gate(&self.flash) || fault == Some(Commit::Drop) {
             self.dropped += 1;
             return;
@@ -176,32 +178,32 @@ impl Device {
             let changed = (0..kept.bytes.len()).find(|&at| kept.bytes[at] != old(at));
             kept.bytes[changed.unwrap_or(0)] ^= 0x01;
         }
-        self.program(wire, kept, now);
+        self.program(wire, kept);
         if let Some(Commit::Torn(words)) = fault
             && let Some(pending) = self.pending.take()
         {
             self.tear(&pending, words);
-            self.power_down(wire, now, None);
+            self.power_down(wire, None);
         }
     }
 
     /// Programs flash. A state file that cannot be written is as bad as flash that cannot be programmed.
-    fn program(&mut self, wire: &mut dyn Wire, kept: Kept, now: Duration) {
+    fn program(&mut self, wire: &mut dyn Wire, kept: Kept) {
         let Kept { area, offset, bytes } = match self.part.scheme {
             Scheme::Block(_) => self.whole_block(kept),
             Scheme::Mac(_) => kept,
         };
-        let old = self.flash.clone();
+        let before = self.flash.clone();
         self.flash.program(area, offset, &bytes);
         if self.store.save(&self.flash).is_err() {
-            self.flash = old;
+            self.flash = before;
             self.dropped += 1;
             return;
         }
         let words = bytes.len().div_ceil(2) as u32;
-        self.busy_until = self.busy_until.max(now) + self.timing.word * words;
-        let old = old.bytes_at(area, offset, bytes.len()).to_vec();
-        self.pending = Some(Pending { area, offset, old, started: now });
+        self.busy_until = self.busy_until.max(self.now) + self.timing.word * words;
+        let old = before.bytes_at(area, offset, bytes.len()).to_vec();
+        self.pending = Some(Pending { area, offset, old, started: self.now });
         wire.model().configure(&self.flash);
     }
 
@@ -213,44 +215,45 @@ impl Device {
         Kept { area: kept.area, offset: block * BLOCK, bytes }
     }
 
-    /// What a loss of power leaves when `words` words are programmed: those are new and the rest is old.
-    /// Nothing else decides it.
+    /// What a loss of power leaves of a commit of which `words` words are programmed: those are new, and the
+    /// rest is old. This is decided nowhere else.
     fn tear(&mut self, pending: &Pending, words: usize) {
         let count = pending.old.len().min(2 * words);
         self.flash.set(pending.area, pending.offset + count, &pending.old[count..]);
         self.save();
     }
 
-    /// Takes power away, until `back` has passed or until it is switched on.
-    pub(super) fn power_down(&mut self, wire: &mut dyn Wire, now: Duration, back: Option<Duration>) {
-        self.run(wire, now, true);
+    /// Takes power away, for that time or until it is switched on.
+    pub(super) fn power_down(&mut self, wire: &mut dyn Wire, back: Option<Duration>) {
+        self.run(wire, self.now, true);
         if let Some(pending) = self.pending.take() {
-            let time = now.saturating_sub(pending.started).as_nanos();
+            let time = self.now.saturating_sub(pending.started).as_nanos();
             let words = time / self.timing.word.as_nanos().max(1);
             self.tear(&pending, words.min(BLOCK as u128) as usize);
         }
-        self.power = Power::Off(back.map(|time| now + time));
+        self.power = Power::Off(back.map(|time| self.now + time));
     }
 
-    pub(super) fn power_up(&mut self, wire: &mut dyn Wire, now: Duration) {
+    pub(super) fn power_up(&mut self, wire: &mut dyn Wire) {
         self.power = Power::On;
         self.cold = true;
         self.resets = 0;
-        self.busy_until = now;
-        self.measured_from = now + self.timing.first_voltage;
+        self.busy_until = self.now;
+        self.measured_from = self.now + self.timing.first_voltage;
+        self.ready_at = self.now + self.timing.power_up;
         wire.model().power_up();
-        self.restart(wire, now + self.timing.power_up);
+        self.restart(wire);
     }
 
-    pub(super) fn reset(&mut self, wire: &mut dyn Wire, now: Duration) {
+    pub(super) fn reset(&mut self, wire: &mut dyn Wire) {
         self.cold = false;
         self.resets = self.resets.saturating_add(1);
-        self.restart(wire, now + self.timing.reset);
+        self.ready_at = self.now + self.timing.reset;
+        self.restart(wire);
     }
 
-    fn restart(&mut self, wire: &mut dyn Wire, ready: Duration) {
-        self.ready_at = ready;
-        wire.reset(self, ready);
+    fn restart(&mut self, wire: &mut dyn Wire) {
+        wire.reset(self);
         wire.model().restart(&self.flash);
     }
 }
@@ -272,6 +275,10 @@ impl Gauge {
         &self.device.flash
     }
 
+    pub(super) fn plan(&mut self) -> &mut Plan {
+        &mut self.device.plan
+    }
+
     /// START and address: `None` if it is not acknowledged, else how long the clock is held.
     pub(super) fn start(&mut self, address: u8, now: Duration) -> Option<Duration> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
@@ -290,30 +297,25 @@ impl Gauge {
         Some(busy.max(starting).max(wire.wake(device)))
     }
 
-    /// The bytes of a message. An error is how many were sent up to the one that is not acknowledged.
-    pub(super) fn message(
-        &mut self,
-        write: &[u8],
-        read: &mut [u8],
-        plan: &mut Plan,
-        now: Duration,
-    ) -> Result<(), usize> {
+    /// The bytes of a message that ends at `now`. An error is how many were sent, up to and with the one that
+    /// is not acknowledged.
+    pub(super) fn message(&mut self, write: &[u8], read: &mut [u8], now: Duration) -> Result<(), usize> {
+        self.device.now = now;
         if let Some((&register, data)) = write.split_first() {
             if !self.wire.has(register) {
                 return Err(1);
             }
             self.pointer = register;
             for (at, &byte) in data.iter().enumerate() {
-                let taken = (at == 0 || self.wire.extends(self.pointer))
-                    && self.wire.write(&mut self.device, self.pointer, byte, plan, now);
-                if !taken {
+                let extends = at == 0 || self.wire.extends(self.pointer);
+                if !extends || !self.wire.write(&mut self.device, self.pointer, byte) {
                     return Err(at + 2);
                 }
                 self.advance();
             }
         }
         for byte in read {
-            *byte = self.wire.read(&self.device, self.pointer, now);
+            *byte = self.wire.read(&self.device, self.pointer);
             self.advance();
         }
         Ok(())
@@ -330,9 +332,10 @@ impl Gauge {
         self.wire.stop();
     }
 
-    /// Takes power away, until `back` has passed or until it is switched on.
+    /// Takes power away, for that time or until it is switched on.
     pub(super) fn power_off(&mut self, now: Duration, back: Option<Duration>) {
-        self.device.power_down(&mut *self.wire, now, back);
+        self.device.now = now;
+        self.device.power_down(&mut *self.wire, back);
     }
 
     /// Whether the part has a knob.
@@ -393,8 +396,8 @@ impl Gauge {
                 wire.model().battery_mut().forced_mv = forced;
             }
             "power" => match (knob::POWER.read(name, text)?, device.is_on()) {
-                (true, false) => device.power_up(wire, now),
-                (false, true) => device.power_down(wire, now, None),
+                (true, false) => device.power_up(wire),
+                (false, true) => device.power_down(wire, None),
                 (false, false) => device.power = Power::Off(None),
                 (true, true) => {}
             },

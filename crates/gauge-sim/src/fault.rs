@@ -1,10 +1,6 @@
-//! Faults: what goes wrong with the nth transfer from now, and a [`Bus`] that makes it go wrong.
-//!
-//! [`FaultBus`] wraps any bus. The simulated gauge takes the same texts in its `fault` file and knows a few
-//! more, which happen inside the gauge, where no wrapper reaches.
+//! Faults: what goes wrong with the nth transfer from now, or with the next commit inside the gauge.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::error::{Error, Kind, Result};
@@ -12,7 +8,7 @@ use gauge_bus::{Bus, BusError};
 
 /// What goes wrong with a transfer on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Transfer {
+pub(super) enum Transfer {
     /// The address, or the given byte after the register, is not acknowledged. The bytes before it have
     /// reached the target.
     Nack(Option<usize>),
@@ -32,7 +28,7 @@ pub enum Transfer {
 
 /// What goes wrong with a commit of flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Commit {
+pub(super) enum Commit {
     /// It is acknowledged and not stored.
     Drop,
     /// It is stored with one wrong bit.
@@ -43,7 +39,7 @@ pub enum Commit {
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub(super) enum Fault {
     /// On the bus.
     Transfer(Transfer),
     /// Power is lost before the transfer, for that many milliseconds or until it is switched on.
@@ -54,16 +50,18 @@ pub enum Fault {
     Commit(Commit),
 }
 
-#[derive(Clone, Copy, Debug)]
+/// A fault with the words that armed it.
+#[derive(Clone, Debug)]
 struct Armed {
-    /// Transfers until it acts, this one included; 0 for a fault that waits for a commit.
-    count: u64,
+    name: String,
+    /// The first one counts the transfers until it acts, this one included, unless it waits for a commit.
+    numbers: Vec<u64>,
     fault: Fault,
 }
 
 /// The faults that are still to come.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub(super) struct Plan {
     armed: Vec<Armed>,
     /// Chance of a random fault for each transfer, in thousandths.
     permille: u32,
@@ -71,63 +69,60 @@ pub struct Plan {
 }
 
 /// The syntax of a plan.
-pub const SYNTAX: &str = "none, nack N [BYTE], flip N BYTE BIT, short N, lost N, stuck N [BYTE], \
+pub(super) const SYNTAX: &str = "none, nack N [BYTE], flip N BYTE BIT, short N, lost N, stuck N [BYTE], \
      arbitration N, stretch N MS, power-cut N [MS], power-cut-after N [MS], drop-commit, corrupt-commit, \
      torn-commit WORDS, random PERMILLE; several with `;` between";
 
 impl Plan {
     /// No faults. `seed` is for the random ones.
-    pub fn new(seed: u64) -> Self {
+    pub(super) fn new(seed: u64) -> Self {
         // An odd multiplier keeps seeds apart, and the generator must not start at 0.
         Self { armed: Vec::new(), permille: 0, random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1 }
     }
 
     /// Replaces the faults by those of a text (see [`SYNTAX`]). A bad text changes nothing.
-    pub fn set(&mut self, text: &str) -> Result<()> {
+    pub(super) fn set(&mut self, text: &str) -> Result<()> {
         let mut new = Self { armed: Vec::new(), permille: 0, random: self.random };
         for part in text.split(';') {
             let words: Vec<&str> = part.split_whitespace().collect();
             let Some((name, numbers)) = words.split_first() else { continue };
             let numbers: Option<Vec<u64>> = numbers.iter().map(|word| word.parse().ok()).collect();
-            new.add(name, &numbers.ok_or_else(|| bad(part))?).ok_or_else(|| bad(part))?;
+            numbers.and_then(|numbers| new.add(name, numbers)).ok_or_else(|| bad(part))?;
         }
         *self = new;
         Ok(())
     }
 
-    fn add(&mut self, name: &str, numbers: &[u64]) -> Option<()> {
-        use Fault::{PowerCut, PowerCutAfter};
-        use Transfer::{Arbitration, Flip, Lost, Nack, Short, Stretch, Stuck};
-        let on_bus = |count: u64, fault| (count, Fault::Transfer(fault));
-        let (count, fault) = match (name, numbers) {
+    fn add(&mut self, name: &str, numbers: Vec<u64>) -> Option<()> {
+        let fault = match (name, &numbers[..]) {
             ("none", []) => {
                 (self.armed, self.permille) = (Vec::new(), 0);
                 return Some(());
             }
-            ("random", &[permille]) if permille <= 1000 => {
+            ("random", &[permille @ ..=1000]) => {
                 self.permille = permille as u32;
                 return Some(());
             }
-            ("nack", &[n]) => on_bus(n, Nack(None)),
-            ("nack", &[n, byte]) => on_bus(n, Nack(Some(byte as usize))),
-            ("flip", &[n, byte, bit]) if bit < 8 => on_bus(n, Flip(byte as usize, bit as u8)),
-            ("short", &[n]) => on_bus(n, Short),
-            ("lost", &[n]) => on_bus(n, Lost),
-            ("stuck", &[n]) => on_bus(n, Stuck(0)),
-            ("stuck", &[n, byte]) => on_bus(n, Stuck(byte as usize)),
-            ("arbitration", &[n]) => on_bus(n, Arbitration),
-            ("stretch", &[n, ms]) => on_bus(n, Stretch(ms)),
-            ("power-cut", &[n]) => (n, PowerCut(None)),
-            ("power-cut", &[n, ms]) => (n, PowerCut(Some(ms))),
-            ("power-cut-after", &[n]) => (n, PowerCutAfter(None)),
-            ("power-cut-after", &[n, ms]) => (n, PowerCutAfter(Some(ms))),
-            ("drop-commit", []) => (0, Fault::Commit(Commit::Drop)),
-            ("corrupt-commit", []) => (0, Fault::Commit(Commit::Corrupt)),
-            ("torn-commit", &[words]) => (0, Fault::Commit(Commit::Torn(words as usize))),
+            ("nack", [_]) => Fault::Transfer(Transfer::Nack(None)),
+            ("nack", &[_, byte]) => Fault::Transfer(Transfer::Nack(Some(byte as usize))),
+            ("flip", &[_, byte, bit @ ..8]) => Fault::Transfer(Transfer::Flip(byte as usize, bit as u8)),
+            ("short", [_]) => Fault::Transfer(Transfer::Short),
+            ("lost", [_]) => Fault::Transfer(Transfer::Lost),
+            ("stuck", [_]) => Fault::Transfer(Transfer::Stuck(0)),
+            ("stuck", &[_, byte]) => Fault::Transfer(Transfer::Stuck(byte as usize)),
+            ("arbitration", [_]) => Fault::Transfer(Transfer::Arbitration),
+            ("stretch", &[_, ms]) => Fault::Transfer(Transfer::Stretch(ms)),
+            ("power-cut", [_]) => Fault::PowerCut(None),
+            ("power-cut", &[_, ms]) => Fault::PowerCut(Some(ms)),
+            ("power-cut-after", [_]) => Fault::PowerCutAfter(None),
+            ("power-cut-after", &[_, ms]) => Fault::PowerCutAfter(Some(ms)),
+            ("drop-commit", []) => Fault::Commit(Commit::Drop),
+            ("corrupt-commit", []) => Fault::Commit(Commit::Corrupt),
+            ("torn-commit", &[words]) => Fault::Commit(Commit::Torn(words as usize)),
             _ => return None,
         };
-        let armed = Armed { count, fault };
-        if count == 0 && !armed.waits() {
+        let armed = Armed { name: name.into(), numbers, fault };
+        if armed.due() {
             return None;
         }
         self.armed.push(armed);
@@ -135,12 +130,11 @@ impl Plan {
     }
 
     /// Counts a transfer of `bytes` bytes. Returns the fault that is due with it, if any.
-    pub fn next(&mut self, bytes: usize) -> Option<Fault> {
+    pub(super) fn next(&mut self, bytes: usize) -> Option<Fault> {
         for armed in self.armed.iter_mut().filter(|armed| !armed.waits()) {
-            armed.count = armed.count.saturating_sub(1);
+            armed.numbers[0] = armed.numbers[0].saturating_sub(1);
         }
-        let due = self.armed.iter().position(|armed| armed.count == 0 && !armed.waits());
-        if let Some(at) = due {
+        if let Some(at) = self.armed.iter().position(Armed::due) {
             return Some(self.armed.remove(at).fault);
         }
         if self.permille > 0 && self.roll(1000) < u64::from(self.permille) {
@@ -179,6 +173,10 @@ impl Armed {
     fn waits(&self) -> bool {
         matches!(self.fault, Fault::Commit(_))
     }
+
+    fn due(&self) -> bool {
+        !self.waits() && self.numbers[0] == 0
+    }
 }
 
 fn bad(part: &str) -> Error {
@@ -187,24 +185,8 @@ fn bad(part: &str) -> Error {
 
 impl fmt::Display for Armed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let n = self.count;
-        match self.fault {
-            Fault::Transfer(Transfer::Nack(None)) => write!(f, "nack {n}"),
-            Fault::Transfer(Transfer::Nack(Some(byte))) => write!(f, "nack {n} {byte}"),
-            Fault::Transfer(Transfer::Flip(byte, bit)) => write!(f, "flip {n} {byte} {bit}"),
-            Fault::Transfer(Transfer::Short) => write!(f, "short {n}"),
-            Fault::Transfer(Transfer::Lost) => write!(f, "lost {n}"),
-            Fault::Transfer(Transfer::Stuck(byte)) => write!(f, "stuck {n} {byte}"),
-            Fault::Transfer(Transfer::Arbitration) => write!(f, "arbitration {n}"),
-            Fault::Transfer(Transfer::Stretch(ms)) => write!(f, "stretch {n} {ms}"),
-            Fault::PowerCut(None) => write!(f, "power-cut {n}"),
-            Fault::PowerCut(Some(ms)) => write!(f, "power-cut {n} {ms}"),
-            Fault::PowerCutAfter(None) => write!(f, "power-cut-after {n}"),
-            Fault::PowerCutAfter(Some(ms)) => write!(f, "power-cut-after {n} {ms}"),
-            Fault::Commit(Commit::Drop) => f.write_str("drop-commit"),
-            Fault::Commit(Commit::Corrupt) => f.write_str("corrupt-commit"),
-            Fault::Commit(Commit::Torn(words)) => write!(f, "torn-commit {words}"),
-        }
+        f.write_str(&self.name)?;
+        self.numbers.iter().try_for_each(|number| write!(f, " {number}"))
     }
 }
 
@@ -224,7 +206,7 @@ pub(super) const ADAPTER_WAITS: Duration = Duration::from_secs(1);
 impl Transfer {
     /// Performs a transfer on `bus` with this fault. The caller lets the time pass that a stretched or
     /// stuck bus takes.
-    pub fn perform(self, bus: &mut dyn Bus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+    pub(super) fn perform(self, bus: &mut dyn Bus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         match self {
             Transfer::Nack(None) => Err(BusError::NoAck),
             Transfer::Nack(Some(byte)) => {
@@ -272,38 +254,6 @@ fn part(bus: &mut dyn Bus, write: &[u8], count: usize) -> Result<(), BusError> {
     }
 }
 
-/// A bus whose transfers go wrong as planned.
-#[derive(Debug)]
-pub struct FaultBus<B> {
-    inner: B,
-    plan: Arc<Mutex<Plan>>,
-}
-
-impl<B: Bus> FaultBus<B> {
-    /// Wraps `inner`. The plan may be changed while the bus is in use. Faults inside a gauge have no effect
-    /// here.
-    pub fn new(inner: B, plan: Arc<Mutex<Plan>>) -> Self {
-        Self { inner, plan }
-    }
-}
-
-impl<B: Bus> Bus for FaultBus<B> {
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        let due = {
-            let mut plan = self.plan.lock().unwrap_or_else(PoisonError::into_inner);
-            plan.next(write.len() + read.len())
-        };
-        match due {
-            Some(Fault::Transfer(fault)) => fault.perform(&mut self.inner, write, read),
-            _ => self.inner.transfer(write, read),
-        }
-    }
-
-    fn set_secret(&mut self, secret: bool) {
-        self.inner.set_secret(secret);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -324,10 +274,12 @@ mod tests {
     fn run(text: &str, write: &[u8]) -> Outcome {
         let mut plan = Plan::new(1);
         plan.set(text).unwrap();
-        let mut bus = FaultBus::new(Echo(Vec::new()), Arc::new(Mutex::new(plan)));
-        let mut read = [0; 2];
-        let result = bus.transfer(write, &mut read);
-        (result, bus.inner.0, read)
+        let (mut bus, mut read) = (Echo(Vec::new()), [0; 2]);
+        let result = match plan.next(write.len() + read.len()) {
+            Some(Fault::Transfer(fault)) => fault.perform(&mut bus, write, &mut read),
+            _ => bus.transfer(write, &mut read),
+        };
+        (result, bus.0, read)
     }
 
     #[test]

@@ -248,9 +248,7 @@ impl Store {
             for count in &area.wear {
                 let _ = write!(out, " {count}");
             }
-            let _ = write!(out, "\nflash {} ", area.id);
-            push_hex(&mut out, &area.bytes);
-            out.push('\n');
+            let _ = writeln!(out, "\nflash {} {}", area.id, hex(&area.bytes));
         }
         let sum = sum_of(&out);
         let _ = writeln!(out, "sum {sum}");
@@ -283,15 +281,11 @@ fn replace(path: &Path, text: &str) -> io::Result<()> {
 }
 
 fn sum_of(text: &str) -> String {
-    let mut out = String::new();
-    push_hex(&mut out, &Sha1::digest(text.as_bytes()));
-    out
+    hex(&Sha1::digest(text.as_bytes()))
 }
 
-fn push_hex(out: &mut String, bytes: &[u8]) {
-    for byte in bytes {
-        let _ = write!(out, "{byte:02x}");
-    }
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn from_hex(text: &str) -> Option<Vec<u8>> {

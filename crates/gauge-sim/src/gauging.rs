@@ -2,10 +2,12 @@
 //! registers that show them. As in the parts, thresholds are read from data flash at a reset. Where they
 //! are stored, and which register shows what, differs between parts and is described by [`Map`].
 
+use std::mem;
+
 use super::battery::Battery;
 use super::flash::Flash;
-use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, signed, whole};
-use super::part::Place;
+use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, lasting, signed, whole};
+use super::part::{Host, Place};
 
 /// Rest after which an open-circuit voltage is taken.
 const OCV_S: f64 = 1800.0;
@@ -206,18 +208,12 @@ impl Settings {
     };
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
+    #[default]
     Rest,
     Charge,
     Discharge,
-}
-
-/// What has changed since it was stored.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Learned {
-    cycles: bool,
-    lifetime: bool,
 }
 
 /// The measuring and counting half of a gauge.
@@ -226,13 +222,19 @@ pub(super) struct Gauging {
     map: &'static Map,
     battery: Battery,
     settings: Settings,
-    /// What the host has written to AtRate() and, if the part allows it, to Temperature().
-    pub(super) at_rate_ma: i16,
-    pub(super) host_temperature: Option<u16>,
-    /// Error of the coulomb counter.
-    drift_mah: f64,
     /// Voltage() has been measured since power came.
     measured: bool,
+    pub(super) ram: Ram,
+}
+
+/// Everything that a reset clears.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Ram {
+    /// What the host has written to AtRate() and, if the part allows it, to Temperature().
+    at_rate_ma: i16,
+    host_temperature: Option<u16>,
+    /// Error of the coulomb counter.
+    drift_mah: f64,
     /// Impedance Track runs.
     pub(super) enabled: bool,
     max_error: u8,
@@ -260,7 +262,9 @@ pub(super) struct Gauging {
     lifetime: [f64; 6],
     lifetime_kept: [f64; 6],
     lifetime_s: f64,
-    learned: Learned,
+    /// Cycle count and lifetime data have changed since they were stored.
+    cycles_changed: bool,
+    lifetime_changed: bool,
 }
 
 impl Gauging {
@@ -268,49 +272,25 @@ impl Gauging {
     pub(super) fn new(map: &'static Map, flash: &Flash, soc: f64) -> Self {
         let settings = (map.settings)(flash);
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
-        let mut new = Self {
-            map,
-            battery,
-            settings,
-            at_rate_ma: 0,
-            host_temperature: None,
-            drift_mah: 0.0,
-            measured: true,
-            enabled: false,
-            max_error: 2,
-            average_ma: 0.0,
-            state: State::Rest,
-            state_s: 3600.0,
-            quiet_s: 0.0,
-            flags: OCVTAKEN,
-            flags_b: 0,
-            over_s: [0.0; 2],
-            low_s: 0.0,
-            high_s: 0.0,
-            taper_s: 0.0,
-            tapered: false,
-            cycle_mah: 0.0,
-            cycles: 0,
-            passed_mah: 0.0,
-            qmax_passed_mah: 0.0,
-            start_mah: 0.0,
-            dod: 0.0,
-            dod_s: 1800.0,
-            end_dod: 0.0,
-            lifetime: [0.0; 6],
-            lifetime_kept: [0.0; 6],
-            lifetime_s: 0.0,
-            learned: Learned::default(),
-        };
+        let ram = Ram { max_error: 2, state_s: 3600.0, dod_s: 1800.0, flags: OCVTAKEN, ..Ram::default() };
+        let mut new = Self { map, battery, settings, measured: true, ram };
         new.load(flash);
         new
+    }
+
+    /// Takes a word that the host has written.
+    pub(super) fn write(&mut self, register: Host, word: u16) {
+        match register {
+            Host::AtRate => self.ram.at_rate_ma = word as i16,
+            Host::Temperature => self.ram.host_temperature = Some(word),
+        }
     }
 
     /// Takes over data flash as it is now, and an open-circuit voltage.
     pub(super) fn load(&mut self, flash: &Flash) {
         self.apply(flash);
-        self.lifetime = self.settings.lifetime;
-        self.lifetime_kept = self.lifetime;
+        self.ram.lifetime = self.settings.lifetime;
+        self.ram.lifetime_kept = self.ram.lifetime;
         self.take_ocv();
         self.update(0.0);
     }
@@ -319,8 +299,8 @@ impl Gauging {
     pub(super) fn apply(&mut self, flash: &Flash) {
         self.settings = (self.map.settings)(flash);
         self.battery.resize(self.settings.cells, self.settings.qmax_mah);
-        self.enabled = self.settings.enabled;
-        self.cycles = self.settings.cycles;
+        self.ram.enabled = self.settings.enabled;
+        self.ram.cycles = self.settings.cycles;
         self.update(0.0);
     }
 
@@ -333,15 +313,15 @@ impl Gauging {
     }
 
     fn take_ocv(&mut self) {
-        self.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
-        (self.dod_s, self.drift_mah) = (0.0, 0.0);
+        self.ram.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
+        (self.ram.dod_s, self.ram.drift_mah) = (0.0, 0.0);
         self.simulate();
     }
 
     /// Makes a new prediction, and counts from here.
     fn simulate(&mut self) {
-        self.passed_mah = 0.0;
-        self.start_mah = self.remaining();
+        self.ram.passed_mah = 0.0;
+        self.ram.start_mah = self.remaining();
     }
 
     fn remaining(&self) -> f64 {
@@ -350,7 +330,7 @@ impl Gauging {
 
     /// The pack's charge according to the coulomb counter.
     fn counted(&self) -> f64 {
-        (self.battery.charge_mah + self.drift_mah).clamp(0.0, self.battery.capacity_mah)
+        (self.battery.charge_mah + self.ram.drift_mah).clamp(0.0, self.battery.capacity_mah)
     }
 
     fn full(&self) -> f64 {
@@ -376,126 +356,96 @@ impl Gauging {
 
     /// Whether the average current is low enough for SLEEP.
     pub(super) fn is_quiet(&self, sleep_ma: f64) -> bool {
-        self.state == State::Rest && self.average_ma.abs() <= sleep_ma
+        self.ram.state == State::Rest && self.ram.average_ma.abs() <= sleep_ma
     }
 
     /// Updates states and flags, after the present measurements have lasted for `seconds`.
     pub(super) fn update(&mut self, seconds: f64) {
         self.change_state(seconds);
-        let charging = self.state == State::Charge;
-        let temperature = self.temperature() - FREEZING;
         self.terminate(seconds);
-        let s = &self.settings;
-
-        for (index, bit, (limit, time, recovery), state) in
-            [(0, OTC, s.ot_charge, State::Charge), (1, OTD, s.ot_discharge, State::Discharge)]
-        {
-            let timer = &mut self.over_s[index];
-            *timer = if self.state == state && temperature >= limit { *timer + seconds } else { 0.0 };
-            // A time of 0 switches the protection off.
-            if time > 0.0 && *timer >= time {
-                self.flags |= bit;
-            } else if temperature <= recovery {
-                self.flags &= !bit;
-            }
-        }
-        let ((over, back), (under, up)) = (s.over, s.under);
-        if temperature >= over {
-            self.flags |= OT;
-        } else if temperature < over - back {
-            self.flags &= !OT;
-        }
-        if temperature <= under {
-            self.flags |= UT;
-        } else if temperature > under + up {
-            self.flags &= !UT;
-        }
-        let (low, high, hysteresis) = s.inhibit;
-        let allowed = temperature >= low + hysteresis && temperature <= high - hysteresis;
-        if !charging && (temperature < low || temperature > high) {
-            self.flags |= CHG_INH;
-        } else if charging || allowed {
-            self.flags &= !CHG_INH;
-        }
-        if charging && (temperature < s.suspend.0 || temperature > s.suspend.1) {
-            self.flags |= XCHG;
-        } else if !charging || allowed {
-            self.flags &= !XCHG;
-        }
-
-        let cell = self.cell_mv();
-        let (set, time, clear) = s.low_mv;
-        self.low_s = if cell < set { self.low_s + seconds } else { 0.0 };
-        if cell < set && self.low_s >= time {
-            self.flags |= BATLOW;
-        } else if cell > if clear < DISTANCE { set + clear } else { clear } {
-            self.flags &= !BATLOW;
-        }
-        let (set, time, clear) = s.high_mv;
-        self.high_s = if cell > set { self.high_s + seconds } else { 0.0 };
-        if cell > set && self.high_s >= time {
-            self.flags |= BATHI;
-        } else if cell < if clear < DISTANCE { set - clear } else { clear } {
-            self.flags &= !BATHI;
-        }
-
-        let remaining = whole(self.remaining());
-        for (bit, (set, clear)) in [(SOC1, s.soc1), (SOCF, s.socf)] {
-            if remaining <= set {
-                self.flags |= bit;
-            } else if remaining >= clear {
-                self.flags &= !bit;
-            }
-        }
+        let temperature = self.temperature() - FREEZING;
+        let (cell, remaining) = (self.cell_mv(), whole(self.remaining()));
         // A pack is not full because a percentage was rounded up.
         let (exact, percent) = (self.percent(), self.percent().round() as i8);
-        let full = if s.full.0 < 0 { self.tapered } else { exact >= f64::from(s.full.0) };
-        let stop = if s.charge_alert.0 < 0 { self.tapered } else { exact >= f64::from(s.charge_alert.0) };
-        if full {
-            self.flags |= FC;
-        } else if percent <= s.full.1 {
-            self.flags &= !FC;
+        let (s, ram) = (&self.settings, &mut self.ram);
+        let (charging, discharging) = (ram.state == State::Charge, ram.state == State::Discharge);
+
+        let (limit, otc_time, otc_clear) = s.ot_charge;
+        let otc_s = lasting(&mut ram.over_s[0], charging && temperature >= limit, seconds);
+        let (limit, otd_time, otd_clear) = s.ot_discharge;
+        let otd_s = lasting(&mut ram.over_s[1], discharging && temperature >= limit, seconds);
+        let ((over, back), (under, up)) = (s.over, s.under);
+        let (low, high, hysteresis) = s.inhibit;
+        let inhibited = temperature < low || temperature > high;
+        let allowed = temperature >= low + hysteresis && temperature <= high - hysteresis;
+        let suspended = temperature < s.suspend.0 || temperature > s.suspend.1;
+        let (low_mv, low_time, low_clear) = s.low_mv;
+        let low_s = lasting(&mut ram.low_s, cell < low_mv, seconds);
+        let low_clear = if low_clear < DISTANCE { low_mv + low_clear } else { low_clear };
+        let (high_mv, high_time, high_clear) = s.high_mv;
+        let high_s = lasting(&mut ram.high_s, cell > high_mv, seconds);
+        let high_clear = if high_clear < DISTANCE { high_mv - high_clear } else { high_clear };
+        let full = if s.full.0 < 0 { ram.tapered } else { exact >= f64::from(s.full.0) };
+        for (bit, set, clear) in [
+            // A time of 0 switches the protection off.
+            (OTC, otc_time > 0.0 && otc_s >= otc_time, temperature <= otc_clear),
+            (OTD, otd_time > 0.0 && otd_s >= otd_time, temperature <= otd_clear),
+            (OT, temperature >= over, temperature < over - back),
+            (UT, temperature <= under, temperature > under + up),
+            (CHG_INH, !charging && inhibited, charging || allowed),
+            (XCHG, charging && suspended, !charging || allowed),
+            (BATLOW, cell < low_mv && low_s >= low_time, cell > low_clear),
+            (BATHI, cell > high_mv && high_s >= high_time, cell < high_clear),
+            (SOC1, remaining <= s.soc1.0, remaining >= s.soc1.1),
+            (SOCF, remaining <= s.socf.0, remaining >= s.socf.1),
+            (FC, full, percent <= s.full.1),
+            (CF, ram.max_error > s.max_error_limit, true),
+            (DSG, discharging, true),
+        ] {
+            if set {
+                ram.flags |= bit;
+            } else if clear {
+                ram.flags &= !bit;
+            }
         }
-        let stopped = stop || self.flags & CHG == 0 && percent > s.charge_alert.1;
-        let allowed = !stopped && self.flags & (OTC | BATHI | CHG_INH | XCHG | OT | UT) == 0;
-        self.flags = if allowed { self.flags | CHG } else { self.flags & !CHG };
-        let worn = self.max_error > s.max_error_limit;
-        self.flags = if worn { self.flags | CF } else { self.flags & !CF };
-        let discharging = self.state == State::Discharge;
-        self.flags = if discharging { self.flags | DSG } else { self.flags & !DSG };
+        let (alert, clear) = s.charge_alert;
+        let stop = if alert < 0 { ram.tapered } else { exact >= f64::from(alert) };
+        let stopped = stop || ram.flags & CHG == 0 && percent > clear;
+        let allowed = !stopped && ram.flags & (OTC | BATHI | CHG_INH | XCHG | OT | UT) == 0;
+        ram.flags = if allowed { ram.flags | CHG } else { ram.flags & !CHG };
     }
 
     fn change_state(&mut self, seconds: f64) {
         let current = self.current_ma();
         let s = &self.settings;
-        self.quiet_s = if current.abs() < s.quit_ma { self.quiet_s + seconds } else { 0.0 };
+        self.ram.quiet_s = if current.abs() < s.quit_ma { self.ram.quiet_s + seconds } else { 0.0 };
         let next = if -current > s.discharge_ma {
             State::Discharge
         } else if current > s.charge_ma {
             State::Charge
         } else {
-            match self.state {
-                State::Discharge if self.quiet_s >= s.relax_s.0 => State::Rest,
-                State::Charge if self.quiet_s >= s.relax_s.1 => State::Rest,
+            match self.ram.state {
+                State::Discharge if self.ram.quiet_s >= s.relax_s.0 => State::Rest,
+                State::Charge if self.ram.quiet_s >= s.relax_s.1 => State::Rest,
                 same => same,
             }
         };
-        self.state_s += seconds;
-        if next != self.state {
-            self.state = next;
-            self.state_s = 0.0;
+        self.ram.state_s += seconds;
+        if next != self.ram.state {
+            self.ram.state = next;
+            self.ram.state_s = 0.0;
             self.simulate();
             if next == State::Rest {
-                self.flags &= !OCVTAKEN;
-                self.flags_b |= FIRSTDOD;
+                self.ram.flags &= !OCVTAKEN;
+                self.ram.flags_b |= FIRSTDOD;
             } else {
-                self.flags_b &= !FIRSTDOD;
+                self.ram.flags_b &= !FIRSTDOD;
             }
         }
-        if self.state == State::Rest && self.state_s >= OCV_S && self.flags & OCVTAKEN == 0 {
+        if self.ram.state == State::Rest && self.ram.state_s >= OCV_S && self.ram.flags & OCVTAKEN == 0 {
             self.take_ocv();
-            self.flags |= OCVTAKEN;
-            self.flags_b &= !FIRSTDOD;
+            self.ram.flags |= OCVTAKEN;
+            self.ram.flags_b &= !FIRSTDOD;
         }
     }
 
@@ -503,49 +453,50 @@ impl Gauging {
     fn terminate(&mut self, seconds: f64) {
         let s = &self.settings;
         let near = self.cell_mv() >= f64::from(s.charge_mv[1]) - s.taper_mv;
-        let low = self.average_ma > 0.0 && self.average_ma < s.taper_ma;
-        let tapering = self.state == State::Charge && near && low;
-        self.taper_s = if tapering { self.taper_s + seconds } else { 0.0 };
-        if tapering && !self.tapered && self.taper_s >= 2.0 * s.taper_s {
-            self.tapered = true;
+        let low = self.ram.average_ma > 0.0 && self.ram.average_ma < s.taper_ma;
+        let tapering = self.ram.state == State::Charge && near && low;
+        self.ram.taper_s = if tapering { self.ram.taper_s + seconds } else { 0.0 };
+        if tapering && !self.ram.tapered && self.ram.taper_s >= 2.0 * s.taper_s {
+            self.ram.tapered = true;
             if s.full_at_taper {
                 self.battery.charge_mah = self.battery.capacity_mah;
-                self.drift_mah = 0.0;
+                self.ram.drift_mah = 0.0;
             }
-            self.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
-            self.flags_b |= DODEOC;
-            if self.enabled {
-                self.max_error = self.max_error.min(3);
+            self.ram.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
+            self.ram.flags_b |= DODEOC;
+            if self.ram.enabled {
+                self.ram.max_error = self.ram.max_error.min(3);
             }
-        } else if self.state == State::Discharge {
-            self.tapered = false;
-            self.flags_b &= !DODEOC;
+        } else if self.ram.state == State::Discharge {
+            self.ram.tapered = false;
+            self.ram.flags_b &= !DODEOC;
         }
     }
 
     /// Tracks the extremes. Returns whether they are worth a flash write (SLUSBZ5D 7.3.6.17).
     fn track(&mut self, seconds: f64) -> bool {
         let s = &self.settings;
-        if !self.enabled || s.lifetime_s == 0.0 {
+        if !self.ram.enabled || s.lifetime_s == 0.0 {
             return false;
         }
         let (degrees, current) = (self.temperature() - FREEZING, self.current_ma());
         let volts = f64::from(self.voltage_mv()) / 20.0;
         for (at, value) in [(0, degrees), (2, current), (4, volts)] {
-            self.lifetime[at] = self.lifetime[at].max(value);
+            self.ram.lifetime[at] = self.ram.lifetime[at].max(value);
         }
         for (at, value) in [(1, degrees), (3, current), (5, volts)] {
-            self.lifetime[at] = self.lifetime[at].min(value);
+            self.ram.lifetime[at] = self.ram.lifetime[at].min(value);
         }
-        self.lifetime_s += seconds;
+        self.ram.lifetime_s += seconds;
         let grown = (0..6).any(|i| {
-            (self.lifetime[i] - self.lifetime_kept[i]).abs() >= self.settings.lifetime_step[i / 2].max(1.0)
+            (self.ram.lifetime[i] - self.ram.lifetime_kept[i]).abs()
+                >= self.settings.lifetime_step[i / 2].max(1.0)
         });
-        if !grown || self.lifetime_s < s.lifetime_s {
+        if !grown || self.ram.lifetime_s < s.lifetime_s {
             return false;
         }
-        self.lifetime_s = 0.0;
-        self.lifetime_kept = self.lifetime;
+        self.ram.lifetime_s = 0.0;
+        self.ram.lifetime_kept = self.ram.lifetime;
         true
     }
 
@@ -556,7 +507,7 @@ impl Gauging {
     /// Temperature() in 0.1 K, before rounding.
     fn temperature(&self) -> f64 {
         if self.settings.host_temperature {
-            return self.host_temperature.map_or(self.die(), f64::from);
+            return self.ram.host_temperature.map_or(self.die(), f64::from);
         }
         if !self.settings.thermistor {
             return self.die();
@@ -579,9 +530,9 @@ impl Gauging {
 
     /// Minutes to empty and to full at the average current; the second allows for the taper.
     fn times(&self) -> (u16, u16) {
-        let average = self.average_ma.round();
+        let average = self.ram.average_ma.round();
         let minutes = |mah: f64| whole((mah / average.abs() * 60.0).min(65534.0));
-        match self.state {
+        match self.ram.state {
             State::Discharge if average < 0.0 => (minutes(self.remaining()), NO_TIME),
             State::Charge if average > 0.0 => {
                 (NO_TIME, minutes((self.full() - self.remaining()).max(0.0) * 1.1))
@@ -610,10 +561,10 @@ impl Gauging {
     fn show(&self, quantity: Quantity, calibration: bool) -> u16 {
         let s = &self.settings;
         match quantity {
-            Quantity::AtRate => self.at_rate_ma as u16,
-            Quantity::AtRateTimeToEmpty => self.minutes_at(f64::from(self.at_rate_ma)),
-            Quantity::AverageCurrent => signed(self.average_ma),
-            Quantity::AveragePower => signed(self.average_ma * f64::from(self.voltage_mv()) / 1000.0),
+            Quantity::AtRate => self.ram.at_rate_ma as u16,
+            Quantity::AtRateTimeToEmpty => self.minutes_at(f64::from(self.ram.at_rate_ma)),
+            Quantity::AverageCurrent => signed(self.ram.average_ma),
+            Quantity::AveragePower => signed(self.ram.average_ma * f64::from(self.voltage_mv()) / 1000.0),
             Quantity::AvailableEnergy => {
                 let counted = self.counted();
                 let reserve = self.battery.energy_mwh(counted - self.remaining());
@@ -623,17 +574,17 @@ impl Gauging {
             Quantity::ChargeVoltage => self.charge_advice().0,
             Quantity::ConstantPowerTimeToEmpty | Quantity::TimeToEmpty => self.times().0,
             Quantity::Current => signed(self.current_ma()),
-            Quantity::CycleCount => self.cycles,
+            Quantity::CycleCount => self.ram.cycles,
             Quantity::DesignCapacity => s.design_mah,
-            Quantity::Dod => whole(self.dod),
-            Quantity::DodTime => whole(self.dod_s / 60.0),
-            Quantity::DodTimeHours => whole(self.dod_s * 16.0 / 3600.0),
-            Quantity::EndDod => whole(self.end_dod),
+            Quantity::Dod => whole(self.ram.dod),
+            Quantity::DodTime => whole(self.ram.dod_s / 60.0),
+            Quantity::DodTimeHours => whole(self.ram.dod_s * 16.0 / 3600.0),
+            Quantity::EndDod => whole(self.ram.end_dod),
             Quantity::Flags => {
-                let set = self.map.flags.iter().filter(|(condition, _)| self.flags & condition != 0);
+                let set = self.map.flags.iter().filter(|(condition, _)| self.ram.flags & condition != 0);
                 set.fold(0, |word, (_, bit)| word | bit)
             }
-            Quantity::FlagsB => self.flags_b,
+            Quantity::FlagsB => self.ram.flags_b,
             Quantity::Full => whole(self.full()),
             Quantity::Grid => ((100.0 - self.percent()) / 100.0 * 14.0) as u16,
             Quantity::Health => match s.design_mah {
@@ -642,8 +593,8 @@ impl Gauging {
             },
             Quantity::HealthStatus => 3,
             Quantity::InternalTemperature => whole(self.die()),
-            Quantity::LearnedStatus => u16::from(s.learned) | u16::from(self.enabled) << 2,
-            Quantity::MaxError => u16::from(self.max_error),
+            Quantity::LearnedStatus => u16::from(s.learned) | u16::from(self.ram.enabled) << 2,
+            Quantity::MaxError => u16::from(self.ram.max_error),
             Quantity::MaxLoadCurrent => signed(s.max_load_ma),
             Quantity::MaxLoadTimeToEmpty => self.minutes_at(s.max_load_ma),
             Quantity::NominalFull => whole(self.battery.capacity_mah),
@@ -651,19 +602,19 @@ impl Gauging {
             // CAL_ENABLE toggles the bit of the running copy.
             Quantity::PackConfiguration if calibration => s.pack | 0x4000,
             Quantity::PackConfiguration => s.pack,
-            Quantity::PassedCharge => signed(self.passed_mah),
+            Quantity::PassedCharge => signed(self.ram.passed_mah),
             Quantity::Percent => whole(self.percent()),
             Quantity::PowerDrawn => {
-                let power = (-self.average_ma).max(0.0) * f64::from(self.voltage_mv()) / 1000.0;
+                let power = (-self.ram.average_ma).max(0.0) * f64::from(self.voltage_mv()) / 1000.0;
                 whole(power / s.energy_scale)
             }
-            Quantity::QmaxPassed => signed(self.qmax_passed_mah),
+            Quantity::QmaxPassed => signed(self.ram.qmax_passed_mah),
             Quantity::Remaining => whole(self.remaining()),
             Quantity::SerialNumber => s.serial,
             Quantity::StandbyCurrent => signed(s.standby_ma),
             Quantity::StandbyTimeToEmpty => self.minutes_at(s.standby_ma),
-            Quantity::StartCharge => whole(self.start_mah),
-            Quantity::StateTime => whole(self.state_s),
+            Quantity::StartCharge => whole(self.ram.start_mah),
+            Quantity::StateTime => whole(self.ram.state_s),
             Quantity::Temperature => whole(self.temperature()),
             Quantity::TimeToFull => self.times().1,
             Quantity::Voltage => self.voltage_mv(),
@@ -687,7 +638,7 @@ impl Model for Gauging {
     fn set_percent(&mut self, percent: f64) {
         let reserve = self.settings.reserve_mah.min(self.battery.capacity_mah);
         self.battery.charge_mah = reserve + self.full() * percent / 100.0;
-        self.drift_mah = 0.0;
+        self.ram.drift_mah = 0.0;
         self.simulate();
     }
 
@@ -700,12 +651,12 @@ impl Model for Gauging {
         let (battery, measured) = (self.battery.clone(), self.measured);
         *self = Self::new(self.map, flash, 0.0);
         (self.battery, self.measured) = (battery, measured);
-        (self.max_error, self.state_s, self.dod_s) = (100, 0.0, 0.0);
+        (self.ram.max_error, self.ram.state_s, self.ram.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
     }
 
     fn at_rest(&self) -> bool {
-        self.battery.current_ma() == 0.0 && self.state == State::Rest
+        self.battery.current_ma() == 0.0 && self.ram.state == State::Rest
     }
 
     fn step(&mut self, seconds: f64) -> Vec<Kept> {
@@ -715,33 +666,34 @@ impl Model for Gauging {
         if self.settings.inverted {
             // The counter stops at the end of its scale.
             let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
-            self.drift_mah = (self.drift_mah - 2.0 * moved).clamp(low, high);
+            self.ram.drift_mah = (self.ram.drift_mah - 2.0 * moved).clamp(low, high);
             moved = -moved;
         }
         let current = self.current_ma();
-        self.average_ma += (current - self.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
-        self.passed_mah += moved;
-        self.qmax_passed_mah += moved;
-        self.cycle_mah += (-moved).max(0.0);
-        while self.cycle_mah >= self.settings.cycle_mah {
-            self.cycle_mah -= self.settings.cycle_mah;
-            self.cycles = self.cycles.saturating_add(1);
-            self.learned.cycles = true;
+        self.ram.average_ma += (current - self.ram.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
+        self.ram.passed_mah += moved;
+        self.ram.qmax_passed_mah += moved;
+        self.ram.cycle_mah += (-moved).max(0.0);
+        while self.ram.cycle_mah >= self.settings.cycle_mah {
+            self.ram.cycle_mah -= self.settings.cycle_mah;
+            self.ram.cycles = self.ram.cycles.saturating_add(1);
+            self.ram.cycles_changed = true;
         }
-        self.dod_s += seconds;
+        self.ram.dod_s += seconds;
         self.update(seconds);
-        self.learned.lifetime |= self.track(seconds);
+        self.ram.lifetime_changed |= self.track(seconds);
         Vec::new()
     }
 
     fn learned(&mut self, flash: &Flash) -> Vec<Kept> {
-        let learned = std::mem::take(&mut self.learned);
         let mut kept = Vec::new();
-        if let Some((id, offset)) = self.map.cycles.filter(|_| learned.cycles) {
-            kept.push(Kept::new(id, offset, &self.cycles.to_be_bytes()));
+        let cycles = mem::take(&mut self.ram.cycles_changed);
+        if let Some((id, offset)) = self.map.cycles.filter(|_| cycles) {
+            kept.push(Kept::new(id, offset, &self.ram.cycles.to_be_bytes()));
         }
-        if let Some((data, samples)) = self.map.lifetime.filter(|_| learned.lifetime) {
-            let words = self.lifetime.map(|value| (value.round() as i32 as u16).to_be_bytes());
+        let lifetime = mem::take(&mut self.ram.lifetime_changed);
+        if let Some((data, samples)) = self.map.lifetime.filter(|_| lifetime) {
+            let words = self.ram.lifetime.map(|value| (value.round() as i32 as u16).to_be_bytes());
             kept.push(Kept::new(data, 0, words.as_flattened()));
             let count = flash.u16(samples, 0).saturating_add(1);
             kept.push(Kept::new(samples, 0, &count.to_be_bytes()));

@@ -3,7 +3,7 @@
 //!
 //! They are written from the manuals alone, byte by byte: acknowledgement, sealed and unsealed, the block-access window
 //! apart from flash, the checksum that commits, the voltage below which nothing is stored, a reset that takes its time.
-//! Knobs turn the load, the temperature, the timings and the power; [`fault`] makes the nth transfer fail.
+//! Knobs turn the load, the temperature, the timings and the power, and make the nth transfer fail.
 //!
 //! What it is not: it knows no tables of parameters, no names and no units, so that a wrong table of `ti-gauge` cannot
 //! agree with a wrong simulator by being the same text. It is no model of a chemistry.
@@ -41,7 +41,7 @@ mod battery;
 mod block;
 mod device;
 mod error;
-pub mod fault;
+mod fault;
 mod flash;
 mod flat;
 mod gauging;
@@ -60,7 +60,7 @@ use block::Block;
 use device::Gauge;
 use error::Result;
 pub use error::{Error, Kind};
-use fault::{ADAPTER_WAITS, Fault, Plan, Transfer};
+use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use knob::Knob;
 use mac::Mac;
 use part::Scheme;
@@ -122,7 +122,6 @@ impl fmt::Display for Record {
 
 struct State {
     gauge: Gauge,
-    plan: Plan,
     counters: Counters,
     log: Option<VecDeque<Record>>,
 }
@@ -169,7 +168,7 @@ impl Sim {
             Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
             Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
         };
-        let state = State { gauge, plan: Plan::new(options.seed), counters: Counters::default(), log: None };
+        let state = State { gauge, counters: Counters::default(), log: None };
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
@@ -197,15 +196,15 @@ impl Sim {
     pub fn get(&self, knob: &str) -> Option<String> {
         let mut state = self.lock();
         state.find(knob)?;
-        let counters = &state.counters;
+        let State { gauge, counters, .. } = &mut *state;
         Some(match knob {
-            "fault" => state.plan.to_string(),
+            "fault" => gauge.plan().to_string(),
             "transfers" => counters.transfers.to_string(),
             "bytes" => counters.bytes.to_string(),
             "bus_us" => (counters.bits * BIT.as_micros() as u64).to_string(),
             "stretched_us" => counters.stretched.as_micros().to_string(),
             "nacks" => counters.nacks.to_string(),
-            _ => return state.gauge.knob(knob, self.clock.now()),
+            _ => return gauge.knob(knob, self.clock.now()),
         })
     }
 
@@ -218,7 +217,7 @@ impl Sim {
             Some(known) if !known.writable => {
                 Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
             }
-            Some(_) if knob == "fault" => state.plan.set(text),
+            Some(_) if knob == "fault" => state.gauge.plan().set(text),
             Some(_) => state.gauge.set_knob(knob, text, self.clock.now()),
         }
     }
@@ -293,7 +292,7 @@ impl Bus for Direct<'_> {
         // the end of a transfer in which everything is.
         let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
         let state = &mut *held;
-        let result = state.gauge.message(write, read, &mut state.plan, now);
+        let result = state.gauge.message(write, read, now);
         match result {
             Ok(()) => self.pass(state, write.len(), read.len()),
             Err(sent) => self.pass(state, sent, 0),
@@ -306,7 +305,7 @@ impl Bus for Direct<'_> {
 impl SimBus {
     fn attempt(&self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let clock = &*self.sim.clock;
-        let due = self.sim.lock().plan.next(write.len() + read.len());
+        let due = self.sim.lock().gauge.plan().next(write.len() + read.len());
         // The bus waits without holding the lock, so that knobs can still be read.
         if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
             let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);

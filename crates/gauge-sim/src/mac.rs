@@ -9,11 +9,10 @@ use std::time::Duration;
 
 use super::device::{Device, Gauge};
 use super::error::Result;
-use super::fault::Plan;
 use super::flash::{BLOCK, Flash};
 use super::flat::{BASE, DATA_FLASH, SIZE, i16_at};
 use super::knob;
-use super::model::{Kept, MacModel, Model, Registers};
+use super::model::{Kept, MacModel, Model, Registers, Reply};
 use super::part::{MacPart, Part};
 use super::seal::{Level, Seal};
 use super::window::checksum;
@@ -36,6 +35,12 @@ struct Answer {
     length: u8,
 }
 
+impl Default for Answer {
+    fn default() -> Self {
+        Self::new(0, &[])
+    }
+}
+
 impl Answer {
     fn new(word: u16, bytes: &[u8]) -> Self {
         let mut data = [0; BLOCK];
@@ -52,6 +57,7 @@ fn sum(word: u16, data: &[u8]) -> u8 {
 
 /// The buffer. It is separate from flash: after a write the host reads this back, whether anything was
 /// stored or not.
+#[derive(Default)]
 struct Buffer {
     shown: Answer,
     /// An answer that is still being fetched, and when it is there. It overwrites what a host writes before.
@@ -61,10 +67,6 @@ struct Buffer {
 }
 
 impl Buffer {
-    fn new() -> Self {
-        Self { shown: Answer::new(0, &[]), coming: None, sum_sent: None }
-    }
-
     fn settle(&mut self, now: Duration) {
         if let Some((answer, _)) = self.coming.take_if(|(_, ready)| now >= *ready) {
             self.shown = answer;
@@ -82,6 +84,7 @@ pub(super) struct Mac {
 }
 
 /// Everything that a reset clears.
+#[derive(Default)]
 struct Ram {
     seal: Seal,
     buffer: Buffer,
@@ -101,23 +104,6 @@ struct Ram {
     registers: Option<Registers>,
 }
 
-impl Ram {
-    fn new() -> Self {
-        Self {
-            seal: Seal::new(Level::Sealed),
-            buffer: Buffer::new(),
-            echo: 0,
-            low: [0; 2],
-            previous: 0,
-            selecting: false,
-            elsewhere: false,
-            elsewhere_seen: false,
-            rom: false,
-            registers: None,
-        }
-    }
-}
-
 impl Mac {
     pub(super) fn gauge(
         part: &'static Part,
@@ -132,7 +118,7 @@ impl Mac {
             }
         })?;
         let model = (scheme.model)(&device.flash);
-        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::new(), shift: 0 }))
+        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::default(), shift: 0 }))
     }
 
     fn sealed(&self) -> bool {
@@ -152,7 +138,7 @@ impl Mac {
     }
 
     /// The length was written after the sum. Both have to be right.
-    fn commit(&mut self, device: &mut Device, told: u8, length: u8, plan: &mut Plan, now: Duration) {
+    fn commit(&mut self, device: &mut Device, told: u8, length: u8) {
         let count = usize::from(length).saturating_sub(OVERHEAD);
         if !(1..=BLOCK).contains(&count) {
             return;
@@ -164,7 +150,7 @@ impl Mac {
         }
         let Some(offset) = self.locate(word) else {
             let kept = self.model.parameters(word, bytes, level);
-            device.keep(self, kept, now);
+            device.keep(self, kept);
             return;
         };
         if offset + count > SIZE {
@@ -178,12 +164,12 @@ impl Mac {
             Level::FullAccess => true,
         };
         let kept = Kept::new(DATA_FLASH, offset, bytes);
-        device.commit(self, kept, allowed, plan, now);
+        device.commit(self, kept, allowed);
     }
 
     /// A word was written to Control() or ManufacturerAccessControl(). One that is unknown, or not for a
     /// sealed gauge, is echoed and does nothing.
-    fn word(&mut self, device: &mut Device, word: u16, now: Duration) {
+    fn word(&mut self, device: &mut Device, word: u16) {
         self.ram.echo = word;
         self.ram.buffer.sum_sent = None;
         let stored: [u8; 8] = device.flash.get(self.part.keys.0, self.part.keys.1);
@@ -191,48 +177,45 @@ impl Mac {
         let keys = [[key(0), key(2)], [key(4), key(6)]];
         // The first word ends the silence, the second follows it.
         let listening = device.hears_keys(self.ram.seal.level);
-        if self.ram.seal.word(word, &keys, listening, now) {
+        if self.ram.seal.word(word, &keys, listening, device.now) {
             return;
         }
         let open = !self.sealed();
         if let Some(at) = self.locate(word) {
             if open {
                 let bytes = device.flash.bytes_at(DATA_FLASH, at, BLOCK.min(SIZE - at));
-                self.answer(device, word, bytes, now);
+                self.answer(device, word, bytes);
             }
             return;
         }
         self.ram.elsewhere |= self.part.answers_elsewhere && matches!(word, 0x0001 | 0x0002);
         match word {
             0x0000 => {}
-            0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes(), now),
+            0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes()),
             0x0041 if open => {
-                device.reset(self, now);
+                device.reset(self);
                 return;
             }
             0x0F00 if open => self.ram.rom = true,
             _ if word == self.part.seal => {
                 if open {
                     self.ram.seal = Seal::new(Level::Sealed);
-                    self.ram.buffer = Buffer::new();
+                    self.ram.buffer = Buffer::default();
                 }
             }
-            _ => {
-                if let Some(reply) = self.model.subcommand(word, self.ram.seal.level, &device.flash) {
-                    if let Some(bytes) = reply.answer {
-                        self.answer(device, word, &bytes, now);
-                    }
-                    device.keep(self, reply.kept, now);
-                }
-            }
+            _ => match self.model.subcommand(word, self.ram.seal.level, &device.flash) {
+                Some(Reply::Answer(bytes)) => self.answer(device, word, &bytes),
+                Some(Reply::Keep(kept)) => device.keep(self, kept),
+                Some(Reply::Done) | None => {}
+            },
         }
         self.ram.previous = word;
         self.ram.registers = None;
     }
 
-    fn answer(&mut self, device: &Device, word: u16, bytes: &[u8], now: Duration) {
-        self.ram.buffer.coming = Some((Answer::new(word, bytes), now + device.timing.load));
-        self.ram.buffer.settle(now);
+    fn answer(&mut self, device: &Device, word: u16, bytes: &[u8]) {
+        self.ram.buffer.coming = Some((Answer::new(word, bytes), device.now + device.timing.load));
+        self.ram.buffer.settle(device.now);
     }
 
     /// CONTROL_STATUS.
@@ -254,18 +237,18 @@ impl Wire for Mac {
         matches!(register, 0x01 | 0x07 | 0x3F..=0x61)
     }
 
-    fn write(&mut self, device: &mut Device, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool {
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool {
         if self.ram.rom {
             return true;
         }
         let buffer = &mut self.ram.buffer;
-        buffer.settle(now);
+        buffer.settle(device.now);
         match register {
             0x00 => self.ram.low[0] = byte,
-            0x01 => self.word(device, u16::from_le_bytes([self.ram.low[0], byte]), now),
+            0x01 => self.word(device, u16::from_le_bytes([self.ram.low[0], byte])),
             0x3E => self.ram.low[1] = byte,
             0x3F => {
-                self.word(device, u16::from_le_bytes([self.ram.low[1], byte]), now);
+                self.word(device, u16::from_le_bytes([self.ram.low[1], byte]));
                 self.ram.selecting = true;
             }
             0x40..=0x5F => {
@@ -285,7 +268,7 @@ impl Wire for Mac {
             0x61 => {
                 buffer.shown.length = byte;
                 if let Some(told) = buffer.sum_sent.take() {
-                    self.commit(device, told, byte, plan, now);
+                    self.commit(device, told, byte);
                 }
             }
             _ => return self.model.write(register, byte),
@@ -293,11 +276,11 @@ impl Wire for Mac {
         true
     }
 
-    fn read(&mut self, _: &Device, register: u8, now: Duration) -> u8 {
+    fn read(&mut self, device: &Device, register: u8) -> u8 {
         if self.ram.rom {
             return 0;
         }
-        self.ram.buffer.settle(now);
+        self.ram.buffer.settle(device.now);
         let shown = &self.ram.buffer.shown;
         match register {
             0x00 | 0x01 => {
@@ -325,13 +308,13 @@ impl Wire for Mac {
         self.ram.elsewhere_seen = false;
     }
 
-    fn reset(&mut self, _: &mut Device, _: Duration) {
-        self.ram = Ram::new();
+    fn reset(&mut self, _: &mut Device) {
+        self.ram = Ram::default();
     }
 
-    fn run(&mut self, device: &mut Device, now: Duration, settle: bool) {
+    fn run(&mut self, device: &mut Device, settle: bool) {
         self.ram.registers = None;
-        device.pass(self, now, settle);
+        device.pass(self, settle);
     }
 
     fn refresh(&mut self) {

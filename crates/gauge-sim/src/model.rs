@@ -86,11 +86,11 @@ pub(super) trait MacModel: Model {
 }
 
 /// What a subcommand does besides changing the model.
-#[derive(Default)]
-pub(super) struct Reply {
-    /// Its answer. Without one the buffer stays as it was.
-    pub(super) answer: Option<Vec<u8>>,
-    pub(super) kept: Vec<Kept>,
+pub(super) enum Reply {
+    /// Nothing; the buffer stays as it was.
+    Done,
+    Answer(Vec<u8>),
+    Keep(Vec<Kept>),
 }
 
 impl Reply {
@@ -99,15 +99,7 @@ impl Reply {
     }
 
     pub(super) fn bytes(bytes: &[u8]) -> Option<Self> {
-        Some(Self { answer: Some(bytes.to_vec()), kept: Vec::new() })
-    }
-
-    pub(super) fn kept(kept: Vec<Kept>) -> Option<Self> {
-        Some(Self { answer: None, kept })
-    }
-
-    pub(super) fn done() -> Option<Self> {
-        Some(Self::default())
+        Some(Self::Answer(bytes.to_vec()))
     }
 }
 
@@ -175,6 +167,12 @@ pub(super) fn registers(words: &[(usize, u16)]) -> Registers {
 /// The bits that are on.
 pub(super) fn bits(bits: &[(u16, bool)]) -> u16 {
     bits.iter().filter(|(_, on)| *on).fold(0, |word, (bit, _)| word | bit)
+}
+
+/// For how long a condition has been met: `timer` after `seconds` more.
+pub(super) fn lasting(timer: &mut f64, met: bool, seconds: f64) -> f64 {
+    *timer = if met { *timer + seconds } else { 0.0 };
+    *timer
 }
 
 pub(super) fn whole(value: f64) -> u16 {

@@ -3,6 +3,7 @@
 use super::flash::{Flash, Image};
 use super::gauging::Map;
 use super::model::MacModel;
+use super::seal::Level;
 use super::timing::Timing;
 use super::update::Exit;
 
@@ -32,8 +33,8 @@ pub(super) struct BlockPart {
     /// DM_CODE, the only difference between some parts.
     pub(super) code: u16,
     pub(super) map: Map,
-    /// Control(): code, who may send it, what it does. All other codes do nothing.
-    pub(super) subcommands: &'static [(u16, Who, Action)],
+    /// Control(): code, lowest level at which it is accepted, what it does. All other codes do nothing.
+    pub(super) subcommands: &'static [(u16, Level, Action)],
     /// Bits of CONTROL_STATUS.
     pub(super) status: &'static [(Status, u16)],
     /// PREV_MACWRITE shows only subcommands below this one.
@@ -93,14 +94,6 @@ pub(super) struct Gate {
     pub(super) limit: Place,
     /// The divider of a stack's voltage.
     pub(super) divider: Option<Place>,
-}
-
-/// Who may send a subcommand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Who {
-    Anyone,
-    Unsealed,
-    FullAccess,
 }
 
 /// A word that the host writes.

@@ -6,9 +6,10 @@ use std::time::Duration;
 const WINDOW: Duration = Duration::from_secs(4);
 
 /// What a host may do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Level {
     /// Only standard commands and the manufacturer's block.
+    #[default]
     Sealed,
     /// Data flash too, except the keys.
     Unsealed,
@@ -27,7 +28,7 @@ impl Level {
 }
 
 /// The level of a gauge, and whether the first half of a key has come.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Seal {
     pub(super) level: Level,
     first: Option<Duration>,

@@ -18,8 +18,9 @@ pub(super) enum Exit {
 }
 
 /// How far the gauge is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Mode {
+    #[default]
     Off,
     /// The mode begins then.
     Entering(Duration),

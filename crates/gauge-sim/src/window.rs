@@ -6,9 +6,10 @@ use std::time::Duration;
 use super::flash::BLOCK;
 
 /// What the window shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Source {
     /// Nothing: there is no such block.
+    #[default]
     Nothing,
     /// A block of flash.
     Flash(u16, u8),
@@ -17,7 +18,7 @@ pub(super) enum Source {
 }
 
 /// The window.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Window {
     /// BlockDataControl(), DataFlashClass() and DataFlashBlock().
     pub(super) control: u8,
@@ -37,17 +38,8 @@ pub(super) struct Window {
 impl Window {
     /// The window after a reset, which shows the field for a challenge if there is one.
     pub(super) fn new(authentication: bool) -> Self {
-        Self {
-            control: 0,
-            class: 0,
-            block: 0,
-            source: if authentication { Source::Authentication } else { Source::Nothing },
-            data: [0; BLOCK],
-            length: BLOCK,
-            sum: 0xFF,
-            ready: Duration::ZERO,
-            early: ([0; BLOCK], 0),
-        }
+        let source = if authentication { Source::Authentication } else { Source::Nothing };
+        Self { source, length: BLOCK, sum: 0xFF, ..Self::default() }
     }
 
     /// Shows `bytes` of `source` from `ready` on. Until then it reads as zeros if `blank`, else as it does

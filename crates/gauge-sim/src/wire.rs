@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use super::device::Device;
 use super::error::Result;
-use super::fault::Plan;
 use super::flash::Flash;
 use super::model::Model;
 use super::seal::Level;
@@ -47,16 +46,16 @@ pub(super) trait Wire: Send {
     /// Whether a message that began at a lower register may continue with `register`.
     fn extends(&self, register: u8) -> bool;
     /// Takes a data byte. Returns whether it is acknowledged.
-    fn write(&mut self, device: &mut Device, register: u8, byte: u8, plan: &mut Plan, now: Duration) -> bool;
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool;
     /// The byte at `register`.
-    fn read(&mut self, device: &Device, register: u8, now: Duration) -> u8;
+    fn read(&mut self, device: &Device, register: u8) -> u8;
     /// STOP.
     fn stop(&mut self) {}
 
-    /// Builds all RAM anew, after a reset or when power has come. The gauge answers from `ready` on.
-    fn reset(&mut self, device: &mut Device, ready: Duration);
-    /// Brings everything that depends on time up to `now`. `settle` asks for a measurement at once.
-    fn run(&mut self, device: &mut Device, now: Duration, settle: bool);
+    /// Builds all RAM anew, after a reset or when power has come.
+    fn reset(&mut self, device: &mut Device);
+    /// Lets pass what depends on time. `settle` asks for a measurement at once.
+    fn run(&mut self, device: &mut Device, settle: bool);
     /// Measures again, because a knob was turned.
     fn refresh(&mut self);
     fn model(&mut self) -> &mut dyn Model;

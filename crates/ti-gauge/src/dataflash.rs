@@ -3,7 +3,7 @@
 //! A write is one transaction: check wear, identity and state of the gauge (`preflight`), unseal and
 //! confirm, check the flash voltage, read each block with its checksum, stop if nothing changes, write,
 //! commit with a checksum, read back, reset if the table requires it, unseal and verify again, restore the
-//! seal state and confirm it. Every exit goes through [`Session::close`]. The gauge accepts any value it is
+//! seal state and confirm it. Every exit goes through `Session::close`. The gauge accepts any value it is
 //! sent, so the checks here are the only protection.
 //!
 //! An error before the first block is committed means that nothing has changed. After that the result is
@@ -29,7 +29,7 @@ mod session;
 mod settle;
 mod wear;
 
-use blocks::{blocks, gather};
+use blocks::{Dirty, blocks, gather};
 use checks::{integer, is_gate};
 use io::{read_subclass, store, verify_written};
 use preflight::{Found, KnownPack};
@@ -192,7 +192,7 @@ impl DataFlash {
         })
     }
 
-    /// The unsealed part of a write.
+    /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.
     fn change(
         &mut self,
         gauge: &mut Gauge,
@@ -229,38 +229,50 @@ impl DataFlash {
             journal.plan(&plan)?;
             self.identity = self.identity.filter(|_| plan.serial.is_none());
         }
-        gauge.statistics.progress.begin(dirty.len());
-        session.begin(gauge)?;
-        let (mut touched, mut finished) = (0, false);
-        let forward = dirty.iter().try_for_each(|block| {
-            if !in_window && sequence(gauge).fills_window() {
-                sequence(gauge).reload(gauge, block.place, &block.old)?;
-            }
-            store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
-        });
-        let forward = forward.and_then(|()| {
-            if !reset && !sequence(gauge).always_finishes() {
-                return Ok(());
-            }
-            finished = true;
-            session.finish(gauge)?;
-            dirty.iter().try_for_each(|block| verify_written(gauge, block))
-        });
-        let Err(error) = forward else { return Ok(Outcome::Written { reset }) };
-        if touched == 0 {
-            return Err(error);
+        program(gauge, session, &dirty, in_window, reset)?;
+        Ok(Outcome::Written { reset })
+    }
+}
+
+/// Writes and verifies the blocks; restores those that may have been committed if it fails.
+fn program(
+    gauge: &mut Gauge,
+    session: &mut Session,
+    dirty: &[Dirty],
+    in_window: bool,
+    reset: bool,
+) -> Result<()> {
+    gauge.statistics.progress.begin(dirty.len());
+    session.begin(gauge)?;
+    let (mut touched, mut finished) = (0, false);
+    let forward = dirty.iter().try_for_each(|block| {
+        if !in_window && sequence(gauge).fills_window() {
+            sequence(gauge).reload(gauge, block.place, &block.old)?;
         }
-        session.now = None;
-        gauge.limit(Some(BACK));
-        match session.restore(gauge, &dirty[..touched], finished) {
-            Ok(()) => {
-                let why = format!("{error}; the old value was restored and verified");
-                Err(Error::new("", Cause::RolledBack(why)))
-            }
-            Err(second) => {
-                let why = format!("{error}; then {second}: data flash contents unknown");
-                Err(Error::new("", Cause::StateUnknown(why)))
-            }
+        store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
+    });
+    let forward = forward.and_then(|()| {
+        if !reset && !sequence(gauge).always_finishes() {
+            return Ok(());
+        }
+        finished = true;
+        session.finish(gauge)?;
+        dirty.iter().try_for_each(|block| verify_written(gauge, block))
+    });
+    let Err(error) = forward else { return Ok(()) };
+    if touched == 0 {
+        return Err(error);
+    }
+    session.now = None;
+    gauge.limit(Some(BACK));
+    match session.restore(gauge, &dirty[..touched], finished) {
+        Ok(()) => {
+            let why = format!("{error}; the old value was restored and verified");
+            Err(Error::new("", Cause::RolledBack(why)))
+        }
+        Err(second) => {
+            let why = format!("{error}; then {second}: data flash contents unknown");
+            Err(Error::new("", Cause::StateUnknown(why)))
         }
     }
 }

@@ -12,8 +12,8 @@ use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
 use super::part::Action::*;
-use super::part::Who::{Anyone, Unsealed};
-use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status, Who};
+use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status};
+use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 use super::update::Exit;
 
@@ -48,7 +48,7 @@ static SCHEME: BlockPart = BlockPart {
 
 /// The table of 5.1; firmware as parts answer.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Who, Action)] = &[
+static SUBCOMMANDS: &[(u16, Level, Action)] = &[
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0427)),
     (0x0002, Anyone, Answer(0x0202)),

@@ -9,8 +9,8 @@ use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{CHG, DSG, FC, Map, OCVTAKEN, OT, SOC1, SOCF, Settings, UT};
 use super::part::Action::*;
-use super::part::Who::{Anyone, Unsealed};
-use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status, Who};
+use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status};
+use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 use super::update::Exit;
 
@@ -70,7 +70,7 @@ pub(super) const OWN: Own = Own {
 
 /// Table 4-2. The chemistry is the G1A's (4.1.6), the firmware what parts answer.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Who, Action)] = &[
+static SUBCOMMANDS: &[(u16, Level, Action)] = &[
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0421)),
     (0x0002, Anyone, Answer(0x0109)),

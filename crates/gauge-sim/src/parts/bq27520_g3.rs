@@ -8,8 +8,8 @@ use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG};
 use super::part::Action::*;
-use super::part::Who::{Anyone, FullAccess, Unsealed};
-use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status, Who};
+use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status};
+use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
 /// The part.
@@ -50,7 +50,7 @@ static SCHEME: BlockPart = BlockPart {
 
 /// SLUSAB7A; the firmware is that of the third generation. Hardware and chemistry are not known.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Who, Action)] = &[
+static SUBCOMMANDS: &[(u16, Level, Action)] = &[
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0520)),
     (0x0002, Anyone, Answer(0x0324)),

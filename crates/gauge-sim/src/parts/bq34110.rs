@@ -164,6 +164,7 @@ struct Cedv {
 }
 
 /// Everything that a reset clears.
+#[derive(Default)]
 struct Ram {
     calibration: Calibration,
     /// ManufacturingStatus() without `[CAL_EN]`.
@@ -180,14 +181,9 @@ struct Ram {
 impl Ram {
     fn new(flash: &Flash) -> Self {
         Self {
-            calibration: Calibration::default(),
             manufacturing: u16_at(flash, 0x40D7) & !CAL_EN,
-            flags: 0,
-            low_s: 0.0,
-            taper_s: 0.0,
             cycles: flash.u16(PRIVATE, CYCLES),
-            accumulated: (0.0, 0.0),
-            accumulated_last: (0.0, 0.0),
+            ..Self::default()
         }
     }
 }
@@ -425,7 +421,7 @@ impl MacModel for Cedv {
         match word {
             0x0009 => ram.calibration.board_offset(),
             0x000A => ram.calibration.cc_offset(),
-            0x000B => return Reply::kept(vec![Calibration::save()]),
+            0x000B => return Some(Reply::Keep(vec![Calibration::save()])),
             0x001E..=0x0024 => ram.manufacturing ^= 1 << (word - 0x001E),
             0x002D => ram.calibration.mode = !ram.calibration.mode,
             0x0035 => return Reply::bytes(&swapped(&flash.get::<8>(PRIVATE, 0))),
@@ -447,7 +443,7 @@ impl MacModel for Cedv {
             0x0068..=0x006F => {}
             _ => return None,
         }
-        Reply::done()
+        Some(Reply::Done)
     }
 
     /// Keys change in FULL ACCESS only.

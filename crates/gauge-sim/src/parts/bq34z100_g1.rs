@@ -11,8 +11,8 @@ use super::gauging::{
     BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
 };
 use super::part::Action::*;
-use super::part::Who::{Anyone, FullAccess, Unsealed};
-use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status, Who};
+use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
+use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
 /// The part.
@@ -58,7 +58,7 @@ static SCHEME: BlockPart = BlockPart {
 
 /// SLUSBZ5D table 7-2; answers of SLUA790 section 2.3, versions as reported for production parts.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Who, Action)] = &[
+static SUBCOMMANDS: &[(u16, Level, Action)] = &[
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0100)),
     (0x0002, Anyone, Answer(0x0016)),

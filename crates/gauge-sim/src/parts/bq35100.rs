@@ -91,8 +91,9 @@ const WRTEMP: u8 = 0x20;
 /// A cell that keeps less, in percent, has come to the end of its service.
 const END: f64 = 5.0;
 
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
 enum Gauging {
+    #[default]
     Idle,
     Active,
     Finishing,
@@ -137,6 +138,7 @@ struct Primary {
 }
 
 /// Everything that a reset clears.
+#[derive(Default)]
 struct Ram {
     calibration: Calibration,
     lifetime: bool,
@@ -160,19 +162,10 @@ struct Ram {
 impl Ram {
     fn new(flash: &Flash) -> Self {
         Self {
-            calibration: Calibration::default(),
             lifetime: u8_at(flash, 0x41B1) & 0x10 != 0,
-            gauging: Gauging::Idle,
-            finishing_s: 0.0,
             accumulated: f64::from(i32::from_be_bytes(flash.get(PRIVATE, 0))),
             health: u8_at(flash, 0x4209),
-            pulse_ma: 0.0,
-            measured_z: 0,
-            present: 0,
-            latched: 0,
-            alert: false,
-            seconds: [0.0; 3],
-            written_temperature: None,
+            ..Self::default()
         }
     }
 }
@@ -371,7 +364,7 @@ impl MacModel for Primary {
             0x0006 => return Reply::word(0x0606),
             0x0009 => self.ram.calibration.board_offset(),
             0x000A => self.ram.calibration.cc_offset(),
-            0x000B => return Reply::kept(vec![Calibration::save()]),
+            0x000B => return Some(Reply::Keep(vec![Calibration::save()])),
             0x000C => return Reply::word(u16_at(flash, 0x4068)),
             0x0011 => {
                 self.ram.gauging = Gauging::Active;
@@ -391,11 +384,11 @@ impl MacModel for Primary {
                 (self.ram.accumulated, self.ram.health, self.ram.measured_z) = (0.0, 100, 0);
                 let learned = Kept::new(DATA_FLASH, offset(0x4209), &[self.ram.health]);
                 let scale = Kept::new(DATA_FLASH, offset(0x4257), &[0xFF, 0xFF]);
-                return Reply::kept(vec![self.kept(), learned, scale]);
+                return Some(Reply::Keep(vec![self.kept(), learned, scale]));
             }
             _ => return None,
         }
-        Reply::done()
+        Some(Reply::Done)
     }
 
     /// A host may measure the temperature itself.

@@ -88,7 +88,7 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
 }
 
 /// The bits of byte `number` of a change that a write must not change.
-pub(super) fn kept_bits(change: &Change, number: usize) -> u8 {
+fn kept_bits(change: &Change, number: usize) -> u8 {
     let Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) = change.row else { return 0 };
     let behind = change.bytes.len() - 1 - number;
     (mask >> (8 * behind)) as u8

@@ -52,7 +52,7 @@ impl DataFlash {
     }
 
     /// Voltage() as the gate compares it, per cell if the part has a divider, and the limit.
-    pub(super) fn gate_voltage(&self, gauge: &Gauge, voltage_mv: u16) -> Option<(u32, u16)> {
+    fn gate_voltage(&self, gauge: &Gauge, voltage_mv: u16) -> Option<(u32, u16)> {
         let (limit_mv, divider) = self.gate?;
         let scaled_mv = match gauge.chip.gate.as_ref()?.divider {
             Some((_, _, full)) if divider != 0 => u32::from(voltage_mv) * full / u32::from(divider),

@@ -46,7 +46,7 @@ pub(super) fn store(gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Re
 }
 
 /// Selects and reads the block again: right after a write the window shows the buffer, not flash.
-pub(super) fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
     compare(block, &stored)
 }
@@ -60,7 +60,7 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     compare(block, &stored)
 }
 
-pub(super) fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
+fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
     let Some(at) = (0..WINDOW).find(|&at| stored[at] != block.new[at]) else { return Ok(()) };
     let place = block.place.name(at);
     let why = if *stored == block.old {

@@ -440,18 +440,18 @@ impl Task<'_> {
             (Keyhole::Open(_), Worked::New) => {
                 // Lets the daemon continue even if the key file has the old key.
                 gauge.set_key(*name, new);
-                "the gauge takes the new key, and the old one could not be put back"
+                "the gauge takes the new key, and the old one could not be restored"
             }
             (Keyhole::Open(_), Worked::Neither) => {
-                "the gauge was open, but the old key could not be put back: which key it takes is not known; do not \
+                "the gauge was open, but the old key could not be restored: which key it takes is unknown; do not \
                  cut its power, and make the same change once more"
             }
             (Keyhole::Shut(shut), _) if shut == *name => {
                 "the gauge takes neither the old key nor the new one"
             }
-            (Keyhole::Shut(_), _) => "the gauge does not take its other key any more",
+            (Keyhole::Shut(_), _) => "the gauge no longer takes its other key",
             (Keyhole::Silent, _) => {
-                "the gauge does not answer: it has the old key or the new one, or a part of each; when it answers again, \
+                "the gauge does not answer: it has the old key, the new one or a part of each; when it answers again, \
                  make the same change once more"
             }
         };

@@ -84,7 +84,7 @@ impl DataFlash {
     }
 
     /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
-    /// distinguishes packs. If that word is a register the type is not asked for: another part would have to
+    /// distinguishes packs. If that word is a register the type is not read: another part would have to
     /// report this firmware and hold this number at an address where it has something else.
     fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;

@@ -11,7 +11,7 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::OpenJournal;
 
 /// Time for writing. With `BACK` spent on restoring values and again on sealing, write(2) returns within 30 s.
-pub(super) const FORWARD: Duration = Duration::from_secs(16);
+const FORWARD: Duration = Duration::from_secs(16);
 /// Time for restoring the old values, and again for restoring the seal state.
 pub(super) const BACK: Duration = Duration::from_secs(6);
 /// Attempts to restore the old bytes.
@@ -23,7 +23,7 @@ pub(super) struct Session {
     /// `None` while the state may have changed and is not yet confirmed.
     pub(super) now: Option<Seal>,
     /// A mode was started that must be ended on every exit.
-    pub(super) begun: bool,
+    begun: bool,
     /// Records the write; removed when the session has ended properly.
     pub(super) journal: Option<OpenJournal>,
 }
@@ -34,7 +34,7 @@ impl Session {
     }
 
     /// Removes the journal entry: nothing is left to settle.
-    pub(super) fn remove_journal(&mut self) {
+    fn remove_journal(&mut self) {
         // An entry that remains is settled before the next write or at the next start, so no harm is done.
         if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
             log::warn!("{error}");
@@ -87,7 +87,7 @@ impl Session {
         outcome.map_err(|error| error.at(Step::Restore))
     }
 
-    pub(super) fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
+    fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
         let range = if finished { block.written.clone() } else { 0..WINDOW };
         let present = sequence(gauge).load(gauge, block.place)?;
         let mut wanted = present;
@@ -136,7 +136,7 @@ impl Session {
 }
 
 /// Waits for the end of a reset and returns to a state in which data flash can be read.
-pub(super) fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
+fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
     let access = &gauge.chip.access;
     let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
     gauge.wait(access.reset);
