@@ -26,8 +26,8 @@ use gauge_bus::GAUGE_ADDRESS;
 
 /// The class of the keys.
 const CODES: u16 = 112;
-/// A gauge that refuses keys after it has sealed itself starts that time again at any subcommand above this
-/// one (SLUUAC9A 6.4.5.1.1).
+/// While a gauge that has sealed itself refuses keys, any subcommand above this one starts that time again
+/// (SLUUAC9A 6.4.5.1.1).
 const LOCKING: u16 = 0x001A;
 /// Update Status: the gauge seals itself.
 const SEAL: u8 = 0x80;
@@ -49,7 +49,7 @@ pub(super) struct Block {
     cc_offset: i16,
     /// A sealed gauge acknowledges registers that it withholds.
     ignores_sealed: bool,
-    /// Challenge and digest pass on the wire as they are, and not least significant byte first.
+    /// Challenge and digest are sent most significant byte first, instead of least significant.
     as_sent: bool,
 }
 
@@ -58,7 +58,7 @@ pub(super) struct Block {
 struct Ram {
     seal: Seal,
     window: Window,
-    /// The low byte of a word of which the high byte is still to come.
+    /// The low byte of a word, until the high byte is written.
     low: u8,
     /// What Control() reads.
     answer: u16,
@@ -73,7 +73,7 @@ struct Ram {
     board_until: Option<Duration>,
     offset_until: Option<Duration>,
     update: Mode,
-    /// No key is taken before.
+    /// Keys are refused until then.
     locked_until: Duration,
     /// The last subcommand about the battery was BAT_INSERT.
     inserted: bool,
@@ -215,8 +215,8 @@ impl Block {
         divider.map(|(id, offset)| flash.u16(id, offset))
     }
 
-    /// Voltage() as the host reads it. The board's divider is the one that was calibrated, but no voltage
-    /// comes of a divider of 0.
+    /// Voltage() as the host reads it. The board's divider is the one that was calibrated, but a divider of 0
+    /// gives 0.
     fn voltage(&self, flash: &Flash) -> u16 {
         if self.divider(flash) == Some(0) { 0 } else { self.gauging.voltage_mv() }
     }
@@ -564,7 +564,7 @@ impl Wire for Block {
 
     fn run(&mut self, device: &mut Device, settle: bool) {
         if device.is_on() && device.now >= device.measured_from {
-            self.gauging.measure();
+            self.gauging.first_voltage();
         }
         if device.is_on()
             && let Some((exit, at)) = self.ram.update.run(device.now)
@@ -586,7 +586,7 @@ impl Wire for Block {
     }
 
     fn refresh(&mut self) {
-        self.gauging.update(0.0);
+        self.gauging.measure();
         self.ram.registers = None;
     }
 

@@ -24,9 +24,7 @@ enum Power {
 
 /// What is being programmed.
 struct Pending {
-    area: u16,
-    offset: usize,
-    old: Vec<u8>,
+    old: Kept,
     started: Duration,
 }
 
@@ -182,7 +180,7 @@ impl Device {
         if let Some(Commit::Torn(words)) = fault
             && let Some(pending) = self.pending.take()
         {
-            self.tear(&pending, words);
+            self.tear(&pending.old, words);
             self.power_down(wire, None);
         }
     }
@@ -202,8 +200,8 @@ impl Device {
         }
         let words = bytes.len().div_ceil(2) as u32;
         self.busy_until = self.busy_until.max(self.now) + self.timing.word * words;
-        let old = before.bytes_at(area, offset, bytes.len()).to_vec();
-        self.pending = Some(Pending { area, offset, old, started: self.now });
+        let old = Kept::new(area, offset, before.bytes_at(area, offset, bytes.len()));
+        self.pending = Some(Pending { old, started: self.now });
         wire.model().configure(&self.flash);
     }
 
@@ -217,9 +215,9 @@ impl Device {
 
     /// What a loss of power leaves of a commit of which `words` words are programmed: those are new, and the
     /// rest is old. This is decided nowhere else.
-    fn tear(&mut self, pending: &Pending, words: usize) {
-        let count = pending.old.len().min(2 * words);
-        self.flash.set(pending.area, pending.offset + count, &pending.old[count..]);
+    fn tear(&mut self, old: &Kept, words: usize) {
+        let count = old.bytes.len().min(2 * words);
+        self.flash.set(old.area, old.offset + count, &old.bytes[count..]);
         self.save();
     }
 
@@ -229,7 +227,7 @@ impl Device {
         if let Some(pending) = self.pending.take() {
             let time = self.now.saturating_sub(pending.started).as_nanos();
             let words = time / self.timing.word.as_nanos().max(1);
-            self.tear(&pending, words.min(BLOCK as u128) as usize);
+            self.tear(&pending.old, words.min(BLOCK as u128) as usize);
         }
         self.power = Power::Off(back.map(|time| self.now + time));
     }

@@ -108,7 +108,7 @@ impl Plan {
             ("flip", &[_, byte, bit @ ..8]) => Fault::Transfer(Transfer::Flip(byte as usize, bit as u8)),
             ("short", [_]) => Fault::Transfer(Transfer::Short),
             ("lost", [_]) => Fault::Transfer(Transfer::Lost),
-            ("stuck", [_]) => Fault::Transfer(Transfer::Stuck(0)),
+            ("stuck", &[n]) => return self.add(name, vec![n, 0]),
             ("stuck", &[_, byte]) => Fault::Transfer(Transfer::Stuck(byte as usize)),
             ("arbitration", [_]) => Fault::Transfer(Transfer::Arbitration),
             ("stretch", &[_, ms]) => Fault::Transfer(Transfer::Stretch(ms)),

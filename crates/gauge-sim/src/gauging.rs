@@ -100,7 +100,7 @@ pub(super) enum Quantity {
 }
 
 /// Parameters as data flash had them at the last reset.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Settings {
     pub(super) ot_charge: (f64, f64, f64),
     pub(super) ot_discharge: (f64, f64, f64),
@@ -157,55 +157,34 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    /// A gauge of one cell for which nothing is a threshold.
-    pub(super) const NONE: Self = Self {
-        ot_charge: (f64::INFINITY, 0.0, f64::INFINITY),
-        ot_discharge: (f64::INFINITY, 0.0, f64::INFINITY),
-        over: (f64::INFINITY, 0.0),
-        under: (f64::NEG_INFINITY, 0.0),
-        inhibit: (f64::NEG_INFINITY, f64::INFINITY, 0.0),
-        suspend: (f64::NEG_INFINITY, f64::INFINITY),
-        taper_ma: 0.0,
-        taper_mv: 0.0,
-        taper_s: 40.0,
-        charge_alert: (99, 95),
-        full: (-1, 98),
-        serial: 0,
-        cycle_mah: f64::INFINITY,
-        cycles: 0,
-        max_error_limit: 100,
-        design_mah: 0,
-        charge_mv: [4200; 3],
-        charge_percent: [0; 3],
-        jeita: None,
-        energy_scale: 1.0,
-        soc1: (0, 0),
-        socf: (0, 0),
-        low_mv: (0.0, 0.0, 0.0),
-        high_mv: (f64::INFINITY, 0.0, f64::INFINITY),
-        pack: 0,
-        full_at_taper: false,
-        thermistor: false,
-        host_temperature: false,
-        reserve_mah: 0.0,
-        discharge_ma: 60.0,
-        charge_ma: 75.0,
-        quit_ma: 40.0,
-        relax_s: (60.0, 60.0),
-        internal_offset: 0.0,
-        external_offset: 0.0,
-        deadband_ma: 5.0,
-        standby_ma: 0.0,
-        max_load_ma: 0.0,
-        inverted: false,
-        cells: 1.0,
-        qmax_mah: 1000.0,
-        enabled: true,
-        learned: 0,
-        lifetime_s: 0.0,
-        lifetime_step: [0.0; 3],
-        lifetime: [0.0; 6],
-    };
+    /// One cell, and no thresholds.
+    pub(super) fn none() -> Self {
+        Self {
+            ot_charge: (f64::INFINITY, 0.0, f64::INFINITY),
+            ot_discharge: (f64::INFINITY, 0.0, f64::INFINITY),
+            over: (f64::INFINITY, 0.0),
+            under: (f64::NEG_INFINITY, 0.0),
+            inhibit: (f64::NEG_INFINITY, f64::INFINITY, 0.0),
+            suspend: (f64::NEG_INFINITY, f64::INFINITY),
+            taper_s: 40.0,
+            charge_alert: (99, 95),
+            full: (-1, 98),
+            cycle_mah: f64::INFINITY,
+            max_error_limit: 100,
+            charge_mv: [4200; 3],
+            energy_scale: 1.0,
+            high_mv: (f64::INFINITY, 0.0, f64::INFINITY),
+            discharge_ma: 60.0,
+            charge_ma: 75.0,
+            quit_ma: 40.0,
+            relax_s: (60.0, 60.0),
+            deadband_ma: 5.0,
+            cells: 1.0,
+            qmax_mah: 1000.0,
+            enabled: true,
+            ..Self::default()
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -305,7 +284,7 @@ impl Gauging {
     }
 
     /// Voltage() is measured for the first time since power came.
-    pub(super) fn measure(&mut self) {
+    pub(super) fn first_voltage(&mut self) {
         if !self.measured {
             self.measured = true;
             self.update(0.0);
@@ -360,7 +339,7 @@ impl Gauging {
     }
 
     /// Updates states and flags, after the present measurements have lasted for `seconds`.
-    pub(super) fn update(&mut self, seconds: f64) {
+    fn update(&mut self, seconds: f64) {
         self.change_state(seconds);
         self.terminate(seconds);
         let temperature = self.temperature() - FREEZING;
@@ -642,6 +621,10 @@ impl Model for Gauging {
         self.simulate();
     }
 
+    fn measure(&mut self) {
+        self.update(0.0);
+    }
+
     fn power_up(&mut self) {
         self.measured = false;
     }
@@ -704,12 +687,18 @@ impl Model for Gauging {
 
 impl Quantity {
     fn is_predicted(self) -> bool {
-        use Quantity::{
-            AvailableEnergy, Full, Health, HealthStatus, NominalFull, NominalRemaining, Percent, Remaining,
-        };
-        let predicted =
-            [Remaining, Full, NominalRemaining, NominalFull, Percent, AvailableEnergy, Health, HealthStatus];
-        predicted.contains(&self)
+        use Quantity::*;
+        matches!(
+            self,
+            Remaining
+                | Full
+                | NominalRemaining
+                | NominalFull
+                | Percent
+                | AvailableEnergy
+                | Health
+                | HealthStatus
+        )
     }
 }
 

@@ -40,7 +40,12 @@ pub(super) trait Model: Send {
         self.battery().percent()
     }
     /// Brings the pack to a state of charge.
-    fn set_percent(&mut self, percent: f64);
+    fn set_percent(&mut self, percent: f64) {
+        self.battery_mut().set_percent(percent);
+        self.measure();
+    }
+    /// Brings states and flags up to the present measurements.
+    fn measure(&mut self);
     /// Whether the pack can be charged.
     fn charges(&self) -> bool {
         true

@@ -1,9 +1,8 @@
-//! The bq34110: its data flash in bytes, its subcommands, and what a CEDV gauge makes of a pack.
+//! The bq34110: its data flash in bytes, its subcommands, and the model of a CEDV gauge.
 //!
-//! SLUUBF7, the part's manual, was not at hand. Bytes are those that owners read from parts (E2E 834655,
-//! 846947, FRED's) and that public drivers give as defaults; the others are the sister gauges' or a small
-//! pack's, so that the gauge has something to work with. What no document says of the registers is done as
-//! in the sisters.
+//! It was written without SLUUBF7, the part's manual. Bytes are those that owners have read from parts (E2E
+//! 834655, 846947, FRED's) and the defaults of public drivers. The others are from similar gauges or those of
+//! a small pack, so that the gauge works. Registers that no document describes are as in similar gauges.
 
 use super::battery::Battery;
 use super::flash::{Flash, Image};
@@ -16,7 +15,6 @@ use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
 use super::timing::Timing;
 
-/// The part.
 pub(super) static PART: Part = Part {
     name: "bq34110",
     image: IMAGE,
@@ -89,12 +87,12 @@ static DATA: [u8; SIZE] = image(&[
     (0x429E, &[0x64]),
 ]);
 
-/// Temperatures in degrees at which the pack is too warm or too cold, and how far back it has to come: the
-/// rows that hold them are not known.
+/// Temperatures in degrees at which the pack is too warm or too cold, for charge and for discharge, and the
+/// hysteresis. The parameters that hold them are not known.
 const WARM: (f64, f64) = (55.0, 60.0);
 const COLD: (f64, f64) = (0.0, -20.0);
 const RECOVERY: f64 = 5.0;
-/// In percent: a full pack is no longer full at the first, an empty one no longer empty above the second.
+/// A full pack is no longer full at this state of charge, in percent, and an empty one no longer empty above.
 const NOT_FULL: f64 = 95.0;
 const NOT_EMPTY: f64 = 5.0;
 /// Current below which a gauge sleeps, in mA.
@@ -219,7 +217,7 @@ impl Cedv {
         self.battery.cell_mv()
     }
 
-    /// Flags as they are with the present measurements, after `seconds` of them.
+    /// Updates the flags, after the present measurements have lasted for `seconds`.
     fn update(&mut self, seconds: f64) {
         let current = self.battery.current_ma();
         let (cell, percent, degrees) = (self.cell_mv(), self.percent(), self.battery.temperature());
@@ -307,8 +305,7 @@ impl Model for Cedv {
         &mut self.battery
     }
 
-    fn set_percent(&mut self, percent: f64) {
-        self.battery.set_percent(percent);
+    fn measure(&mut self) {
         self.update(0.0);
     }
 
@@ -349,7 +346,7 @@ impl Model for Cedv {
 }
 
 impl MacModel for Cedv {
-    /// The board's divider is the one that was calibrated, but no voltage comes of a divider of 0.
+    /// The board's divider is the one that was calibrated, but a divider of 0 gives 0.
     fn voltage_mv(&self) -> u16 {
         if self.settings.divider == 0 { 0 } else { whole(self.cell_mv() * self.battery.cells) }
     }
@@ -402,7 +399,7 @@ impl MacModel for Cedv {
     }
 
     fn subcommand(&mut self, word: u16, level: Level, flash: &Flash) -> Option<Reply> {
-        // A sealed gauge takes only what some document says that it takes.
+        // A sealed gauge accepts only what some document says it accepts.
         match word {
             0x0001 => return Reply::word(0x0110),
             0x0002 => return Reply::bytes(&[0x01, 0x10, 0x01, 0x00, 0x00, 0x01]),
@@ -439,7 +436,7 @@ impl MacModel for Cedv {
             0x0060 | 0x0070 | 0x007A | 0x007B => return Reply::bytes(&[0; 32]),
             0x003E | 0x003F => return Reply::word(0),
             0x0013 | 0x0014 | 0x0039..=0x003C | 0x0044 | 0x0045 => {}
-            // Pins are connected to nothing.
+            // The pins are not connected.
             0x0068..=0x006F => {}
             _ => return None,
         }
@@ -456,7 +453,7 @@ impl MacModel for Cedv {
     }
 }
 
-/// Words with their bytes the other way round.
+/// The words with their bytes swapped.
 fn swapped(words: &[u8]) -> Vec<u8> {
     words.chunks(2).flat_map(|word| word.iter().rev().copied()).collect()
 }
@@ -466,9 +463,9 @@ mod tests {
     use super::super::flat::offset;
     use super::*;
 
-    /// E2E 834655 and E2E-FRED read those from parts; the address of the second is the manual's.
+    /// Read from parts by the owners of E2E 834655 and E2E-FRED. The address of the second is the manual's.
     #[test]
-    fn bytes_stand_where_owners_read_them() {
+    fn bytes_are_where_owners_read_them() {
         let flash = Flash::new(IMAGE);
         assert_eq!(flash.get(DATA_FLASH, offset(0x4000)), [0x7F, 0x71, 0x20, 0x5C]);
         assert_eq!(flash.get(DATA_FLASH, offset(0x41C5)), [0xCF, 0xDC, 0x17]);

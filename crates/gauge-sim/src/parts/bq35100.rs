@@ -1,7 +1,7 @@
-//! The bq35100: its data flash in bytes, its subcommands, and what it makes of a primary cell.
+//! The bq35100: its data flash in bytes, its subcommands, and the model of a gauge for primary cells.
 //!
-//! Defaults are those of SLUUBH1C chapters 7 and 8, SLUA790 and SLUAAL7. Where none was at hand the bytes
-//! are the sister gauges' or a small cell's, so that the gauge has something to work with.
+//! Defaults are from SLUUBH1C chapters 7 and 8, SLUA790 and SLUAAL7. The other bytes are from similar gauges
+//! or those of a small cell, so that the gauge works.
 
 use std::time::Duration;
 
@@ -15,7 +15,6 @@ use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
 use super::timing::Timing;
 
-/// The part.
 pub(super) static PART: Part = Part {
     name: "bq35100",
     image: IMAGE,
@@ -29,10 +28,10 @@ pub(super) static PART: Part = Part {
     }),
 };
 
-/// The clock was seen held this long after power-up.
+/// A part was observed to hold the clock for this long after power-up.
 const BOOT: Duration = Duration::from_micros(103_500);
 
-/// What was counted is kept at GAUGE_STOP: its form in the accumulator tables is not known.
+/// The accumulated charge is stored at GAUGE_STOP. The format of the real accumulator tables is not known.
 static IMAGE: Image = &[(DATA_FLASH, &DATA), (PRIVATE, &[0; 4])];
 
 #[rustfmt::skip]
@@ -88,7 +87,7 @@ const DONE_ALERT: u8 = 0x02;
 const INIT_ALERT: u8 = 0x01;
 /// Operation Config A `[WRTEMP]`.
 const WRTEMP: u8 = 0x20;
-/// A cell that keeps less, in percent, has come to the end of its service.
+/// A cell with less charge, in percent, is at the end of its service.
 const END: f64 = 5.0;
 
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
@@ -125,7 +124,7 @@ impl Settings {
         }
     }
 
-    /// `[GMSEL]`: 0 accumulates, 1 tells the state of health, 2 the end of service.
+    /// `[GMSEL]`: 0 accumulates, 1 estimates the state of health, 2 detects the end of service.
     fn mode(&self) -> u8 {
         self.config & 0x03
     }
@@ -150,7 +149,7 @@ struct Ram {
     /// Largest current since GAUGE_START, in mA.
     pulse_ma: f64,
     measured_z: u16,
-    /// What holds now, what has been seen since BatteryAlert() was read, and the ALERT signal.
+    /// Alerts that are present now, those since BatteryAlert() was read, and the ALERT signal.
     present: u8,
     latched: u8,
     alert: bool,
@@ -222,7 +221,7 @@ impl Primary {
         Kept::new(PRIVATE, 0, &(self.ram.accumulated.round() as i32).to_be_bytes())
     }
 
-    /// What GAUGE_STOP leaves to do is done.
+    /// Computes and stores the results, after GAUGE_STOP.
     fn finish(&mut self) -> Vec<Kept> {
         self.ram.gauging = Gauging::Done;
         let mut kept = Vec::new();
@@ -249,8 +248,7 @@ impl Model for Primary {
         &mut self.battery
     }
 
-    fn set_percent(&mut self, percent: f64) {
-        self.battery.set_percent(percent);
+    fn measure(&mut self) {
         self.update(0.0);
     }
 
@@ -378,7 +376,7 @@ impl MacModel for Primary {
             0x002E if open => self.ram.lifetime = true,
             0x0080 if open => self.ram.calibration.mode = false,
             0x0081 if open && self.ram.calibration.enabled => self.ram.calibration.mode = true,
-            // A sealed gauge forgets its cell as readily as an unsealed one.
+            // NEW_BATTERY, which a sealed gauge accepts too.
             0xA613 => {
                 self.battery.set_percent(100.0);
                 (self.ram.accumulated, self.ram.health, self.ram.measured_z) = (0.0, 100, 0);
@@ -391,7 +389,7 @@ impl MacModel for Primary {
         Some(Reply::Done)
     }
 
-    /// A host may measure the temperature itself.
+    /// The host may write the temperature.
     fn write(&mut self, register: u8, byte: u8) -> bool {
         if !matches!(register, 0x06 | 0x07) || self.settings.config & WRTEMP == 0 {
             return false;
@@ -400,7 +398,7 @@ impl MacModel for Primary {
         true
     }
 
-    /// Reading takes the signal back, and what no longer holds.
+    /// Reading clears the signal, and the alerts that are no longer present.
     fn seen(&mut self, register: u8) {
         match register {
             0x0A => self.ram.alert = false,
@@ -416,7 +414,7 @@ mod tests {
 
     /// SLUA790 section 3 and SLUAAL7 tables 7-1 and 7-2.
     #[test]
-    fn bytes_stand_where_ti_prints_them() {
+    fn bytes_are_where_the_documents_have_them() {
         let flash = Flash::new(IMAGE);
         assert_eq!(u8_at(&flash, 0x41B1), 0x80);
         assert_eq!(i16_at(&flash, 0x4257), -1);
