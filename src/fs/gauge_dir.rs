@@ -274,7 +274,7 @@ fn change_key(gauge: &Supply, data: &[u8], done: Done<()>) {
     if data.trim_ascii().is_empty() {
         done(Ok(()));
     } else {
-        gauge.submit(keys::Change::parse(data), done, Request::ChangeKey);
+        gauge.submit(keys::KeyChange::parse(data), done, Request::ChangeKey);
     }
 }
 

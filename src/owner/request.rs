@@ -28,7 +28,7 @@ pub enum Request {
     /// Send a subcommand that the table marks safe.
     Control(u16, Done<()>),
     /// Change one of the gauge's keys.
-    ChangeKey(keys::Change, Done<()>),
+    ChangeKey(keys::KeyChange, Done<()>),
     /// Publish the gauge's answer to a challenge.
     Authenticate(Message, Done<()>),
     /// Poll now, and forget what was read of data flash.
@@ -243,7 +243,7 @@ mod tests {
     fn requests(rig: &Rig) -> Vec<Box<dyn FnOnce(Done<()>) -> Request>> {
         let discharge = rig.index(80);
         let change = change(rig, "3100");
-        let key = || keys::Change::parse(b"unseal 0414 3672 1234 5678").expect("two keys");
+        let key = || keys::KeyChange::parse(b"unseal 0414 3672 1234 5678").expect("two keys");
         let read = move |done: Done<()>| {
             Request::Read(vec![discharge], Box::new(move |read| done(read.map(|_| ()))))
         };

@@ -421,7 +421,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
     assert_eq!(gaugefs(&["import", &gauge, &file]).done(), "");
     fs::write(&file, bent.replace("C: AA 60 06\n", "C: AA 60 05\n")).expect("a file");
     let says = format!("line {at_line}: raw 64/11: 04 -> 05: these bytes are undocumented");
-    gaugefs(&["import", &gauge, &file]).failed(&[&file, &says, "--raw writes them"]);
+    gaugefs(&["import", &gauge, &file]).failed(&[&file, &says, "write them with --raw"]);
     assert_eq!(gaugefs(&["import", "--exclude", "undocumented", &gauge, &file]).done(), "");
     let changed = "raw 64/11: 04 -> 05\n";
     assert_eq!(gaugefs(&["import", "--raw", "--dry-run", &gauge, &file]).done(), changed);

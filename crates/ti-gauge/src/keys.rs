@@ -115,7 +115,7 @@ impl fmt::Debug for Secret {
 
 /// What is written to `gauge/keys`: a new key, and the old one as proof of permission.
 #[derive(Debug)]
-pub struct Change {
+pub struct KeyChange {
     /// Which key.
     pub name: Name,
     /// The gauge's present key.
@@ -124,7 +124,7 @@ pub struct Change {
     pub new: Secret,
 }
 
-impl Change {
+impl KeyChange {
     /// Reads `unseal OLD NEW`. An error does not repeat the text.
     pub fn parse(text: &[u8]) -> Result<Self> {
         let change = Self::parse_line(text);
@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn a_change_is_a_name_and_two_keys() {
-        let change = |text: &str| Change::parse(text.as_bytes());
+        let change = |text: &str| KeyChange::parse(text.as_bytes());
         let one = change("unseal 0414 3672  1234 abCD\n").expect("a change");
         assert_eq!(
             (one.name, one.old.words(), one.new.words()),
@@ -406,7 +406,7 @@ mod tests {
     fn keys_do_not_show_themselves() {
         let keys = Keys { unseal: Some([0xbeef, 0xcafe]), ..Keys::default() };
         assert_eq!(format!("{keys:?}"), "Keys { hidden }");
-        let change = Change::parse(b"unseal 0414 3672 beef cafe").expect("a change");
-        assert_eq!(format!("{change:?}"), "Change { name: Unseal, old: hidden, new: hidden }");
+        let change = KeyChange::parse(b"unseal 0414 3672 beef cafe").expect("a change");
+        assert_eq!(format!("{change:?}"), "KeyChange { name: Unseal, old: hidden, new: hidden }");
     }
 }

@@ -22,7 +22,7 @@ use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
-use crate::keys::{Change as KeyChange, Name, Secret, wipe_stack};
+use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
 const WAY: Duration = Duration::from_secs(8);

@@ -9,7 +9,7 @@ use ti_gauge::authentication::{Order, answer, ask};
 use ti_gauge::chip::{CHIPS, KeyStorage, Kind};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::{Change, Keys, Name};
+use ti_gauge::keys::{KeyChange, Keys, Name};
 
 use crate::rig::{Rig, cause};
 
@@ -41,8 +41,8 @@ fn cases() -> Vec<Case> {
     cases
 }
 
-fn parse(text: &str) -> Change {
-    Change::parse(text.as_bytes()).expect("a change")
+fn parse(text: &str) -> KeyChange {
+    KeyChange::parse(text.as_bytes()).expect("a change")
 }
 
 fn run(rig: &mut Rig, text: &str) -> Result<()> {
@@ -61,7 +61,7 @@ impl Case {
 
 /// Whether another host can open the gauge, from SEALED, with the given key and the manual's defaults for the
 /// others.
-fn opens(rig: &mut Rig, change: &Change, new: bool) -> bool {
+fn opens(rig: &mut Rig, change: &KeyChange, new: bool) -> bool {
     let key = if new { &change.new } else { &change.old };
     let mut keys = Keys::default();
     keys.set(change.name, key);
