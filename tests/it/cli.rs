@@ -482,6 +482,8 @@ impl Drop for Folder {
     fn drop(&mut self) {
         for name in ["m", "n"] {
             while gaugefs(&["umount", &self.file(name)]).code == Some(0) {}
+            let left = gaugefs::daemon::mountpoint::is_ours(Path::new(&self.file(name)));
+            assert!(!left || std::thread::panicking(), "{} is still mounted: what uses it?", self.file(name));
         }
         let _ = fs::remove_dir_all(&self.0);
     }
