@@ -20,7 +20,7 @@ use gauge_bus::wire_bytes;
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use ti_gauge::codec::WINDOW;
-use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Place, Row};
+use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Row};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal, bursts};
 use ti_gauge::journal::Journal;
@@ -178,8 +178,7 @@ fn serve(clock: &SimClock, gauge: &mut Gauge) -> Result<()> {
     let (subclass, parameter) = subclasses
         .find_map(|row| Some(row).zip(row.parameter(UPDATE_STATUS.1)).filter(|_| row.id == UPDATE_STATUS.0))
         .expect("a row");
-    let place = Place { subclass: subclass.id, offset: parameter.offset };
-    let learned = Change { place, bytes: vec![0x06], row: Some((subclass, parameter)), saved: false };
+    let learned = Change::of_bytes((subclass, parameter), vec![0x06]);
     DataFlash::default().write(gauge, &[learned], Duration::ZERO).map(|_| ())
 }
 
@@ -231,8 +230,7 @@ fn flip((subclass, parameter): Row, bytes: &[u8]) -> Change {
     let at = usize::from(parameter.offset - subclass.start());
     let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
     *bytes.last_mut().expect("a parameter has bytes") ^= 1;
-    let place = Place { subclass: subclass.id, offset: parameter.offset };
-    Change { place, bytes, row: Some((subclass, parameter)), saved: false }
+    Change::of_bytes((subclass, parameter), bytes)
 }
 
 fn write(gauge: &mut Gauge, dataflash: &mut DataFlash, changes: &[Change]) -> Result<(Cost, bool)> {

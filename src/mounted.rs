@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::Path;
 
 use nix::errno::Errno;
-use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind};
+use ti_gauge::chip::{CHIPS, Chip, Kind};
+use ti_gauge::dataflash::Place;
 use ti_gauge::image::{Difference, Entry, Image, RawDifference};
 use ti_gauge::text;
 
@@ -90,11 +91,7 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
     }
     let mut lines = String::from("begin\n");
     for Difference { new, .. } in changes {
-        let (id, offset) = (new.subclass.id, new.parameter.offset);
-        lines += &match id {
-            FLAT => format!("flash/0x{offset:04x} {}\n", new.text()),
-            id => format!("{id}/{offset} {}\n", new.text()),
-        };
+        lines += &format!("{} {}\n", Place::of((new.subclass, new.parameter)), new.text());
     }
     for RawDifference { new, .. } in raw {
         lines += &format!("{} {}\n", new.name(), new.text());

@@ -70,6 +70,18 @@ pub enum BusError {
 const EIO: i32 = 5;
 
 impl BusError {
+    /// Whether the same transfer may succeed when it is sent again.
+    pub fn is_transient(self) -> bool {
+        match self {
+            BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short => true,
+            BusError::Gone
+            | BusError::Busy
+            | BusError::ReadOnly
+            | BusError::NotRecorded
+            | BusError::Other(_) => false,
+        }
+    }
+
     /// The error whose `Display` is `text`, for reading recordings. An unknown text becomes an input/output
     /// error of the adapter.
     pub fn by_text(text: &str) -> Self {

@@ -279,10 +279,13 @@ fn program(
 
 impl Change {
     /// A new value of a parameter; `None` if it does not fit the parameter's type.
-    pub fn of_value((subclass, parameter): Row, value: &Value) -> Option<Self> {
-        let place = Place { subclass: subclass.id, offset: parameter.offset };
-        let bytes = codec::encode(parameter.kind, value)?;
-        Some(Self { place, bytes, row: Some((subclass, parameter)), saved: false })
+    pub fn of_value(row: Row, value: &Value) -> Option<Self> {
+        Some(Self::of_bytes(row, codec::encode(row.1.kind, value)?))
+    }
+
+    /// New bytes of a parameter, as many as its type has.
+    pub fn of_bytes(row: Row, bytes: Vec<u8>) -> Self {
+        Self { place: Place::of(row), bytes, row: Some(row), saved: false }
     }
 
     /// Checks the safe minimum, the only safety limit that needs no gauge.
@@ -317,6 +320,13 @@ impl Change {
     fn kind(&self, chip: &Chip) -> Kind {
         let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
         table.map_or(Kind::Reset, |subclass| subclass.kind)
+    }
+}
+
+impl Place {
+    /// Where a parameter is.
+    pub fn of((subclass, parameter): Row) -> Self {
+        Self { subclass: subclass.id, offset: parameter.offset }
     }
 }
 

@@ -206,16 +206,8 @@ impl Gauge {
     fn again(&mut self, mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>) -> Result<(), BusError> {
         let mut outcome = attempt(self);
         for _ in 1..TRIES {
-            match outcome {
-                Err(BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short) => {}
-                Ok(())
-                | Err(
-                    BusError::Gone
-                    | BusError::Busy
-                    | BusError::ReadOnly
-                    | BusError::NotRecorded
-                    | BusError::Other(_),
-                ) => break,
+            if !outcome.is_err_and(BusError::is_transient) {
+                break;
             }
             self.wait(PAUSE);
             Statistics::count(&self.statistics.retries);
@@ -481,13 +473,8 @@ impl Gauge {
         let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
         self.bus.set_secret(false);
         // A word that was not acknowledged counts as a refused key; the state read below shows it.
-        if let Err(
-            bus @ (BusError::Gone
-            | BusError::Busy
-            | BusError::ReadOnly
-            | BusError::NotRecorded
-            | BusError::Other(_)),
-        ) = sent
+        if let Err(bus) = sent
+            && !bus.is_transient()
         {
             return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
         }

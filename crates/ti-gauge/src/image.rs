@@ -8,7 +8,7 @@ use std::path::Path;
 
 use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Subclass, kebab_case};
 use crate::codec;
-use crate::dataflash::Change;
+use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
 use crate::text;
 use crate::value::Value;
@@ -162,10 +162,7 @@ impl fmt::Display for Difference<'_> {
 impl Raw {
     /// The place as `df/transaction` has it.
     pub fn name(&self) -> String {
-        match self.subclass {
-            FLAT => format!("raw flash/0x{:04x}", self.offset),
-            id => format!("raw {id}/{}", self.offset),
-        }
+        format!("raw {}", Place { subclass: self.subclass, offset: self.offset })
     }
 
     /// The bytes in hexadecimal.

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use ti_gauge::chip::{FLAT, Kind};
-use ti_gauge::dataflash::{Change, Outcome, Place};
+use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Seal;
 use ti_gauge::keys::Keys;
@@ -327,8 +327,7 @@ fn a_whole_image_is_written_within_30_s() {
                     let at = usize::from(parameter.offset - subclass.start());
                     let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
                     *bytes.last_mut().expect("a byte") ^= 1;
-                    let place = Place { subclass: subclass.id, offset: parameter.offset };
-                    changes.push(Change { place, bytes, row: Some((subclass, parameter)), saved: false });
+                    changes.push(Change::of_bytes((subclass, parameter), bytes));
                 }
             }
             if reversed {
