@@ -67,15 +67,6 @@ impl Owner {
 
     /// Settles an interrupted write before anybody sees what data flash holds.
     fn settle(&mut self) {
-        match self.dataflash.journals_of_others(&mut self.gauge) {
-            Ok(others) => {
-                let prefix = &self.shared.prefix;
-                for other in others {
-                    log::warn!("{prefix}{}: the journal of another gauge; left alone", other.display());
-                }
-            }
-            Err(error) => return self.shared.report(&error.into()),
-        }
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
             Ok(Some(found)) => {
                 self.forget_dataflash();

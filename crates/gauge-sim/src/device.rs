@@ -273,6 +273,13 @@ impl Gauge {
         &self.device.flash
     }
 
+    /// Puts bytes into flash without programming it.
+    pub(super) fn set_flash(&mut self, area: u16, offset: usize, bytes: &[u8]) {
+        self.device.flash.set(area, offset, bytes);
+        self.device.save();
+        self.wire.model().configure(&self.device.flash);
+    }
+
     pub(super) fn plan(&mut self) -> &mut Plan {
         &mut self.device.plan
     }

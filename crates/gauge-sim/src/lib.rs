@@ -227,6 +227,12 @@ impl Sim {
         self.lock().gauge.flash().bytes()
     }
 
+    /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0
+    /// with offsets from address 0x4000 on.
+    pub fn set_flash(&self, area: u16, offset: usize, bytes: &[u8]) {
+        self.lock().gauge.set_flash(area, offset, bytes);
+    }
+
     /// Switches the log on or off, and empties it.
     pub fn keep_log(&self, on: bool) {
         self.lock().log = on.then(VecDeque::new);

@@ -7,34 +7,44 @@
 //! sent, so the checks here are the only protection.
 //!
 //! An error before the first block is committed means that nothing has changed. After that the result is
-//! success, [`Cause::RolledBack`] (the old bytes were restored and verified) or [`Cause::StateUnknown`].
+//! success, [`Cause::RolledBack`] (the old bytes were restored and verified) or [`Cause::StateUnknown`]. What is
+//! then left to do, a seal or a write that is neither done nor undone, is owed: [`DataFlash::settle`] tries again,
+//! and nothing else is written until it has succeeded or a person has decided ([`DataFlash::decide`]).
+//!
+//! The rules of every way back: a block is believed when two looks at it agree, some time apart; only what is
+//! certain is undone; the journal stays until the outcome has been read back; in doubt nothing is touched.
 
 use std::fmt;
 use std::time::Duration;
 
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Subclass};
-use crate::codec;
+use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Identity, Journal};
+use crate::journal::{Entry, Identity, Journal};
 use crate::value::Value;
 
 mod blocks;
 mod checks;
 mod io;
 mod keychange;
+mod pack;
 mod preflight;
 mod schemes;
 mod session;
 mod settle;
 mod wear;
 
-use blocks::{Dirty, blocks, gather};
+pub(crate) use blocks::Bytes;
+use blocks::{Dirty, Window, blocks, gather, learned};
 use checks::{integer, is_gate};
-use io::{read_subclass, store, verify_written};
+use io::{read_subclass, reload, store, verify_written};
+use pack::Known;
 use preflight::{Found, KnownPack};
 use schemes::sequence;
-use session::{BACK, Session, in_time};
+use session::{Session, in_time};
+use settle::Pending;
+pub use settle::{Decision, Owed};
 use wear::Wear;
 
 /// A place in data flash.
@@ -112,6 +122,10 @@ pub struct DataFlash {
     journal: Option<Journal>,
     /// Identity of the gauge for the journal; `None` until it is first needed.
     identity: Option<Identity>,
+    /// Blocks of this gauge as they were last read or written.
+    known: Known,
+    /// A write that is neither done nor undone, or a seal that is owed.
+    pending: Option<Pending>,
 }
 
 impl DataFlash {
@@ -123,6 +137,7 @@ impl DataFlash {
     /// Forgets what was read from data flash: after the gauge returns, or when a full reread is requested.
     pub fn forget(&mut self) {
         (self.gate, self.signed) = (None, false);
+        self.known.clear();
     }
 
     /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
@@ -135,14 +150,17 @@ impl DataFlash {
     ) -> Result<Vec<Vec<u8>>> {
         in_time(gauge, waited, |gauge| {
             let found = gauge.seal()?;
-            let mut session = Session::new(found);
-            let read = session
-                .open(gauge)
-                .and_then(|()| {
-                    wanted.iter().map(|subclass| read_subclass(gauge, subclass)).collect::<Result<_>>()
-                })
-                .and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
-            session.close(gauge, read)
+            let mut session = Session::new(gauge, found, waited);
+            // While something is pending its own entry owes the seal.
+            if found == Seal::Sealed && self.find_pending().is_none() {
+                self.owe(gauge, &mut session, 0)?;
+            }
+            let read = session.open(gauge).and_then(|()| {
+                let read = |subclass: &&Subclass| read_subclass(gauge, subclass, &mut self.known);
+                wanted.iter().map(read).collect::<Result<_>>()
+            });
+            let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
+            self.end(session, gauge, read)
         })
     }
 
@@ -181,15 +199,40 @@ impl DataFlash {
         in_time(gauge, waited, |gauge| {
             gauge.claim()?;
             let found = self.preflight(gauge, changes)?;
-            let mut session = Session::new(found.seal);
-            if let Some(journal) = self.journal.clone() {
-                let identity = self.identity(gauge)?;
-                session.journal = Some(journal.begin(identity, session.found, blocks(changes))?);
-            }
+            self.check_key(gauge, found.seal, changes)?;
+            let mut session = Session::new(gauge, found.seal, waited);
+            self.owe(gauge, &mut session, blocks(changes))?;
             let outcome =
                 session.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut session));
-            session.close(gauge, outcome)
+            self.end(session, gauge, outcome)
         })
+    }
+
+    /// Records that a session is about to change the gauge's state.
+    fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
+        let identity = self.identity(gauge)?;
+        gauge.watch();
+        if let Some(journal) = &self.journal {
+            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
+        }
+        session.entry = Some(Entry { identity, found: session.found, plan: None });
+        Ok(())
+    }
+
+    /// Ends a session, and keeps what it leaves to be settled.
+    fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
+        let (outcome, left) = session.close(gauge, outcome);
+        let (entry, journal) = (session.entry.take(), session.journal.take());
+        match left {
+            None => {
+                // An entry that remains is settled before the next write or at the next start.
+                if let Some(Err(error)) = journal.map(|journal| journal.remove()) {
+                    log::warn!("{error}");
+                }
+            }
+            Some(left) => self.keep(entry, left),
+        }
+        outcome
     }
 
     /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.
@@ -205,7 +248,9 @@ impl DataFlash {
         self.check_gate(gauge, voltage_mv)?;
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
+        self.learn_marks(gauge)?;
         let mut dirty = gather(gauge, changes)?;
+        self.compare_with_known(gauge, &dirty)?;
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
@@ -224,21 +269,80 @@ impl DataFlash {
         if changes.iter().any(|change| is_gate(gauge, change)) {
             self.gate = None;
         }
+        let neighbours = self.neighbours(gauge, &dirty);
+        let plan = settle::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
         if let Some(journal) = &mut session.journal {
-            let plan = settle::plan(gauge, reset, &dirty);
             journal.plan(&plan)?;
-            self.identity = self.identity.filter(|_| plan.serial.is_none());
         }
-        program(gauge, session, &dirty, in_window, reset)?;
-        Ok(Outcome::Written { reset })
+        if let Some(entry) = &mut session.entry {
+            entry.plan = Some(plan);
+        }
+        // The write may change the serial number.
+        self.identity = None;
+        let programmed = program(gauge, session, &dirty, &neighbours, in_window, reset);
+        for block in &dirty {
+            match programmed {
+                Ok(()) => self.known.note(block.place, block.new),
+                Err(_) => self.known.forget(block.place),
+            }
+        }
+        programmed.map(|()| Outcome::Written { reset })
+    }
+
+    /// Reads, once after the gauge has arrived, what distinguishes its pack.
+    fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<()> {
+        for place in pack::mark_windows(gauge.chip) {
+            if self.known.get(place).is_none() {
+                let content = sequence(gauge).load(gauge, place)?;
+                self.known.note(place, content);
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes sure that the blocks are of the pack whose values are known.
+    fn compare_with_known(&mut self, gauge: &Gauge, dirty: &[Dirty]) -> Result<()> {
+        for block in dirty {
+            if let Some(row) = self.known.contradicts(gauge.chip, block.place, &block.old) {
+                let why = format!(
+                    "{} ({}) is not what it was when it was read: another pack answers, or another program has \
+                     written to it; check its values before you write",
+                    row.1.name,
+                    Place::of(row)
+                );
+                self.known.clear();
+                self.doubts = true;
+                return Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify));
+            }
+            self.known.note(block.place, block.old);
+        }
+        Ok(())
+    }
+
+    /// The blocks next to those that change, where they are known.
+    fn neighbours(&self, gauge: &Gauge, dirty: &[Dirty]) -> Vec<Dirty> {
+        let mut found: Vec<Dirty> = Vec::new();
+        let apart = |one: Window, other: Window| {
+            one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
+        };
+        for place in dirty.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
+            let is_new = found.iter().all(|block| apart(block.place, place))
+                && dirty.iter().all(|block| apart(block.place, place));
+            if let Some(content) = self.known.get(place).filter(|_| is_new) {
+                let learned = learned(gauge.chip, place);
+                found.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
+            }
+        }
+        found
     }
 }
 
-/// Writes and verifies the blocks; restores those that may have been committed if it fails.
+/// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
 fn program(
     gauge: &mut Gauge,
     session: &mut Session,
     dirty: &[Dirty],
+    neighbours: &[Dirty],
     in_window: bool,
     reset: bool,
 ) -> Result<()> {
@@ -246,10 +350,9 @@ fn program(
     session.begin(gauge)?;
     let (mut touched, mut finished) = (0, false);
     let forward = dirty.iter().try_for_each(|block| {
-        if !in_window && sequence(gauge).fills_window() {
-            sequence(gauge).reload(gauge, block.place, &block.old)?;
-        }
-        store(gauge, block, &mut touched).map(|()| gauge.statistics.progress.step())
+        let block = if in_window { block.clone() } else { reload(gauge, block)? };
+        session.go_forward(gauge);
+        store(gauge, &block, &mut touched).map(|()| gauge.statistics.progress.step())
     });
     let forward = forward.and_then(|()| {
         if !reset && !sequence(gauge).always_finishes() {
@@ -263,9 +366,16 @@ fn program(
     if touched == 0 {
         return Err(error);
     }
-    session.now = None;
-    gauge.limit(Some(BACK));
-    match session.restore(gauge, &dirty[..touched], finished) {
+    session.go_back(gauge);
+    let mut back = session.restore(gauge, dirty[..touched].iter().chain(neighbours), finished);
+    if back.is_ok() && finished && !sequence(gauge).always_finishes() {
+        // The gauge may work with the new values.
+        back = session.finish(gauge).and_then(|()| {
+            let olds = dirty[..touched].iter().map(|block| Dirty { new: block.old, ..block.clone() });
+            olds.into_iter().try_for_each(|block| verify_written(gauge, &block))
+        });
+    }
+    match back {
         Ok(()) => {
             let why = format!("{error}; the old value was restored and verified");
             Err(Error::new("", Cause::RolledBack(why)))

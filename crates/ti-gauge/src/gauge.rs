@@ -40,6 +40,13 @@ pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 const TRIES: u32 = 4;
 const PAUSE: Duration = Duration::from_millis(25);
 
+/// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
+/// and try again (bq35100), or 100 ms after a key.
+const SEAL_LAG: Duration = Duration::from_millis(240);
+const SEAL_POLL: Duration = Duration::from_millis(80);
+/// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
+const SEALS: u32 = 4;
+
 /// The seal state of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
@@ -152,6 +159,13 @@ pub struct Gauge {
     byte_writes: bool,
     /// The gauge refused the unseal key; it is not sent again.
     refused: bool,
+    /// The gauge has accepted the unseal key since it arrived. A refusal is then a disturbance.
+    proven: bool,
+    /// Transfers that failed.
+    failures: u64,
+    /// When the gauge last answered, and the longest silence since `watch`.
+    answered: Duration,
+    silence: Duration,
     /// The seal state as last read, or as a later command should have set it.
     expected: Option<Seal>,
     /// No transfer starts after this time, so that write(2) returns in time.
@@ -176,6 +190,10 @@ impl Gauge {
             keys,
             byte_writes,
             refused: false,
+            proven: false,
+            failures: 0,
+            answered: Duration::ZERO,
+            silence: Duration::ZERO,
             expected: None,
             deadline: None,
         }
@@ -184,6 +202,11 @@ impl Gauge {
     /// Lets no transfer start later than `time` from now; `None` removes the limit.
     pub fn limit(&mut self, time: Option<Duration>) {
         self.deadline = time.map(|time| self.clock.now() + time);
+    }
+
+    /// Lets no transfer start later than that; `None` removes the limit.
+    pub fn limit_until(&mut self, deadline: Option<Duration>) {
+        self.deadline = deadline;
     }
 
     /// Waits without any transfer.
@@ -199,7 +222,25 @@ impl Gauge {
         }
         Statistics::count(&self.statistics.transfers);
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
-        self.bus.transfer(write, read)
+        let outcome = self.bus.transfer(write, read);
+        match outcome {
+            Ok(()) => {
+                self.silence = self.longest_silence();
+                self.answered = self.clock.now();
+            }
+            Err(_) => self.failures += 1,
+        }
+        outcome
+    }
+
+    /// Starts measuring the longest silence of the gauge.
+    pub fn watch(&mut self) {
+        (self.answered, self.silence) = (self.clock.now(), Duration::ZERO);
+    }
+
+    /// The longest time without an answer since `watch`. Within a short one nobody can exchange a pack.
+    pub fn longest_silence(&self) -> Duration {
+        self.silence.max(self.clock.now().saturating_sub(self.answered))
     }
 
     /// Retries an idempotent transfer a limited number of times.
@@ -412,7 +453,8 @@ impl Gauge {
     /// Goes from SEALED to UNSEALED and confirms it.
     ///
     /// The two words are sent with nothing in between. If the gauge stays SEALED they are sent once more after a
-    /// pause, as TI advises, and then never again: a refused key is not sent in a loop.
+    /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
+    /// of the key: the gauge has accepted it before, or a transfer failed in between.
     pub fn unseal(&mut self) -> Result<()> {
         let refuse =
             |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
@@ -428,8 +470,14 @@ impl Gauge {
                 "SEALED, and the key was refused before; mount again with the right --key-file",
             ));
         }
+        let failures = self.failures;
         if self.takes(key, Seal::Unsealed)? {
+            self.proven = true;
             return Ok(());
+        }
+        if self.proven || self.failures != failures {
+            let why = "SEALED, and the gauge did not take its key, twice: the bus is disturbed; try again";
+            return Err(Error::new(self.chip.model, Cause::NotNow(why.into())).at(Step::Unseal));
         }
         self.refused = true;
         Err(Error::new(
@@ -439,6 +487,16 @@ impl Gauge {
             ),
         )
         .at(Step::Unseal))
+    }
+
+    /// Whether the gauge has accepted the unseal key since it arrived.
+    pub fn key_is_proven(&self) -> bool {
+        self.proven
+    }
+
+    /// Notes that the gauge is known to have the unseal key, though it has not been used.
+    pub fn prove_key(&mut self) {
+        self.proven = true;
     }
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
@@ -481,7 +539,20 @@ impl Gauge {
         // A key for FULL ACCESS that is sent too early is refused, so a single misread state could look like
         // success: two reads must agree.
         self.expected = (goal != Seal::FullAccess).then_some(goal);
-        Ok(self.seal().map_err(|error| error.at(Step::Unseal))? == goal)
+        self.comes_to(goal).map_err(|error| error.at(Step::Unseal)).map(|state| state == goal)
+    }
+
+    /// Reads the seal state until it is `goal`, or for as long as CONTROL_STATUS may lag behind a command.
+    fn comes_to(&mut self, goal: Seal) -> Result<Seal> {
+        let mut state = self.seal()?;
+        for _ in 0..SEAL_LAG.as_millis() / SEAL_POLL.as_millis() {
+            if state == goal {
+                break;
+            }
+            self.wait(SEAL_POLL);
+            state = self.seal()?;
+        }
+        Ok(state)
     }
 
     /// Goes to a seal state from whatever state the gauge is in, and confirms it.
@@ -494,23 +565,34 @@ impl Gauge {
     pub fn go(&mut self, now: Seal, goal: Seal) -> Result<()> {
         match (now, goal) {
             (now, goal) if now == goal => Ok(()),
-            (_, Seal::Sealed) => {
-                self.command(self.chip.security.seal).map_err(|error| error.at(Step::Seal))?;
-                self.expected = Some(Seal::Sealed);
-                match self.seal().map_err(|error| error.at(Step::Seal))? {
-                    Seal::Sealed => Ok(()),
-                    other => {
-                        let why = format!("the gauge was sent SEALED and is still {}", other.as_str());
-                        Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
-                    }
-                }
-            }
+            (_, Seal::Sealed) => self.close(),
             (Seal::Sealed, Seal::Unsealed) => self.unseal(),
             (Seal::Sealed, Seal::FullAccess) => self.unseal().and_then(|()| self.full_access()),
             (_, Seal::FullAccess) => self.full_access(),
             // UNSEALED is reached from FULL ACCESS only through SEALED.
             (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
         }
+    }
+
+    /// Seals the gauge and confirms it.
+    fn close(&mut self) -> Result<()> {
+        let mut outcome = Ok(Seal::Unsealed);
+        for attempt in 0..SEALS {
+            if attempt > 0 {
+                let why =
+                    "SEALED did not reach the gauge, which may have taken it for another command; sent again";
+                log::warn!("{}: {why}", self.chip.name);
+            }
+            self.expected = Some(Seal::Sealed);
+            outcome = self.command(self.chip.security.seal).and_then(|()| self.comes_to(Seal::Sealed));
+            if outcome == Ok(Seal::Sealed) {
+                return Ok(());
+            }
+            self.wait(SEAL_POLL);
+        }
+        let state = outcome.map_err(|error| error.at(Step::Seal))?;
+        let why = format!("the gauge was sent SEALED {SEALS} times and is still {}", state.as_str());
+        Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
     }
 
     /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11).
@@ -534,7 +616,7 @@ impl Gauge {
     /// Sets the key that the gauge has now.
     pub fn set_key(&mut self, name: Name, key: &Secret) {
         self.keys.set(name, key);
-        self.refused = false;
+        (self.refused, self.proven) = (false, false);
     }
 
     /// Marks the following transfers as secret (`true`) or not (`false`).
@@ -542,8 +624,8 @@ impl Gauge {
         self.bus.set_secret(secret);
     }
 
-    /// Forgets that a key was refused: the gauge may be another one of the same kind.
+    /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
     pub fn forget_refusal(&mut self) {
-        self.refused = false;
+        (self.refused, self.proven) = (false, false);
     }
 }

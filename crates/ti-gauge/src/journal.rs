@@ -1,14 +1,14 @@
 //! The journal: records on disk what a write is about to do, before it does it.
 //!
 //! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal
-//! holds the seal state and the blocks from before the write, so that the next start can settle it. It never
-//! holds keys.
+//! holds the seal state and the blocks from before the write, and what distinguishes the pack, so that it can
+//! be settled later. It never holds keys.
 //!
 //! The file is created before the gauge is touched; the plan is appended before the first block is written.
 //! A power cut in between leaves a plan without its last line, which is ignored because nothing had been
-//! written yet.
+//! written yet. There is one file for each place where a gauge can be connected, and it is never replaced
+//! while it is there: no other write is begun at that place until it has been settled or dismissed.
 
-use std::borrow::Cow;
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
@@ -18,12 +18,16 @@ use rustix::fs::{FallocateFlags, OFlags, fallocate};
 use rustix::process::geteuid;
 use sha1::{Digest as _, Sha1};
 
+use crate::chip::FLAT;
 use crate::codec::WINDOW;
+use crate::dataflash::Bytes;
 use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
-const HEAD: &str = "gaugefs journal 1";
+const HEAD: &str = "gaugefs journal 2";
+/// Follows a plan once its reset is about to be sent.
+const RESET_SENT: &str = "reset sent\n";
 /// Upper limit for the length of a block's line, and of the other lines together.
 const LINE: usize = 160;
 
@@ -31,27 +35,27 @@ const LINE: usize = 160;
 #[derive(Clone, Debug)]
 pub struct Journal {
     folder: PathBuf,
-    /// Where the gauge is connected; prefix of the file name.
+    /// Where the gauge is connected; name of the file.
     key: String,
     /// Name of the gauge in the file.
     gauge: String,
 }
 
-/// Part, firmware and, if the part reports one, serial number. Journals with another identity belong to
-/// other gauges.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Part, firmware and, if the part reports one, serial number.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
-    pub(crate) chip: &'static str,
+    pub(crate) chip: String,
     pub(crate) device_type: u16,
     pub(crate) firmware: u16,
     /// 0 if the part has no register for it.
     pub(crate) serial: u16,
 }
 
-/// A write that was started.
+/// A write, or a read of a sealed gauge, that was started.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Entry {
-    /// Seal state before the write.
+    pub(crate) identity: Identity,
+    /// Seal state before.
     pub(crate) found: Seal,
     /// `None` if no block had been touched yet.
     pub(crate) plan: Option<Plan>,
@@ -62,18 +66,28 @@ pub(crate) struct Entry {
 pub(crate) struct Plan {
     /// Whether the gauge needs a reset to work with the new values.
     pub(crate) reset: bool,
-    /// The new serial number, if the write changes it.
-    pub(crate) serial: Option<u16>,
+    /// The reset may have been sent, so that the gauge may work with the new values.
+    pub(crate) reset_sent: bool,
+    /// Values that distinguish packs, as far as they had been read.
+    pub(crate) marks: Vec<Mark>,
     pub(crate) blocks: Vec<PlannedBlock>,
 }
 
-/// A block before and after.
+/// A parameter that distinguishes packs, and its bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Mark {
+    pub(crate) subclass: u8,
+    pub(crate) offset: u16,
+    pub(crate) bytes: Vec<u8>,
+}
+
+/// A block before and after. A neighbour, which the write does not change, is the same before and after.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct PlannedBlock {
     pub(crate) subclass: u8,
     pub(crate) base: u16,
-    /// Range that the changed parameters occupy: start and end.
-    pub(crate) written: (usize, usize),
+    /// What the changed parameters occupy.
+    pub(crate) written: Bytes,
     pub(crate) old: [u8; WINDOW],
     pub(crate) new: [u8; WINDOW],
 }
@@ -92,21 +106,33 @@ impl Journal {
         Self { folder, key, gauge }
     }
 
-    fn path(&self, identity: Identity) -> PathBuf {
-        self.folder.join(format!("{}{:04x}.journal", self.alike(identity), identity.serial))
+    /// The file of this place.
+    pub fn path(&self) -> PathBuf {
+        self.folder.join(format!("{}.journal", self.key))
     }
 
-    /// Prefix of the journals of all gauges of this part and firmware connected here.
-    fn alike(&self, Identity { chip, device_type, firmware, .. }: Identity) -> String {
-        format!("{}.{chip}-{device_type:04x}-{firmware:04x}-", self.key)
+    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk. An entry
+    /// that is there already is not replaced.
+    pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
+        let path = self.path();
+        if path.symlink_metadata().is_ok() {
+            let why = "an interrupted write is not settled yet; see gaugefs settle";
+            return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
+        }
+        self.replace(identity, found, blocks)
     }
 
-    /// Starts an entry, replacing the previous one, and reserves space for a plan of `blocks` blocks. On
-    /// return the entry is on disk.
-    pub(crate) fn begin(&self, identity: Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
-        let path = self.path(identity);
-        let text = format!("{HEAD}\ngauge {}\nfound {}\n", self.gauge, found.as_str());
-        match self.store(&path, &text, LINE * (blocks + 2)) {
+    /// Starts an entry in place of one of which only the seal state is still owed.
+    pub(crate) fn replace(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
+        let path = self.path();
+        let Identity { chip, device_type, firmware, serial } = identity;
+        let text = format!(
+            "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n",
+            self.gauge,
+            found.as_str()
+        );
+        // Marks, and a neighbour on either side of each block.
+        match self.store(&path, &text, LINE * (3 * blocks + 8)) {
             Ok(file) => Ok(OpenJournal { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
@@ -144,46 +170,40 @@ impl Journal {
         Ok(file)
     }
 
-    /// The entry of an interrupted write, if there is one, and the path of its file.
-    pub(crate) fn pending(&self, identity: Identity) -> Result<Option<(PathBuf, Entry)>> {
-        let own = self.path(identity);
-        if let Some(entry) = read(&own)? {
-            return Ok(Some((own, entry)));
-        }
-        // An interrupted write of the serial number may have changed the identity.
-        let alike = self.alike(identity);
-        Ok(self.others(identity).into_iter().filter(|path| name(path).starts_with(&alike)).find_map(|path| {
-            let entry = read(&path).ok()??;
-            let serial = entry.plan.as_ref()?.serial?;
-            (serial == identity.serial).then_some((path, entry))
-        }))
+    /// The entry of an interrupted write, if there is one.
+    pub(crate) fn pending(&self) -> Result<Option<Entry>> {
+        read(&self.path())
     }
 
-    /// Journals of other gauges that were connected here before.
-    pub(crate) fn others(&self, identity: Identity) -> Vec<PathBuf> {
-        let (own, begins) = (self.path(identity), format!("{}.", self.key));
-        let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        let others = entries.filter(|path| {
-            let name = name(path);
-            *path != own && name.starts_with(&begins) && name.ends_with(".journal")
-        });
-        others.collect()
-    }
-}
-
-impl OpenJournal {
     /// Opens the entry of an interrupted write again.
-    pub(crate) fn reopen(path: PathBuf) -> Result<Self> {
+    pub(crate) fn reopen(&self) -> Result<OpenJournal> {
+        let path = self.path();
         match File::options().append(true).custom_flags(OFlags::NOFOLLOW.bits() as i32).open(&path) {
-            Ok(file) => Ok(Self { file, path }),
+            Ok(file) => Ok(OpenJournal { file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
 
+    /// Takes the entry out of the way and keeps it under another name, which is returned.
+    pub(crate) fn dismiss(&self) -> Result<PathBuf> {
+        let (path, aside) = (self.path(), self.folder.join(format!("{}.dismissed", self.key)));
+        let moved = fs::rename(&path, &aside).and_then(|()| sync(&self.folder));
+        moved.map_err(|error| Error::io(path.display().to_string(), "cannot move the journal", &error))?;
+        Ok(aside)
+    }
+}
+
+impl OpenJournal {
     /// Appends what is about to be written. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
         let text = render(plan);
         let stored = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_all());
+        stored.map_err(|error| refused(&self.path, &error))
+    }
+
+    /// Notes that the reset is about to be sent. On return that is on disk.
+    pub(crate) fn reset_sent(&mut self) -> Result<()> {
+        let stored = self.file.write_all(RESET_SENT.as_bytes()).and_then(|()| self.file.sync_all());
         stored.map_err(|error| refused(&self.path, &error))
     }
 
@@ -194,10 +214,6 @@ impl OpenJournal {
             .and_then(|()| self.path.parent().map_or(Ok(()), sync))
             .map_err(|error| Error::io(self.path.display().to_string(), "cannot remove the journal", &error))
     }
-}
-
-fn name(path: &Path) -> Cow<'_, str> {
-    path.file_name().unwrap_or_default().to_string_lossy()
 }
 
 fn sync(folder: &Path) -> io::Result<()> {
@@ -221,13 +237,13 @@ fn read(path: &Path) -> Result<Option<Entry>> {
 }
 
 fn render(plan: &Plan) -> String {
-    let Plan { reset, serial, blocks } = plan;
+    let Plan { reset, reset_sent: _, marks, blocks } = plan;
     let mut text = format!("reset {reset}\n");
-    if let Some(serial) = serial {
-        text += &format!("serial {serial:04x}\n");
+    for Mark { subclass, offset, bytes } in marks {
+        text += &format!("mark {subclass} {offset} {}\n", hex(bytes));
     }
-    for PlannedBlock { subclass, base, written: (from, to), old, new } in blocks {
-        text += &format!("block {subclass} {base} {from} {to} {} {}\n", hex(old), hex(new));
+    for PlannedBlock { subclass, base, written, old, new } in blocks {
+        text += &format!("block {subclass} {base} {:08x} {} {}\n", written.0, hex(old), hex(new));
     }
     let sum = sum(&text);
     text + &format!("end {sum}\n")
@@ -241,45 +257,69 @@ fn sum(text: &str) -> String {
 fn parse(text: &str) -> Option<Entry> {
     let (head, rest) = text.split_once('\n')?;
     let (gauge, rest) = rest.split_once('\n')?;
+    let (part, rest) = rest.split_once('\n')?;
     let (found, plan) = rest.split_once('\n')?;
     if head != HEAD || !gauge.starts_with("gauge ") {
         return None;
     }
+    let identity = parse_identity(part.strip_prefix("part ")?)?;
     let word = found.strip_prefix("found ")?;
     let found =
         [Seal::Sealed, Seal::Unsealed, Seal::FullAccess].into_iter().find(|seal| seal.as_str() == word)?;
-    let Some((plan, end)) = plan.strip_suffix('\n').and_then(|plan| plan.rsplit_once("\nend ")) else {
-        return Some(Entry { found, plan: None });
+    let nothing = Entry { identity, found, plan: None };
+    let (plan, reset_sent) = match plan.strip_suffix(RESET_SENT) {
+        Some(plan) => (plan, true),
+        None => (plan, false),
     };
+    // A page of the last line that did not reach the disk leaves the plan complete.
+    let Some((plan, rest)) = plan.rsplit_once("\nend ") else { return Some(nothing) };
     let plan = format!("{plan}\n");
-    if end != sum(&plan) {
-        return Some(Entry { found, plan: None });
+    let (end, rest) = rest.split_once('\n').unwrap_or((rest, "-"));
+    if end != sum(&plan) || rest == "-" {
+        return Some(nothing);
     }
-    Some(Entry { found, plan: Some(parse_plan(&plan)?) })
+    let plan = Plan { reset_sent: reset_sent || !rest.is_empty(), ..parse_plan(&plan)? };
+    Some(Entry { plan: Some(plan), ..nothing })
+}
+
+fn parse_identity(text: &str) -> Option<Identity> {
+    let mut words = text.split(' ');
+    let chip = words.next()?.to_string();
+    let mut word = || u16::from_str_radix(words.next()?, 16).ok();
+    let (device_type, firmware, serial) = (word()?, word()?, word()?);
+    words.next().is_none().then_some(Identity { chip, device_type, firmware, serial })
 }
 
 fn parse_plan(text: &str) -> Option<Plan> {
-    let mut lines = text.lines().peekable();
+    let mut lines = text.lines();
     let reset = lines.next()?.strip_prefix("reset ")?.parse().ok()?;
-    let serial = match lines.peek()?.strip_prefix("serial ") {
-        Some(digits) => {
-            lines.next();
-            Some(u16::from_str_radix(digits, 16).ok()?)
+    let (mut marks, mut blocks) = (Vec::new(), Vec::new());
+    for line in lines {
+        match line.strip_prefix("mark ") {
+            Some(mark) => marks.push(parse_mark(mark)?),
+            None => blocks.push(parse_block(line.strip_prefix("block ")?)?),
         }
-        None => None,
-    };
-    let blocks = lines.map(|line| parse_block(line.strip_prefix("block ")?)).collect::<Option<_>>()?;
-    Some(Plan { reset, serial, blocks })
+    }
+    Some(Plan { reset, reset_sent: false, marks, blocks })
+}
+
+fn parse_mark(line: &str) -> Option<Mark> {
+    let mut words = line.split(' ');
+    let (subclass, offset) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
+    let bytes = unhex(words.next()?.as_bytes())?;
+    words.next().is_none().then_some(Mark { subclass, offset, bytes })
 }
 
 fn parse_block(line: &str) -> Option<PlannedBlock> {
     let mut words = line.split(' ');
     let subclass = words.next()?.parse().ok()?;
-    let base = words.next()?.parse().ok()?;
-    let written: (usize, usize) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
+    let base: u16 = words.next()?.parse().ok()?;
+    let written = Bytes(u32::from_str_radix(words.next()?, 16).ok()?);
     let (old, new) = (parse_bytes(words.next()?)?, parse_bytes(words.next()?)?);
-    let fits = written.0 < written.1 && written.1 <= WINDOW && words.next().is_none();
-    fits.then_some(PlannedBlock { subclass, base, written, old, new })
+    // A block that no gauge has would be an address beyond what can be selected.
+    let exists = subclass == FLAT && base.checked_add(WINDOW as u16).is_some()
+        || usize::from(base) % WINDOW == 0 && usize::from(base) / WINDOW <= usize::from(u8::MAX);
+    (exists && words.next().is_none()).then_some(PlannedBlock { subclass, base, written, old, new })
 }
 
 fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
@@ -292,18 +332,42 @@ mod tests {
 
     #[test]
     fn only_a_complete_plan_counts() {
-        let block = PlannedBlock { subclass: 80, base: 32, written: (21, 23), old: [0xa5; 32], new: [7; 32] };
-        let plan = Plan { reset: true, serial: Some(7), blocks: vec![block.clone(), block] };
-        let head = format!("{HEAD}\ngauge i2c-1 address 0x55\nfound sealed\n");
+        let written = Bytes(0x0060_0000);
+        let block = PlannedBlock { subclass: 80, base: 32, written, old: [0xa5; 32], new: [7; 32] };
+        let marks = vec![Mark { subclass: 104, offset: 4, bytes: vec![1, 2, 0xff, 0] }];
+        let plan = Plan { reset: true, reset_sent: false, marks, blocks: vec![block.clone(), block] };
+        let identity =
+            Identity { chip: "bq34z100-g1".into(), device_type: 0x100, firmware: 0x202, serial: 1 };
+        let head =
+            format!("{HEAD}\ngauge i2c-1 address 0x55\npart bq34z100-g1 0100 0202 0001\nfound sealed\n");
         let text = head.clone() + &render(&plan);
-        assert!(text.len() < LINE * 4, "room for two blocks: {}", text.len());
-        assert_eq!(parse(&text), Some(Entry { found: Seal::Sealed, plan: Some(plan) }));
+        assert!(text.len() < LINE * 8, "room for two blocks: {}", text.len());
+        let nothing = Entry { identity, found: Seal::Sealed, plan: None };
+        let entry = Entry { plan: Some(plan.clone()), ..nothing.clone() };
+        assert_eq!(parse(&text), Some(entry));
         for length in 0..text.len() {
-            let nothing = (length >= head.len()).then_some(Entry { found: Seal::Sealed, plan: None });
-            assert_eq!(parse(&text[..length]), nothing, "{length} bytes of it");
+            let expected = (length >= head.len()).then(|| nothing.clone());
+            assert_eq!(parse(&text[..length]), expected, "{length} bytes of it");
             // A page that never reached the disk reads as zeros.
             let holed = text[..length].to_string() + &"\0".repeat(text.len() - length);
-            assert_eq!(parse(&holed), nothing, "zeros behind {length} bytes");
+            assert_eq!(parse(&holed), expected, "zeros behind {length} bytes");
+        }
+        // Any part of the last line means that the reset may have been sent.
+        for length in 1..=RESET_SENT.len() {
+            let plan = Plan { reset_sent: true, ..plan.clone() };
+            let entry = Entry { plan: Some(plan), ..nothing.clone() };
+            assert_eq!(parse(&(text.clone() + &RESET_SENT[..length])), Some(entry), "{length} bytes of it");
+        }
+    }
+
+    #[test]
+    fn impossible_blocks_are_refused() {
+        let line = |subclass: u8, base: u32| {
+            parse_block(&format!("{subclass} {base} 00000001 {} {}", "00".repeat(32), "01".repeat(32)))
+        };
+        assert!(line(80, 32).is_some() && line(80, 255 * 32).is_some() && line(FLAT, 0x41f5).is_some());
+        for (subclass, base) in [(80, 65504), (80, 33), (80, 256 * 32), (FLAT, 0xffff), (80, 70_000)] {
+            assert!(line(subclass, base).is_none(), "{subclass} {base}");
         }
     }
 }

@@ -54,6 +54,7 @@ pub static CHIP: Chip = Chip {
 pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
     Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows }),
+        marks: &[(104, 1), (104, 2), (105, 4), (105, 8)],
         modes: MODES,
         // 6.4.2.3.2: both low bits of Update Status are set for a learning cycle only. Leaving CONFIG UPDATE
         // takes a new OCV (4.1.17), whatever the cycle had come to.
@@ -112,7 +113,7 @@ pub(super) const SECURITY: Security = Security {
     full_access: false,
     seal: 0x0020,
     // 6.4.5.1.1: a gauge that sealed itself at the end of CONFIG UPDATE takes no key for so long.
-    key_silence: Duration::from_secs(4),
+    key_silence: Duration::from_millis(5200),
     storage: KeyStorage::Fixed("its only key is in ROM"),
 };
 

@@ -58,7 +58,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // TI's advice to owners whose keys were refused.
-        key_silence: Duration::from_secs(4),
+        key_silence: Duration::from_millis(5200),
         // SLUS914A 4.5: the bytes are entered the other way round than they lie in data flash, Key 1 first.
         // It has an authentication key in no source.
         storage: KeyStorage::Flash(KeyBlock {
@@ -94,6 +94,7 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
+        marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],
         // No bit shows CAL_MODE.
         modes: &[
             Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),

@@ -57,7 +57,7 @@ pub static CHIP: Chip = Chip {
         // Not 0x0020 as elsewhere, which toggles [IGNORE_SD_EN] here.
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
-        key_silence: Duration::from_secs(4),
+        key_silence: Duration::from_millis(5200),
         storage: KeyStorage::Fixed(
             "it shows them at SECURITY_KEYS, and how they are written there is in no document at hand",
         ),
@@ -95,6 +95,7 @@ pub static CHIP: Chip = Chip {
     preflight: Preflight {
         // No driver knows a serial number or a chemistry of it that could be asked while SEALED.
         pack: None,
+        marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
         modes: &[
             Mode::calibration(
                 Word::Answer(0x0057),

@@ -55,7 +55,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // TI's advice to owners whose keys were refused; not in the datasheet.
-        key_silence: Duration::from_secs(4),
+        key_silence: Duration::from_millis(5200),
         // Table 7-11 and a real part's image: 36 72 04 14 for keys that are sent as 14 04, 72 36; four
         // different bytes, so there is one way only. 7.3.15.2 has the authentication key at 0x4C, where it
         // would run over the block's end; the table and the image have it at 8.
@@ -97,6 +97,7 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     preflight: Preflight {
         pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
+        marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
         // Table 7-3.
         modes: &[
             Mode::calibration(

@@ -62,7 +62,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // E2E 888302: a full-access key right after the unseal key was refused, 10 s later it was taken.
-        key_silence: Duration::from_secs(10),
+        key_silence: Duration::from_secs(11),
         // An owner read 04 14 36 72 from a part (E2E 668766), though one address lower; what a part holds is
         // compared with its keys before it is changed. Its authentication key cannot be tried.
         storage: KeyStorage::Flash(KeyBlock {
@@ -107,6 +107,7 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
+        marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
         modes: &[
             Mode::calibration(
                 Word::ControlStatus,

@@ -5,6 +5,9 @@
 pub struct Preflight {
     /// What distinguishes packs with the same part; `None` where nothing is known to.
     pub pack: Option<Pack>,
+    /// Parameters whose values distinguish packs: calibration, the serial number, and counters that only rise
+    /// (learned). An interrupted write is settled without asking only where they are as they were.
+    pub marks: &'static [(u8, u16)],
     /// Modes that another program may have left on.
     pub modes: &'static [Mode],
     /// How to recognise a learning cycle, which a reset would lose; `None` where there is no sure sign.

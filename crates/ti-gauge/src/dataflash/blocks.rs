@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::Change;
 use super::schemes::sequence;
-use crate::chip::{FLAT, Parameter, Safe};
+use crate::chip::{Chip, FLAT, Parameter, Safe};
 use crate::codec::WINDOW;
 use crate::error::Result;
 use crate::gauge::Gauge;
@@ -18,22 +18,68 @@ pub(super) struct Window {
     pub(super) base: u16,
 }
 
+/// A set of positions in a window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Bytes(pub(crate) u32);
+
+impl Bytes {
+    /// Those positions for which `is` holds.
+    pub(crate) fn of(is: impl Fn(usize) -> bool) -> Self {
+        Self((0..WINDOW).filter(|&at| is(at)).fold(0, |set, at| set | 1 << at))
+    }
+
+    pub(crate) fn has(self, at: usize) -> bool {
+        self.0 >> at & 1 != 0
+    }
+
+    fn insert(&mut self, at: usize) {
+        self.0 |= 1 << at;
+    }
+}
+
 /// A block that a change touches.
+#[derive(Clone)]
 pub(super) struct Dirty {
     pub(super) place: Window,
     /// Content as read.
     pub(super) old: [u8; WINDOW],
     /// Content to be written.
     pub(super) new: [u8; WINDOW],
-    /// Range of the window that the changed parameters occupy.
-    pub(super) written: Range<usize>,
+    /// What the changed parameters occupy.
+    pub(super) written: Bytes,
+    /// What the gauge itself may rewrite at any moment, and no change touches.
+    pub(super) learned: Bytes,
 }
 
 impl Dirty {
-    /// The range from the first byte that differs to the last.
-    pub(super) fn differing(&self) -> Option<Range<usize>> {
-        let differs = |&at: &usize| self.old[at] != self.new[at];
-        Some((0..WINDOW).find(differs)?..(0..WINDOW).rfind(differs)? + 1)
+    /// The runs of bytes to send: from one that differs to another, but never a learned byte in between, which
+    /// may have moved since it was read.
+    pub(super) fn runs(&self) -> Vec<Range<usize>> {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for at in (0..WINDOW).filter(|&at| self.old[at] != self.new[at]) {
+            match runs.last_mut() {
+                Some(run) if (run.end..at).all(|between| !self.learned.has(between)) => run.end = at + 1,
+                _ => runs.push(at..at + 1),
+            }
+        }
+        runs
+    }
+
+    /// The same block with only one run of it changed.
+    pub(super) fn only(&self, run: Range<usize>) -> Self {
+        let mut new = self.old;
+        new[run.clone()].copy_from_slice(&self.new[run]);
+        Self { new, ..self.clone() }
+    }
+
+    /// A block next to those that change, whose content is known.
+    pub(super) fn is_neighbour(&self) -> bool {
+        self.written.0 == 0
+    }
+
+    /// The first byte that differs from `wanted`, learned ones left out.
+    pub(super) fn differs(&self, stored: &[u8; WINDOW], wanted: &[u8; WINDOW]) -> Option<usize> {
+        (0..WINDOW).find(|&at| stored[at] != wanted[at] && !self.learned.has(at))
     }
 }
 
@@ -72,19 +118,35 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
                 Some(index) => index,
                 None => {
                     let old = sequence(gauge).load(gauge, place)?;
-                    dirty.push(Dirty { place, old, new: old, written: at..at });
+                    let learned = learned(gauge.chip, place);
+                    dirty.push(Dirty { place, old, new: old, written: Bytes::default(), learned });
                     dirty.len() - 1
                 }
             };
             let block = &mut dirty[index];
             let kept = if change.saved { kept_bits(change, number) } else { 0 };
             block.new[at] = byte & !kept | block.old[at] & kept;
-            block.written = block.written.start.min(at)..block.written.end.max(at + 1);
+            block.written.insert(at);
+            block.learned.0 &= !block.written.0;
         }
     }
     // Windows of a part with flat addresses may overlap: each is verified before the next one is written.
     dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
+}
+
+/// The bytes of a window that the gauge itself updates.
+pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
+    let rows = chip.subclasses.iter().filter(|row| row.id == place.subclass);
+    let learned: Vec<&Parameter> =
+        rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned).collect();
+    Bytes::of(|at| {
+        let offset = usize::from(place.base) + at;
+        learned.iter().any(|parameter| {
+            let start = usize::from(parameter.offset);
+            (start..start + parameter.kind.size()).contains(&offset)
+        })
+    })
 }
 
 /// The bits of byte `number` of a change that a write must not change.

@@ -1,11 +1,19 @@
 //! Reads data flash, programs one block and verifies it.
 
+use std::time::Duration;
+
 use super::blocks::{Dirty, Window, locate};
+use super::pack::Known;
 use super::schemes::sequence;
 use crate::chip::{FLAT, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
+
+/// Looks at a block that was just committed, and the time between them. Programming takes up to 250 ms, during
+/// which a gauge may answer with the old content, or not at all.
+const VERIFIES: u32 = 5;
+const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
 
 pub(super) fn read_word(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u16> {
     let start = if subclass == FLAT { offset } else { 0 };
@@ -23,50 +31,112 @@ pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Res
     Ok(byte[0])
 }
 
-pub(super) fn read_subclass(gauge: &mut Gauge, subclass: &Subclass) -> Result<Vec<u8>> {
+pub(super) fn read_subclass(gauge: &mut Gauge, subclass: &Subclass, known: &mut Known) -> Result<Vec<u8>> {
     let length = usize::from(subclass.stored());
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
-        let base = subclass.start() + bytes.len() as u16;
-        let window = sequence(gauge).load(gauge, Window { subclass: subclass.id, base })?;
+        let place = Window { subclass: subclass.id, base: subclass.start() + bytes.len() as u16 };
+        let window = sequence(gauge).load(gauge, place)?;
+        known.note(place, window);
         bytes.extend_from_slice(&window[..WINDOW.min(length - bytes.len())]);
     }
     Ok(bytes)
 }
 
+/// Loads a block whose content is known into the window again, and returns it as it is now: learned bytes may
+/// have moved, and the checksum covers them.
+pub(super) fn reload(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
+    if !sequence(gauge).fills_window() {
+        return Ok(block.clone());
+    }
+    let differs = |window: &[u8; WINDOW]| block.differs(window, &block.old);
+    let window = match sequence(gauge).glance(gauge, block.place) {
+        Ok(window) if differs(&window).is_none() => window,
+        _ => sequence(gauge).load(gauge, block.place)?,
+    };
+    if let Some(at) = differs(&window) {
+        let why = format!("{} has changed since it was read", block.place.name(at));
+        return Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock));
+    }
+    let mut new = window;
+    for at in (0..WINDOW).filter(|&at| !block.learned.has(at)) {
+        new[at] = block.new[at];
+    }
+    Ok(Dirty { old: window, new, ..block.clone() })
+}
+
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
 /// committed, whose content must be read back rather than assumed.
 pub(super) fn store(gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-    sequence(gauge).fill(gauge, block)?;
-    *touched += 1;
-    Statistics::count(&gauge.statistics.flash_writes);
-    let committed = sequence(gauge).commit(gauge, block);
+    let mut committed = Ok(());
+    for (number, piece) in sequence(gauge).pieces(block).iter().enumerate() {
+        sequence(gauge).fill(gauge, piece)?;
+        if number == 0 {
+            *touched += 1;
+        }
+        Statistics::count(&gauge.statistics.flash_writes);
+        committed = sequence(gauge).commit(gauge, piece);
+        if committed.is_err() {
+            break;
+        }
+    }
     // A checksum may take effect even if its acknowledgement was lost.
     verify(gauge, block).map_err(|error| committed.err().unwrap_or(error))
 }
 
 /// Selects and reads the block again: right after a write the window shows the buffer, not flash.
 fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-    let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-    compare(block, &stored)
+    let look = |gauge: &mut Gauge| {
+        let stored = sequence(gauge).glance(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
+        compare(block, &stored)
+    };
+    let mut outcome = look(gauge);
+    for _ in 1..VERIFIES {
+        if outcome.is_ok() {
+            break;
+        }
+        gauge.wait(VERIFY_INTERVAL);
+        outcome = look(gauge);
+    }
+    outcome
 }
 
-/// Compares the written bytes only: after a reset the gauge updates others itself.
+/// Compares the written bytes only: after a reset the gauge updates others itself. What reads wrong is read again
+/// with its checksum before it counts.
 pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-    let range = block.written.clone();
+    let written = |at: &usize| block.written.has(*at);
+    let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
+        return Ok(());
+    };
     let mut stored = block.new;
-    let read = sequence(gauge).read_part(gauge, block.place, range.start, &mut stored[range]);
-    read.map_err(|error| error.at(Step::Verify))?;
-    compare(block, &stored)
+    let range = first..last + 1;
+    let read = sequence(gauge).read_part(gauge, block.place, first, &mut stored[range]);
+    let is_right = |stored: &[u8; WINDOW]| (0..WINDOW).filter(written).all(|at| stored[at] == block.new[at]);
+    if read.is_ok() && is_right(&stored) {
+        return Ok(());
+    }
+    let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
+    if is_right(&stored) {
+        return Ok(());
+    }
+    let at = (0..WINDOW).filter(written).find(|&at| stored[at] != block.new[at]);
+    Err(mismatch(block, &stored, at.unwrap_or(first)))
 }
 
+/// Compares the whole block but for bytes that the gauge rewrites itself.
 fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
-    let Some(at) = (0..WINDOW).find(|&at| stored[at] != block.new[at]) else { return Ok(()) };
+    match block.differs(stored, &block.new) {
+        None => Ok(()),
+        Some(at) => Err(mismatch(block, stored, at)),
+    }
+}
+
+fn mismatch(block: &Dirty, stored: &[u8; WINDOW], at: usize) -> Error {
     let place = block.place.name(at);
-    let why = if *stored == block.old {
+    let why = if block.differs(stored, &block.old).is_none() {
         format!("{place}: the gauge acknowledged the write and stored nothing")
     } else {
         format!("{place} reads 0x{:02x}, wrote 0x{:02x}", stored[at], block.new[at])
     };
-    Err(Error::new("", Cause::Protocol(why)).at(Step::Verify))
+    Error::new("", Cause::Protocol(why)).at(Step::Verify)
 }

@@ -13,15 +13,16 @@ use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::DataFlash;
-use super::blocks::{Dirty, Window};
+use super::blocks::{Bytes, Dirty, Window};
 use super::schemes::sequence;
-use super::session::RESTORES;
+use super::session::{Left, RESTORES, Session};
+use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
-use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Scheme};
+use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
+use crate::journal::OpenJournal;
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
@@ -100,9 +101,56 @@ impl DataFlash {
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;
         let found = self.preflight(gauge, &[])?;
+        let mut session = Session::new(gauge, found.seal, waited);
+        self.owe(gauge, &mut session, 0)?;
         let mut task = Task { block, change, at, order, found: found.seal, moved: false };
         let outcome = task.run(self, gauge, found.voltage_mv);
-        task.close(gauge, outcome)
+        let outcome = task.close(gauge, outcome);
+        match &outcome {
+            Err(error)
+                if matches!(error.cause(), Cause::StateUnknown(_))
+                    && found.seal == Seal::Sealed
+                    && gauge.seal() != Ok(Seal::Sealed) =>
+            {
+                let left = Left { data: false, why: error.to_string() };
+                self.keep(session.entry.take(), left);
+            }
+            _ => {
+                if let Some(Err(error)) = session.journal.take().map(OpenJournal::remove) {
+                    log::warn!("{error}");
+                }
+            }
+        }
+        outcome
+    }
+
+    /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
+    /// been used, or be the one that it keeps, which only FULL ACCESS lets one read.
+    pub(super) fn check_key(&self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
+        let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
+        let volatile = gauge.chip.volatile.is_some();
+        if found == Seal::Sealed || !resets || volatile || gauge.key_is_proven() {
+            return Ok(());
+        }
+        if found == Seal::FullAccess
+            && let (KeyStorage::Flash(block), Some(key)) =
+                (&gauge.chip.security.storage, gauge.key(Name::Unseal))
+        {
+            sequence(gauge).enable(gauge)?;
+            let place = Window { subclass: block.subclass, base: block.start };
+            let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
+            let stored = stored(&key, block.order);
+            if window[block.unseal..block.unseal + stored.len()] == **stored {
+                gauge.prove_key();
+                return Ok(());
+            }
+        }
+        let why = format!(
+            "found {}, and the reset that this write needs may seal it, but its unseal key has not been tried; seal \
+             and unseal it once (echo sealed > gauge/seal, then echo unsealed), with the right key in --key-file",
+            found.as_str()
+        );
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check))
     }
 }
 
@@ -246,7 +294,7 @@ impl Task<'_> {
             }
         }
         let present = &window[self.at..self.at + old.bytes().len()];
-        let (was, shall) = (self.stored(old, self.block.order), self.stored(new, self.block.order));
+        let (was, shall) = (stored(old, self.block.order), stored(new, self.block.order));
         let word = |at: usize| {
             [&was[at..at + 2], &shall[at..at + 2], &ERASED.to_be_bytes()].contains(&&present[at..at + 2])
         };
@@ -322,24 +370,14 @@ impl Task<'_> {
         quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place()).map(Zeroizing::new))
     }
 
-    /// A key as the gauge keeps it.
-    fn stored(&self, key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
-        let mut bytes = Zeroizing::new(key.bytes().to_vec());
-        if let (KeyOrder::Reversed, [a, b, c, d]) = (order, bytes.as_slice()) {
-            let turned = [*c, *d, *a, *b];
-            bytes.copy_from_slice(&turned);
-        }
-        bytes
-    }
-
     /// Whether a key is stored at this position, in the byte order of the table.
     fn is_stored(&self, window: &[u8; WINDOW], key: &Secret, at: usize) -> bool {
-        let bytes = self.stored(key, self.block.order);
+        let bytes = stored(key, self.block.order);
         window[at..at + bytes.len()] == **bytes
     }
 
     fn put(&self, window: &mut [u8; WINDOW], key: &Secret) {
-        let bytes = self.stored(key, self.block.order);
+        let bytes = stored(key, self.block.order);
         window[self.at..self.at + bytes.len()].copy_from_slice(&bytes);
     }
 
@@ -376,7 +414,13 @@ impl Task<'_> {
             if present[..length] == keys[..length] {
                 return Ok(());
             }
-            let mut block = Dirty { place: self.place(), old: *present, new: *present, written: 0..length };
+            let mut block = Dirty {
+                place: self.place(),
+                old: *present,
+                new: *present,
+                written: Bytes::of(|at| at < length),
+                learned: Bytes::of(|at| at >= length),
+            };
             // What is behind the keys stays as it is at this moment.
             block.new[..length].copy_from_slice(&keys[..length]);
             let stored = self.commit(gauge, &block, touched);
@@ -551,6 +595,16 @@ impl Task<'_> {
             }
         }
     }
+}
+
+/// A key as the gauge keeps it.
+fn stored(key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
+    let mut bytes = Zeroizing::new(key.bytes().to_vec());
+    if let (KeyOrder::Reversed, [a, b, c, d]) = (order, bytes.as_slice()) {
+        let turned = [*c, *d, *a, *b];
+        bytes.copy_from_slice(&turned);
+    }
+    bytes
 }
 
 /// What a gauge does that may have one key or another.

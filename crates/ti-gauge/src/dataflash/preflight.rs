@@ -38,6 +38,7 @@ impl DataFlash {
     /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
     pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
         self.forget();
+        self.look_again();
         (self.doubts, self.identity) = (false, None);
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             // All subcommands that distinguish packs are named CHEM_ID.

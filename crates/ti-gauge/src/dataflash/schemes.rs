@@ -1,14 +1,26 @@
 //! The access schemes: how blocks are read from a gauge and written to it.
 
+use std::time::Duration;
+
 use super::blocks::{Dirty, Window};
 use crate::chip::Scheme;
 use crate::codec::WINDOW;
-use crate::error::Result;
+use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
 
 mod block;
 mod cfgupdate;
 mod mac;
+
+/// From selecting a block until the first look at it, and until the look that counts. The gauge has it within
+/// 50 ms (drivers wait 10 to 30 ms, and some have read only zeros). Until then the window still shows the block
+/// before, or a blank one, with a checksum that fits.
+const FIRST_LOOK: Duration = Duration::from_millis(30);
+const SECOND_LOOK: Duration = Duration::from_millis(55);
+/// Time between two looks that must agree, where the first two did not.
+const NEXT_LOOK: Duration = Duration::from_millis(25);
+/// Looks after one selection before giving up.
+const LOOKS: u32 = 4;
 
 /// The steps in which access schemes differ. Each is straight-line code that follows the manual.
 pub(super) trait Sequence {
@@ -16,16 +28,18 @@ pub(super) trait Sequence {
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
     /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Loads a block into the window, reads all of it and verifies its checksum.
+    /// Loads a block into the window and reads it with its checksum until two looks agree, some time apart.
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
-    /// Loads a block whose content is known into the window again. One reading that agrees with `known` is enough:
-    /// it is the second one.
-    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()>;
-    /// Loads a block into the window and reads some of its bytes.
+    /// Loads a block whose content is known: one look, when it must be ready, with its checksum.
+    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
+    /// Loads a block into the window and reads some of its bytes, unchecked: a content that is not the expected
+    /// one has to be confirmed by `load`.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
     /// with their address and the checksum covers both.
     fn fills_window(&self) -> bool;
+    /// The parts of a change that are committed one by one.
+    fn pieces(&self, block: &Dirty) -> Vec<Dirty>;
     /// Sends the bytes that differ to the gauge's buffer; flash is not changed yet.
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
     /// Makes the gauge program the block. Never sent twice: after an error the caller reads the block to
@@ -35,6 +49,46 @@ pub(super) trait Sequence {
     fn finish(&self, gauge: &mut Gauge) -> Result<()>;
     /// Whether `finish` must follow every `begin`.
     fn always_finishes(&self) -> bool;
+}
+
+/// Waits for the rest of `time` since `begun`.
+fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
+    gauge.wait((begun + time).saturating_sub(gauge.clock.now()));
+}
+
+/// Looks at a selected block until two looks agree. The first look is at the checksum only, which is another one
+/// if the window still showed something else; it costs an eighth of a whole one.
+fn look_twice<T: PartialEq>(
+    gauge: &mut Gauge,
+    sum: impl Fn(&mut Gauge) -> Result<u8>,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> Result<T> {
+    let selected = gauge.clock.now();
+    wait_until(gauge, selected, FIRST_LOOK);
+    let first = sum(gauge);
+    wait_until(gauge, selected, SECOND_LOOK.max(FIRST_LOOK + gauge.chip.access.select));
+    let mut before = whole(gauge);
+    if let (Ok(first), Ok((_, sum))) = (&first, &before)
+        && first == sum
+    {
+        return before.map(|(seen, _)| seen);
+    }
+    for _ in 2..LOOKS {
+        gauge.wait(NEXT_LOOK);
+        let now = whole(gauge);
+        if now.is_ok() && now == before {
+            return now.map(|(seen, _)| seen);
+        }
+        before = now;
+    }
+    before?;
+    let why = "the block reads differently each time";
+    Err(Error::new("", Cause::Protocol(why.into())).at(Step::ReadBlock))
+}
+
+/// Waits until a selected block must be ready.
+fn settle(gauge: &Gauge) {
+    gauge.wait(SECOND_LOOK.max(FIRST_LOOK + gauge.chip.access.select));
 }
 
 pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {

@@ -3,42 +3,58 @@
 use std::time::Duration;
 
 use super::blocks::Dirty;
-use super::io::store;
+use super::io::{reload, store};
 use super::schemes::sequence;
+use crate::chip::Bit;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::OpenJournal;
+use crate::journal::{Entry, OpenJournal};
 
-/// Time for writing. With `BACK` spent on restoring values and again on sealing, write(2) returns within 30 s.
-const FORWARD: Duration = Duration::from_secs(16);
-/// Time for restoring the old values, and again for restoring the seal state.
-pub(super) const BACK: Duration = Duration::from_secs(6);
+/// From a request to its first commit. Before that a write can be given up at any time.
+const BEFORE: Duration = Duration::from_secs(16);
+/// From a request to its last block. A write that takes longer is undone.
+const FORWARD: Duration = Duration::from_secs(20);
+/// From a request to the end of the way back, and least time for it, however long the way forward has taken.
+const BACK: Duration = Duration::from_secs(27);
+const LEAST_BACK: Duration = Duration::from_secs(7);
+/// From a request to its answer, and least time for the seal. What is not done then remains owed.
+const ANSWER: Duration = Duration::from_secs(29);
+const LEAST_CLOSE: Duration = Duration::from_secs(2);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
+/// Times that RESET is sent, and how long it may take to show: up to 500 ms in which the gauge does not answer,
+/// or answers as before.
+const RESETS: u32 = 3;
+const RESET_SHOWS: Duration = Duration::from_millis(650);
 
 /// A session with an unsealed gauge: its seal state at the start, and what is known of it now.
 pub(super) struct Session {
     pub(super) found: Seal,
     /// `None` while the state may have changed and is not yet confirmed.
     pub(super) now: Option<Seal>,
+    /// When it was requested.
+    asked: Duration,
     /// A mode was started that must be ended on every exit.
     begun: bool,
-    /// Records the write; removed when the session has ended properly.
+    /// What would have to be settled if the session ended now.
+    pub(super) entry: Option<Entry>,
+    /// The same on disk.
     pub(super) journal: Option<OpenJournal>,
 }
 
-impl Session {
-    pub(super) fn new(found: Seal) -> Self {
-        Self { found, now: Some(found), begun: false, journal: None }
-    }
+/// What a session leaves to be settled.
+pub(super) struct Left {
+    /// Data flash is not known; otherwise only the seal is owed.
+    pub(super) data: bool,
+    pub(super) why: String,
+}
 
-    /// Removes the journal entry: nothing is left to settle.
-    fn remove_journal(&mut self) {
-        // An entry that remains is settled before the next write or at the next start, so no harm is done.
-        if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
-            log::warn!("{error}");
-        }
+impl Session {
+    /// A session with a gauge in the state `found`, requested `waited` ago.
+    pub(super) fn new(gauge: &Gauge, found: Seal, waited: Duration) -> Self {
+        let asked = gauge.clock.now().saturating_sub(waited);
+        Self { found, now: Some(found), asked, begun: false, entry: None, journal: None }
     }
 
     /// Makes data flash readable.
@@ -57,19 +73,53 @@ impl Session {
         sequence(gauge).begin(gauge)
     }
 
+    /// From the first commit on a write is not given up for want of time before this.
+    pub(super) fn go_forward(&self, gauge: &mut Gauge) {
+        gauge.limit_until(Some(self.asked + FORWARD));
+    }
+
+    /// The way back has its own time.
+    pub(super) fn go_back(&mut self, gauge: &mut Gauge) {
+        self.now = None;
+        gauge.limit_until(Some((self.asked + BACK).max(gauge.clock.now() + LEAST_BACK)));
+    }
+
     /// Makes the gauge use the new values and data flash readable again.
     pub(super) fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
         self.now = None;
-        sequence(gauge).finish(gauge)?;
-        self.begun = false;
-        self.now = Some(reopen(gauge, self.found)?);
+        let goal = if self.found == Seal::Sealed { Seal::Unsealed } else { self.found };
+        if sequence(gauge).always_finishes() {
+            sequence(gauge).finish(gauge)?;
+            self.begun = false;
+            reopen(gauge, goal)?;
+        } else {
+            self.note_reset()?;
+            let state = reset(gauge, self.found)?;
+            gauge.go(state, goal)?;
+        }
+        self.now = Some(goal);
         sequence(gauge).enable(gauge)
+    }
+
+    /// Records, once, that the gauge may have been reset.
+    fn note_reset(&mut self) -> Result<()> {
+        let Some(plan) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()) else { return Ok(()) };
+        if plan.reset_sent {
+            return Ok(());
+        }
+        plan.reset_sent = true;
+        self.journal.as_mut().map_or(Ok(()), OpenJournal::reset_sent)
     }
 
     /// Restores the old bytes. Once the gauge uses the new values (`finished`) only the written bytes are
     /// restored, which keeps what it has learned since. Before that the whole block is: a bit error in a
     /// register address puts a byte in the wrong place, and the checksum, a plain sum, does not detect it.
-    pub(super) fn restore(&mut self, gauge: &mut Gauge, touched: &[Dirty], finished: bool) -> Result<()> {
+    pub(super) fn restore<'a>(
+        &mut self,
+        gauge: &mut Gauge,
+        blocks: impl Iterator<Item = &'a Dirty> + Clone,
+        finished: bool,
+    ) -> Result<()> {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
             outcome = gauge
@@ -77,7 +127,7 @@ impl Session {
                 .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
                 .and_then(|()| sequence(gauge).enable(gauge))
                 .and_then(|()| {
-                    touched.iter().try_for_each(|block| self.restore_block(gauge, block, finished))
+                    blocks.clone().try_for_each(|block| self.restore_block(gauge, block, finished))
                 });
             if outcome.is_ok() {
                 break;
@@ -88,80 +138,144 @@ impl Session {
     }
 
     fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
-        let range = if finished { block.written.clone() } else { 0..WINDOW };
         let present = sequence(gauge).load(gauge, block.place)?;
-        let mut wanted = present;
-        wanted[range.clone()].copy_from_slice(&block.old[range]);
+        let wanted = restored(block, &present, finished);
         if wanted == present {
             return Ok(());
         }
-        self.begin(gauge)?;
-        if sequence(gauge).fills_window() {
-            sequence(gauge).reload(gauge, block.place, &present)?;
+        let other = |at: usize| present[at] != block.old[at] && present[at] != 0xff && !block.learned.has(at);
+        if block.is_neighbour()
+            && let Some(at) = (0..WINDOW).find(|&at| other(at))
+        {
+            let why = format!("{}, which this write does not touch, has changed", block.place.name(at));
+            return Err(Error::new("", Cause::Protocol(why)));
         }
-        let back = Dirty { place: block.place, old: present, new: wanted, written: block.written.clone() };
+        self.begin(gauge)?;
+        let back = Dirty { old: present, new: wanted, ..block.clone() };
+        let back = reload(gauge, &back)?;
         store(gauge, &back, &mut 0)
     }
 
     /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
-    /// two.
-    pub(super) fn close<T>(mut self, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
-        gauge.limit(Some(BACK));
+    /// two. Returns what is left to be settled.
+    pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
+        gauge.limit_until(Some((self.asked + ANSWER).max(gauge.clock.now() + LEAST_CLOSE)));
         let finished = if self.begun { self.finish(gauge) } else { Ok(()) };
+        let unfinished = finished.is_err();
         // After a failure the state is read again: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
             Some(now) => gauge.go(now, self.found),
             None => gauge.go_to(self.found),
         };
+        let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
+        let left = |data: bool, error: &Error| Some(Left { data, why: error.to_string() });
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {
-            (outcome, Ok(())) => {
-                if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_))) {
-                    self.remove_journal();
-                }
-                outcome
+            (Err(error), Ok(())) => {
+                let left = unknown.then(|| left(true, &error)).flatten();
+                (Err(error), left)
             }
+            (Ok(done), Ok(())) => (Ok(done), None),
             (Ok(_), Err(error)) => {
-                let why = format!("write succeeded, but restoring the {found} state failed: {error}");
-                Err(Error::new("", Cause::StateUnknown(why)))
+                let why = format!("done and verified, but restoring the {found} state failed: {error}");
+                let error = Error::new("", Cause::StateUnknown(why));
+                let owed = unfinished || self.found == Seal::Sealed;
+                let left = if owed { left(unfinished, &error) } else { None };
+                (Err(error), left)
             }
             // The gauge does not answer, and nothing was sent that could have changed its state.
-            (Err(first), Err(_)) if self.now == Some(self.found) => Err(first),
+            (Err(first), Err(_)) if self.now == Some(self.found) => (Err(first), None),
             (Err(first), Err(second)) => {
                 let why = format!("{first}; then restoring the {found} state failed: {second}");
-                Err(Error::new("", Cause::StateUnknown(why)))
+                let error = Error::new("", Cause::StateUnknown(why));
+                let data = unknown || unfinished;
+                let left = if data || self.found == Seal::Sealed { left(data, &error) } else { None };
+                (Err(error), left)
             }
         }
     }
 }
 
-/// Waits for the end of a reset and returns to a state in which data flash can be read.
-fn reopen(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
-    let access = &gauge.chip.access;
-    let goal = if found == Seal::Sealed { Seal::Unsealed } else { found };
-    gauge.wait(access.reset);
-    // A part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): no need to read the state first.
-    if found == Seal::Sealed && gauge.unseal().is_ok() {
-        return Ok(goal);
+/// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
+fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
+    let erased = (0..WINDOW).any(|at| {
+        present[at] == 0xff && block.old[at] != 0xff && block.new[at] != 0xff && !block.learned.has(at)
+    });
+    let mut wanted = *present;
+    for at in 0..WINDOW {
+        let goes_back = match finished && !block.is_neighbour() && !erased {
+            true => block.written.has(at),
+            false => erased || !block.learned.has(at),
+        };
+        if goes_back {
+            wanted[at] = block.old[at];
+        }
     }
+    wanted
+}
+
+/// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is
+/// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then that it was
+/// silent, or [INITCOMP], is the sign, and without any the last RESET counts because it was acknowledged. Returns
+/// the seal state.
+fn reset(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
+    let access = &gauge.chip.access;
+    let incomplete = gauge.chip.control_status.iter().find(|bit| bit.name == "INITCOMP");
+    let incomplete = |status: u16| incomplete.is_some_and(|&Bit { mask, .. }| status & mask == 0);
+    let mut state = found;
+    for _ in 0..RESETS {
+        gauge.reset()?;
+        let sent = gauge.clock.now();
+        let mut silent = false;
+        gauge.wait(access.reset);
+        loop {
+            match gauge.control_status() {
+                Ok((Seal::Sealed, _)) => return Ok(Seal::Sealed),
+                Ok((now, status)) if found != Seal::Sealed && (silent || incomplete(status)) => {
+                    return Ok(now);
+                }
+                Ok((now, _)) if gauge.clock.now() >= sent + access.reset + RESET_SHOWS => {
+                    state = now;
+                    break;
+                }
+                Ok(_) => {}
+                Err(error) if gauge.clock.now() >= sent + access.reset_limit => {
+                    return Err(error.at(Step::Reset));
+                }
+                Err(_) => silent = true,
+            }
+            gauge.wait(Duration::from_millis(80));
+        }
+    }
+    if found == Seal::Sealed {
+        let why = format!("the gauge was sent RESET {RESETS} times and shows no sign of it");
+        return Err(Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Reset));
+    }
+    log::info!("{}: no sign of the reset, which was acknowledged", gauge.chip.name);
+    Ok(state)
+}
+
+/// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be
+/// read.
+fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
+    let access = &gauge.chip.access;
     let limit = gauge.clock.now() + access.reset_limit;
     loop {
         match gauge.seal() {
-            Ok(now) => return gauge.go(now, goal).map(|()| goal),
+            Ok(now) => return gauge.go(now, goal),
             Err(_) if gauge.clock.now() < limit => gauge.wait(access.reset.max(Duration::from_millis(50))),
             Err(error) => return Err(error.at(Step::Reset)),
         }
     }
 }
 
-/// Runs a transaction with a time limit, so that it ends within 30 s of its request, which was made
-/// `waited` ago.
+/// Runs a transaction with a time limit up to its first commit. The request was made `waited` ago.
 pub(super) fn in_time<T>(
     gauge: &mut Gauge,
     waited: Duration,
     run: impl FnOnce(&mut Gauge) -> Result<T>,
 ) -> Result<T> {
-    gauge.limit(Some(FORWARD.saturating_sub(waited)));
+    gauge.limit(Some(BEFORE.saturating_sub(waited)));
     let outcome = run(gauge);
     gauge.limit(None);
     outcome

@@ -1,34 +1,90 @@
-//! Settles interrupted writes: those cut short by a power loss of the host or by a gauge that did not
-//! return in time. The journal holds the seal state and the blocks from before the write.
+//! Settles interrupted writes: those cut short by a power loss of the host, or by a gauge that did not answer in
+//! time. The entry, which is also in the journal, holds the seal state and the blocks from before the write, and
+//! what distinguishes the pack.
+//!
+//! A wrong belief does more harm here than the fault: 32 bytes of one pack's configuration in another pack. So
+//! nothing is written unless the pack is certainly the one, and every byte of its blocks is old, new, erased or
+//! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
-use super::DataFlash;
-use super::blocks::{Dirty, Window, locate};
-use super::io::verify_written;
+use super::blocks::{Bytes, Dirty, Window, learned};
+use super::io::{reload, store, verify_written};
+use super::pack::{Match, compare};
 use super::preflight::read_word;
 use super::schemes::sequence;
-use super::session::{Session, in_time};
-use crate::chip::{Chip, FLAT, Kind, Role, Word};
-use crate::codec::WINDOW;
+use super::session::{Left, Session, in_time};
+use super::{DataFlash, Place};
+use crate::chip::{Chip, FLAT, Kind, Role, Scheme, Word};
+use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Identity, OpenJournal, Plan, PlannedBlock};
+use crate::journal::{Entry, Identity, Mark, Plan, PlannedBlock};
+use crate::text;
+
+/// What is still to be settled.
+#[derive(Clone, Debug)]
+pub(super) struct Pending {
+    /// `None` if the journal cannot be read.
+    entry: Option<Entry>,
+    why: String,
+    /// The gauge has been watched since: while it has not been silent for long it is the same one.
+    watched: bool,
+    /// Only a person can decide.
+    undecided: bool,
+}
+
+/// What is owed to a gauge, for everybody else.
+#[derive(Clone, Copy, Debug)]
+pub struct Owed<'a> {
+    /// What happened and what to do, one line.
+    pub why: &'a str,
+    /// Trying again does not help: a person has to decide.
+    pub needs_decision: bool,
+}
+
+/// What a person may decide about an interrupted write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decision {
+    /// Write the old values.
+    Undo,
+    /// Write the new values.
+    Finish,
+    /// Leave the gauge as it is, and put the journal aside.
+    Discard,
+}
 
 /// Which content a block has.
+#[derive(Clone, Copy, PartialEq, Eq)]
 enum Held {
     Old,
     New,
-    /// Some of both, or neither.
+    /// Some of both, or erased.
     Torn,
+    /// At least one byte that neither the write nor a loss of power explains.
+    Unexplained,
+}
+
+/// The outcome of a look at a gauge with something to settle.
+enum Verdict {
+    /// It has been settled; the text says how.
+    Done(String),
+    /// Nothing was touched; the text says why.
+    Undecided(String),
+}
+
+/// A planned block, what the gauge has in its place, and which content that is.
+struct Seen {
+    block: Dirty,
+    stored: [u8; WINDOW],
+    held: Held,
 }
 
 impl DataFlash {
     /// Identity of the gauge for the journal, read on first use after the gauge was connected.
     pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
-        if let Some(identity) = self.identity {
-            return Ok(identity);
+        if let Some(identity) = &self.identity {
+            return Ok(identity.clone());
         }
         let firmware = match self.known_pack {
             Some(known_pack) => known_pack.firmware_version,
@@ -36,92 +92,245 @@ impl DataFlash {
         };
         let chip = gauge.chip;
         let identity = Identity {
-            chip: chip.name,
+            chip: chip.name.into(),
             device_type: chip.identity.device_type,
             firmware,
             serial: serial_number(gauge)?,
         };
-        self.identity = Some(identity);
+        self.identity = Some(identity.clone());
         Ok(identity)
     }
 
-    /// Settles an interrupted write: data flash then holds all old values or all new ones, and the gauge is
-    /// sealed at least as it was before the write. Returns a message for the log; `None` if there was
-    /// nothing to settle.
-    pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
-        let Some(journal) = self.journal.clone() else { return Ok(None) };
-        let identity = self.identity(gauge)?;
-        let Some((path, entry)) = journal.pending(identity)? else { return Ok(None) };
-        let settled = in_time(gauge, waited, |gauge| {
-            gauge.claim()?;
-            gauge.confirm_identity()?;
-            let now = gauge.seal()?;
-            // A gauge that was unsealed and has been sealed since stays sealed.
-            let mut session = Session::new(if entry.found == Seal::Sealed { Seal::Sealed } else { now });
-            session.now = None;
-            session.journal = Some(OpenJournal::reopen(path)?);
-            let outcome = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
-            let outcome = outcome
-                .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| settle(gauge, &mut session, entry.plan.as_ref()));
-            if outcome.is_err() {
-                // The file stays: nothing has been settled.
-                session.journal = None;
+    /// What is owed to the gauge, if anything is.
+    pub fn owed(&self) -> Option<Owed<'_>> {
+        let pending = self.pending.as_ref()?;
+        Some(Owed { why: &pending.why, needs_decision: pending.undecided })
+    }
+
+    /// Keeps what a session has left to be settled.
+    pub(super) fn keep(&mut self, entry: Option<Entry>, left: Left) {
+        let Some(mut entry) = entry else {
+            // A read while something was pending already.
+            return;
+        };
+        if !left.data && entry.plan.take().is_some() {
+            // Data flash has been read back: only the seal is owed, to whatever gauge of this kind it is.
+            let replaced =
+                self.journal.as_ref().map(|journal| journal.replace(&entry.identity, entry.found, 0));
+            if let Some(Err(error)) = replaced {
+                log::warn!("{error}");
             }
-            session.close(gauge, outcome)
-        });
-        // The settled write may have changed the serial number.
+        }
+        self.pending = Some(Pending { entry: Some(entry), why: left.why, watched: true, undecided: false });
+    }
+
+    /// Another gauge may be there now.
+    pub(super) fn look_again(&mut self) {
+        if let Some(pending) = &mut self.pending {
+            (pending.watched, pending.undecided) = (false, false);
+        }
+    }
+
+    /// Finds what an earlier process has left.
+    pub(super) fn find_pending(&mut self) -> Option<Pending> {
+        if self.pending.is_none()
+            && let Some(journal) = &self.journal
+        {
+            let pending = match journal.pending() {
+                Ok(None) => None,
+                Ok(Some(entry)) => {
+                    let why = "a write was interrupted and is not settled yet".to_string();
+                    Some(Pending { entry: Some(entry), why, watched: false, undecided: false })
+                }
+                Err(error) => {
+                    Some(Pending { entry: None, why: error.to_string(), watched: false, undecided: true })
+                }
+            };
+            self.pending = pending;
+        }
+        self.pending.clone()
+    }
+
+    /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least
+    /// as it was before. Returns a message for the log; `None` if there was nothing to settle. After an error it
+    /// is still owed.
+    pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
+        let Some(pending) = self.find_pending() else { return Ok(None) };
+        self.resolve(gauge, &pending, None, waited).map(Some)
+    }
+
+    /// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
+    pub fn examine(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<String> {
+        let Some(pending) = self.find_pending() else { return Ok("nothing to settle\n".into()) };
+        let mut text = format!("{}\n", pending.why);
+        let Some(entry) = pending.entry else { return Ok(text) };
+        let Identity { chip, firmware, serial, .. } = &entry.identity;
+        text += &format!(
+            "begun on {chip}, firmware 0x{firmware:04x}, serial number 0x{serial:04x}, found {}\n",
+            entry.found.as_str()
+        );
+        let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
+        in_time(gauge, waited, |gauge| {
+            self.identity = None;
+            let found = gauge.seal()?;
+            let mut session = Session::new(gauge, found, waited);
+            let look = session.open(gauge).and_then(|()| look(gauge, plan));
+            let seen = session.close(gauge, look).0?;
+            Ok(text + &table(gauge.chip, &seen))
+        })
+    }
+
+    /// Settles an interrupted write as a person has decided. Returns a message for the log.
+    pub fn decide(&mut self, gauge: &mut Gauge, decision: Decision, waited: Duration) -> Result<String> {
+        let Some(pending) = self.find_pending() else {
+            return Err(Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into())));
+        };
+        if decision != Decision::Discard {
+            return self.resolve(gauge, &pending, Some(decision), waited);
+        }
+        let aside = match &self.journal {
+            Some(journal) if journal.path().exists() => Some(journal.dismiss()?),
+            _ => None,
+        };
+        self.pending = None;
+        let owes = pending.entry.is_some_and(|entry| entry.found == Seal::Sealed);
+        let sealed = if owes { gauge.go_to(Seal::Sealed) } else { Ok(()) };
+        let kept = aside.map_or(String::new(), |path| format!("; the journal is kept as {}", path.display()));
+        sealed.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+    }
+
+    fn resolve(
+        &mut self,
+        gauge: &mut Gauge,
+        pending: &Pending,
+        decision: Option<Decision>,
+        waited: Duration,
+    ) -> Result<String> {
+        let verdict = match &pending.entry {
+            Some(entry) => self.counted(gauge, |dataflash, gauge| {
+                let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
+                let watched = pending.watched && gauge.longest_silence() <= patience;
+                in_time(gauge, waited, |gauge| dataflash.act(gauge, entry, watched, decision, waited))
+            }),
+            None => Ok(Verdict::Undecided(pending.why.clone())),
+        };
         self.identity = None;
-        settled.map(Some).map_err(|error| error.within("cannot settle an interrupted write"))
+        let (error, undecided) = match verdict {
+            Ok(Verdict::Done(message)) => {
+                self.pending = None;
+                self.known.clear();
+                return Ok(message);
+            }
+            Ok(Verdict::Undecided(why)) => {
+                let why = format!(
+                    "an interrupted write is not settled: {why}; nothing was touched and nothing is written to \
+                     this gauge until somebody decides: gaugefs settle"
+                );
+                (Error::new(gauge.chip.name, Cause::Busy(why)), true)
+            }
+            Err(error) => (error.within("cannot settle an interrupted write"), false),
+        };
+        let why = error.to_string();
+        self.pending = Some(Pending { why, undecided, ..pending.clone() });
+        Err(error)
+    }
+
+    fn act(
+        &mut self,
+        gauge: &mut Gauge,
+        entry: &Entry,
+        watched: bool,
+        decision: Option<Decision>,
+        waited: Duration,
+    ) -> Result<Verdict> {
+        gauge.claim()?;
+        gauge.confirm_identity()?;
+        self.identity = None;
+        let identity = self.identity(gauge)?;
+        let part = |identity: &Identity| (identity.chip.clone(), identity.device_type, identity.firmware);
+        if part(&identity) != part(&entry.identity) {
+            let Identity { chip, firmware, .. } = &entry.identity;
+            let why = format!("it was begun on another part, a {chip} with firmware 0x{firmware:04x}");
+            return Ok(Verdict::Undecided(why));
+        }
+        let now = gauge.seal()?;
+        // A gauge that was unsealed and has been sealed since stays sealed.
+        let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
+        let mut session = Session::new(gauge, goal, waited);
+        session.now = None;
+        session.entry = Some(entry.clone());
+        if let Some(journal) = &self.journal
+            && journal.path().exists()
+        {
+            session.journal = Some(journal.reopen()?);
+        }
+        let outcome = match &entry.plan {
+            None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
+            Some(plan) => {
+                let open = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
+                open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
+                    let task = Task { plan, then: &entry.identity, now: &identity, watched, decision };
+                    task.run(gauge, &mut session)
+                })
+            }
+        };
+        let (outcome, left) = session.close(gauge, outcome);
+        match (&outcome, left) {
+            (Ok(Verdict::Done(_)), None) => {
+                if let Some(Err(error)) = session.journal.take().map(|journal| journal.remove()) {
+                    log::warn!("{error}");
+                }
+            }
+            _ => session.journal = None,
+        }
+        outcome
     }
 
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
     /// requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         let begun = gauge.clock.now();
+        if let Some(Pending { why, undecided: true, .. }) = self.find_pending() {
+            return Err(Error::new("", Cause::Busy(why)));
+        }
         if let Some(message) = self.settle(gauge, waited)? {
             log::warn!("{}: {message}", gauge.chip.name);
         }
         Ok(waited + (gauge.clock.now() - begun))
     }
-
-    /// Journals of other gauges that were connected here before; they are not touched.
-    pub fn journals_of_others(&mut self, gauge: &mut Gauge) -> Result<Vec<PathBuf>> {
-        let Some(journal) = self.journal.clone() else { return Ok(Vec::new()) };
-        Ok(journal.others(self.identity(gauge)?))
-    }
 }
 
 /// What the next start needs to settle this write, without keys.
-pub(super) fn plan(gauge: &Gauge, reset: bool, dirty: &[Dirty]) -> Plan {
-    let blocks = dirty.iter().map(|block| {
+pub(super) fn plan(
+    gauge: &Gauge,
+    reset: bool,
+    dirty: &[Dirty],
+    neighbours: &[Dirty],
+    marks: Vec<Mark>,
+) -> Plan {
+    let blocks = dirty.iter().chain(neighbours).map(|block| {
         let (mut old, mut new) = (block.old, block.new);
-        for at in (0..WINDOW).filter(|&at| is_secret(gauge, block.place, at)) {
+        for at in (0..WINDOW).filter(|&at| is_secret(gauge.chip, block.place, at)) {
             (old[at], new[at]) = (0, 0);
         }
         let Window { subclass, base } = block.place;
-        PlannedBlock { subclass, base, written: (block.written.start, block.written.end), old, new }
+        PlannedBlock { subclass, base, written: block.written, old, new }
     });
-    let serial = serial(gauge.chip).and_then(|(_, (subclass, offset))| {
-        let (place, at) = locate(subclass, 0, offset);
-        let block = dirty.iter().find(|block| block.place == place)?;
-        Some(u16::from_be_bytes([block.new[at], block.new[at + 1]]))
-    });
-    Plan { reset, serial, blocks: blocks.collect() }
+    Plan { reset, reset_sent: false, marks, blocks: blocks.collect() }
 }
 
-/// The register that distinguishes packs, and the row it shows. A chemistry ID is no serial number.
-fn serial(chip: &Chip) -> Option<(u8, (u8, u16))> {
+/// The register that distinguishes packs. A chemistry ID is no serial number.
+fn serial(chip: &Chip) -> Option<u8> {
     let pack = chip.preflight.pack.as_ref()?;
     match pack.word {
-        Word::Register(code) => Some((code, *pack.rows.first()?)),
+        Word::Register(code) => Some(code),
         Word::ControlStatus | Word::Answer(_) => None,
     }
 }
 
 /// The serial number, read until two reads agree because I2C has no error detection.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some((register, _)) = serial(gauge.chip) else { return Ok(0) };
+    let Some(register) = serial(gauge.chip) else { return Ok(0) };
     let mut read = || read_word(gauge, Word::Register(register));
     let mut last = read()?;
     for _ in 0..3 {
@@ -135,77 +344,203 @@ fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
 }
 
-fn settle(gauge: &mut Gauge, session: &mut Session, plan: Option<&Plan>) -> Result<String> {
-    let Some(plan) = plan else {
-        return Ok("a write was interrupted before anything was written".into());
-    };
-    if has_lost_memory(gauge)? {
-        return Ok(
-            "a write was interrupted, and the gauge has since lost power and with it its data memory".into()
-        );
-    }
-    let (mut torn, mut old, mut new) = (Vec::new(), Vec::new(), Vec::new());
+/// The blocks of a plan as the gauge has them now.
+fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+    let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {
         let place = Window { subclass: block.subclass, base: block.base };
         let stored = sequence(gauge).load(gauge, place)?;
-        let mut block =
-            Dirty { place, old: block.old, new: block.new, written: block.written.0..block.written.1 };
-        for at in (0..WINDOW).filter(|&at| is_secret(gauge, place, at)) {
+        let learned = Bytes(learned(gauge.chip, place).0 & !block.written.0);
+        let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
+        for at in (0..WINDOW).filter(|&at| is_secret(gauge.chip, place, at)) {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
-        match classify(gauge, &block, &stored) {
-            Held::Old => old.push(block),
-            Held::New => new.push(block),
-            Held::Torn => torn.push(block),
-        }
+        let held = classify(&block, &stored);
+        seen.push(Seen { block, stored, held });
     }
-    // The mode that the write started may still be on; `begin` detects that.
-    if sequence(gauge).always_finishes() {
-        session.begin(gauge)?;
-    }
-    let finishes = plan.reset || sequence(gauge).always_finishes();
-    if torn.is_empty() && new.is_empty() {
-        return Ok("a write was interrupted; data flash holds the old values".into());
-    }
-    if torn.is_empty() && old.is_empty() {
-        if finishes {
-            session.finish(gauge)?;
-            new.iter().try_for_each(|block| verify_written(gauge, block))?;
-        }
-        return Ok("a write was interrupted after its last block; it has been finished and verified".into());
-    }
-    let unknown =
-        |error: Error| Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
-    // Torn blocks are restored as a whole; of the others only the written bytes, which keeps what the gauge
-    // has learned since.
-    session.restore(gauge, &torn, false).map_err(unknown)?;
-    session.restore(gauge, &new, true).map_err(unknown)?;
-    if finishes {
-        session.finish(gauge).map_err(unknown)?;
-    }
-    for block in torn.into_iter().chain(new).chain(old) {
-        let back = Dirty { new: block.old, ..block };
-        verify_written(gauge, &back).map_err(|error| unknown(error.at(Step::Restore)))?;
-    }
-    Ok("a write was interrupted half way; the old values were restored and verified".into())
+    Ok(seen)
 }
 
-fn classify(gauge: &Gauge, block: &Dirty, stored: &[u8; WINDOW]) -> Held {
-    let Dirty { place, old, new, .. } = block;
-    let (mut all_old, mut all_new) = (true, true);
-    for at in 0..WINDOW {
-        if old[at] != new[at] {
-            all_old &= stored[at] == old[at];
-            all_new &= stored[at] == new[at];
-        } else if stored[at] != old[at] && !is_learned(gauge, *place, at) {
-            return Held::Torn;
+fn classify(block: &Dirty, stored: &[u8; WINDOW]) -> Held {
+    let Dirty { old, new, learned, .. } = block;
+    let (mut all_old, mut all_new, mut torn) = (true, true, false);
+    for at in (0..WINDOW).filter(|&at| !learned.has(at)) {
+        let byte = stored[at];
+        match (byte == old[at], byte == new[at]) {
+            (true, true) => {}
+            (true, false) => all_new = false,
+            (false, true) => all_old = false,
+            (false, false) if byte == 0xff => torn = true,
+            (false, false) => return Held::Unexplained,
         }
     }
     match (all_old, all_new) {
+        _ if torn => Held::Torn,
         (true, _) => Held::Old,
         (_, true) => Held::New,
         _ => Held::Torn,
     }
+}
+
+/// One interrupted write.
+struct Task<'a> {
+    plan: &'a Plan,
+    then: &'a Identity,
+    now: &'a Identity,
+    watched: bool,
+    decision: Option<Decision>,
+}
+
+impl Task<'_> {
+    fn run(&self, gauge: &mut Gauge, session: &mut Session) -> Result<Verdict> {
+        let chip = gauge.chip;
+        if has_lost_memory(gauge)? {
+            let why =
+                "a write was interrupted, and the gauge has since lost power and with it its data memory";
+            return Ok(Verdict::Done(why.into()));
+        }
+        if !self.plan.blocks.iter().all(|block| exists(chip, block)) {
+            let why = "its journal names blocks that this part does not have";
+            return Ok(Verdict::Undecided(why.into()));
+        }
+        let seen = look(gauge, self.plan)?;
+        if self.decision.is_none()
+            && let Some(why) = self.doubt(gauge, &seen)?
+        {
+            return Ok(Verdict::Undecided(why));
+        }
+        // The mode that the write started may still be on; `begin` detects that.
+        if sequence(gauge).always_finishes() {
+            session.begin(gauge)?;
+        }
+        let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
+        let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
+        let forward = match self.decision {
+            Some(Decision::Finish) => true,
+            Some(Decision::Undo | Decision::Discard) => false,
+            None => intact && all(Held::New),
+        };
+        if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
+            return Ok(Verdict::Done("a write was interrupted; data flash holds the old values".into()));
+        }
+        let done =
+            if forward { self.finish(gauge, session, &seen) } else { self.undo(gauge, session, &seen) };
+        let message = match forward {
+            true => "a write was interrupted; it has been finished and verified",
+            false => "a write was interrupted half way; the old values were restored and verified",
+        };
+        let unknown = |error: Error| {
+            Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
+        };
+        done.map(|()| Verdict::Done(message.into())).map_err(unknown)
+    }
+
+    /// Why nothing may be written without being told to.
+    fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Option<String>> {
+        let same = compare(gauge.chip, self.then, self.now, self.plan, |place| {
+            let seen = seen.iter().find(|seen| seen.block.place == place);
+            seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
+        })?;
+        if let Match::Other(name) = &same {
+            return Ok(Some(format!("{name} is not what it was then: this is another pack")));
+        }
+        if self.watched {
+            return Ok(None);
+        }
+        if let Some(Seen { block, stored, .. }) = seen.iter().find(|seen| seen.held == Held::Unexplained) {
+            let unlike = |&at: &usize| {
+                ![block.old[at], block.new[at], 0xff].contains(&stored[at]) && !block.learned.has(at)
+            };
+            let at = (0..WINDOW).find(unlike).unwrap_or(0);
+            let why = format!(
+                "{} holds 0x{:02x}, which the write does not explain (old 0x{:02x}, new 0x{:02x})",
+                block.place.name(at),
+                stored[at],
+                block.old[at],
+                block.new[at]
+            );
+            return Ok(Some(why));
+        }
+        let weak = "this gauge has the serial number and the calibration of every new one, so it may be another pack";
+        Ok((same == Match::Weak).then(|| weak.into()))
+    }
+
+    /// Writes the old values. Torn blocks are restored as a whole; of the others only the written bytes, which
+    /// keeps what the gauge has learned since.
+    fn undo(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
+        let whole = |seen: &&Seen| matches!(seen.held, Held::Torn | Held::Unexplained);
+        let torn = seen.iter().filter(whole).map(|seen| &seen.block);
+        session.restore(gauge, torn, false)?;
+        let new = seen.iter().filter(|seen| seen.held == Held::New).map(|seen| &seen.block);
+        session.restore(gauge, new, true)?;
+        if self.plan.reset || sequence(gauge).always_finishes() {
+            session.finish(gauge)?;
+        }
+        for Seen { block, .. } in seen {
+            let back = Dirty { new: block.old, ..block.clone() };
+            verify_written(gauge, &back).map_err(|error| error.at(Step::Restore))?;
+        }
+        Ok(())
+    }
+
+    /// Writes the new values where they are not.
+    fn finish(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
+        for Seen { block, stored, held } in seen {
+            if *held == Held::New || *held == Held::Old && block.is_neighbour() {
+                continue;
+            }
+            session.begin(gauge)?;
+            let mut new = block.new;
+            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && *held != Held::Torn) {
+                new[at] = stored[at];
+            }
+            let block = reload(gauge, &Dirty { old: *stored, new, ..block.clone() })?;
+            store(gauge, &block, &mut 0)?;
+        }
+        if self.plan.reset || sequence(gauge).always_finishes() {
+            session.finish(gauge)?;
+        }
+        seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
+    }
+}
+
+/// Whether the part has a block that a journal names.
+fn exists(chip: &Chip, block: &PlannedBlock) -> bool {
+    let flat = chip.access.scheme == Scheme::Mac;
+    let mut alike = chip.subclasses.iter().filter(|row| row.id == block.subclass);
+    match flat {
+        true => block.subclass == FLAT,
+        false => block.subclass != FLAT && alike.any(|row| block.base < row.stored().max(WINDOW as u16)),
+    }
+}
+
+/// The changed parameters of a plan, one a line: place, name, old, new, and what the gauge has.
+fn table(chip: &Chip, seen: &[Seen]) -> String {
+    let mut table = String::from("parameter\tname\told\tnew\tgauge\n");
+    for Seen { block, stored, .. } in seen {
+        let rows = chip.subclasses.iter().filter(|row| row.id == block.place.subclass);
+        for row in rows.flat_map(|subclass| subclass.parameters.iter().map(move |one| (subclass, one))) {
+            let (subclass, parameter) = row;
+            let start = usize::from(parameter.offset).checked_sub(usize::from(block.place.base));
+            let Some(start) = start.filter(|start| start + parameter.kind.size() <= WINDOW) else { continue };
+            let range = start..start + parameter.kind.size();
+            if subclass.kind == Kind::Security || !range.clone().any(|at| block.written.has(at)) {
+                continue;
+            }
+            let show = |bytes: &[u8; WINDOW]| {
+                text::render(parameter.kind, &codec::decode(parameter.kind, &bytes[range.clone()]))
+            };
+            table += &format!(
+                "{}\t{}\t{}\t{}\t{}\n",
+                Place::of(row),
+                parameter.name,
+                show(&block.old),
+                show(&block.new),
+                show(stored)
+            );
+        }
+    }
+    table
 }
 
 /// Whether the gauge's data memory is RAM and was lost.
@@ -216,22 +551,10 @@ fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
 }
 
 /// Whether a byte of a window belongs to a key. Only a flat window can extend beyond its own subclass.
-fn is_secret(gauge: &Gauge, place: Window, at: usize) -> bool {
+fn is_secret(chip: &Chip, place: Window, at: usize) -> bool {
     let address = usize::from(place.base) + at;
-    gauge.chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(
-        |row| {
-            let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
-            (start..start + usize::from(row.length)).contains(&address)
-        },
-    )
-}
-
-/// Whether the gauge itself updates a byte of a window.
-fn is_learned(gauge: &Gauge, place: Window, at: usize) -> bool {
-    let offset = usize::from(place.base) + at;
-    let rows = gauge.chip.subclasses.iter().filter(|row| row.id == place.subclass);
-    rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned).any(|parameter| {
-        let start = usize::from(parameter.offset);
-        (start..start + parameter.kind.size()).contains(&offset)
+    chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(|row| {
+        let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
+        (start..start + usize::from(row.length)).contains(&address)
     })
 }

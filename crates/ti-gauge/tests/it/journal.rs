@@ -110,7 +110,7 @@ impl Drop for Folder {
 
 impl Case {
     fn rig(&self) -> Rig {
-        Rig::found(self.chip, self.found)
+        Rig::calibrated(self.chip, self.found)
     }
 
     fn changes(&self, rig: &Rig) -> Vec<Change> {
@@ -330,7 +330,7 @@ fn an_unknown_outcome_is_settled_at_the_next_start() {
     for (torn, settled) in [("torn-commit 1", "3000"), ("torn-commit 5", "3000"), ("torn-commit 40", "3100")]
     {
         let folder = Folder::new("torn");
-        let mut rig = Rig::new("bq34z100-g1");
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
         let change = rig.change(80, 53, "3100");
         let expected = rig.change(80, 53, settled).bytes;
         rig.sim.set("fault", torn).expect("a fault");

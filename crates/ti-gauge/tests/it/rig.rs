@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim};
-use ti_gauge::chip::{Chip, Parameter, Subclass};
+use ti_gauge::chip::{Chip, FLAT, Parameter, Subclass};
 use ti_gauge::dataflash::{Change, DataFlash, Outcome};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
@@ -44,6 +44,23 @@ impl Rig {
             rig.dataflash.go_to(&mut rig.gauge, found, Duration::ZERO).expect("the default keys");
         }
         rig
+    }
+
+    /// A pack that can be told from others: its temperature offset has been calibrated.
+    pub(crate) fn calibrated(chip: &str, found: Seal) -> Self {
+        let rig = Self::found(chip, found);
+        rig.calibrate(3);
+        rig
+    }
+
+    /// Calibrates its temperature offset.
+    pub(crate) fn calibrate(&self, offset: u8) {
+        let marks = self.gauge.chip.preflight.marks.iter();
+        let rows = marks.map(|&(id, offset)| (id, offset, self.find(id, offset).1));
+        let mut rows = rows.filter(|(_, _, parameter)| parameter.name == "Int Temp Offset");
+        let (id, at, _) = rows.next().expect("every part has one");
+        let at = usize::from(at) - if id == FLAT { 0x4000 } else { 0 };
+        self.sim.set_flash(id.into(), at, &[offset]);
     }
 
     /// A parameter and its subclass; on a part without subclasses, `FLAT` and an address.

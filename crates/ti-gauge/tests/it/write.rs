@@ -40,7 +40,7 @@ fn a_value_is_stored_and_the_gauge_is_sealed_again() {
 #[test]
 fn the_bytes_on_the_wire_match_the_manuals_example() {
     let mut rig = Rig::with("bq34z100-g1", Keys::default(), true);
-    rig.read(64, 0).expect("the gate is known from here on");
+    rig.read(104, 0).expect("the gate and the calibration are known from here on");
     rig.sim.clear_log();
     assert_eq!(rig.write(64, 0, "0x0961"), Ok(WRITTEN));
     let sent: Vec<_> = rig.log().into_iter().filter(|line| line.starts_with('W')).collect();
@@ -58,6 +58,7 @@ fn the_bytes_on_the_wire_match_the_manuals_example() {
             "W 3E 40",
             "W 3F 00",    // read back
             "W 00 41 00", // step 10
+            "W 00 00 00", // sealed, so it was reset
             "W 00 00 00",
             "W 61 00",
             "W 3E 40",

@@ -1,9 +1,7 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
-use std::time::Duration;
-
-use super::Sequence;
+use super::{Sequence, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
@@ -20,12 +18,6 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 /// BlockDataControl() value that selects the blocks a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
 
-/// Time between two reads of the window that must agree. A window that is not ready yet still shows the
-/// previous block, or a blank one, with a valid checksum.
-const READ_INTERVAL: Duration = Duration::from_millis(20);
-/// Reads after one selection before giving up.
-const READINGS: u32 = 4;
-
 pub(super) struct Block;
 
 impl Sequence for Block {
@@ -38,18 +30,17 @@ impl Sequence for Block {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        let first = load_settled(gauge, place);
+        let first = load_once(gauge, place);
         if let Ok((window, true)) = first {
             return Ok(window);
         }
         if first.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Protocol(_))) {
             self.enable(gauge)?;
         }
-        // The window was read too early, or a bit error in the selection loaded another block. A block that
-        // does not echo its selection is accepted if a second selection gives the same bytes.
+        // A bit error in the selection loaded another block. A block that does not echo its selection is accepted
+        // if a second selection gives the same bytes.
         Statistics::count(&gauge.statistics.retries);
-        gauge.wait(gauge.chip.access.select * 4);
-        let (window, echoed) = load_settled(gauge, place)?;
+        let (window, echoed) = load_once(gauge, place)?;
         if echoed || first.is_ok_and(|(first, _)| first == window) {
             return Ok(window);
         }
@@ -57,16 +48,21 @@ impl Sequence for Block {
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
-    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()> {
+    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         select(gauge, place)?;
-        match read_window(gauge, place) {
-            Ok((window, true)) if window == *known => Ok(()),
-            _ => self.load(gauge, place).map(drop),
+        settle(gauge);
+        match read_window(gauge, place)? {
+            ((window, true), _) => Ok(window),
+            ((_, false), _) => {
+                let why = format!("{}: the gauge does not echo the selection", place.name(0));
+                Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
+            }
         }
     }
 
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         select(gauge, place)?;
+        settle(gauge);
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))
     }
 
@@ -74,10 +70,15 @@ impl Sequence for Block {
         true
     }
 
+    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+        vec![block.clone()]
+    }
+
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-        let Some(range) = block.differing() else { return Ok(()) };
-        let at = BLOCK_DATA + range.start as u8;
-        gauge.write(at, &block.new[range]).map_err(|error| error.at(Step::WriteBlock))
+        block.runs().into_iter().try_for_each(|run| {
+            let at = BLOCK_DATA + run.start as u8;
+            gauge.write(at, &block.new[run]).map_err(|error| error.at(Step::WriteBlock))
+        })
     }
 
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
@@ -101,30 +102,23 @@ fn block_of(place: Window) -> u8 {
 
 fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
     let selected = gauge.write(DATA_FLASH_CLASS, &[place.subclass, block_of(place)]);
-    gauge.wait(gauge.chip.access.select);
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
-/// Selects a block and reads it until two consecutive reads agree.
-fn load_settled(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
+/// Selects a block and reads it until two looks agree. Returns whether the gauge echoes the selection.
+fn load_once(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     select(gauge, place)?;
-    let mut before = read_window(gauge, place);
-    for _ in 1..READINGS {
-        gauge.wait(READ_INTERVAL);
-        let now = read_window(gauge, place);
-        if now.is_ok() && now == before {
-            return now;
-        }
-        before = now;
-    }
-    let why = format!("{}: the block reads differently each time", place.name(0));
-    before.and(Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock)))
+    let sum = |gauge: &mut Gauge| {
+        let mut sum = [0];
+        gauge.read(CHECKSUM, &mut sum).map(|()| sum[0])
+    };
+    look_twice(gauge, sum, |gauge| read_window(gauge, place)).map_err(|error| error.within(&place.name(0)))
 }
 
 /// Reads the block, verifies its checksum, and returns whether the gauge echoes the selection.
 /// BlockDataControl() is read too: a bit error can set it to 1, and the window then does not show data
 /// flash although everything else looks valid.
-fn read_window(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
+fn read_window(gauge: &mut Gauge, place: Window) -> Result<(([u8; WINDOW], bool), u8)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];
@@ -136,7 +130,7 @@ fn read_window(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)>
     }
     let (sum, reported) = (checksum(&window), bytes[2 + WINDOW]);
     if sum == reported {
-        return Ok((window, bytes[..2] == [place.subclass, block_of(place)]));
+        return Ok(((window, bytes[..2] == [place.subclass, block_of(place)]), sum));
     }
     let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
     Err(Error::new("", Cause::BadChecksum(why)).at(Step::ReadBlock))

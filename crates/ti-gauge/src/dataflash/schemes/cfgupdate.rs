@@ -42,8 +42,8 @@ impl Sequence for CfgUpdate {
         Block.load(gauge, place)
     }
 
-    fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()> {
-        Block.reload(gauge, place, known)
+    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        Block.glance(gauge, place)
     }
 
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
@@ -52,6 +52,10 @@ impl Sequence for CfgUpdate {
 
     fn fills_window(&self) -> bool {
         true
+    }
+
+    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+        Block.pieces(block)
     }
 
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {

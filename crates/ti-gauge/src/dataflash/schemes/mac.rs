@@ -1,7 +1,7 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 
-use super::Sequence;
+use super::{Sequence, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
@@ -29,22 +29,23 @@ impl Sequence for Mac {
 
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         let mut outcome = load_once(gauge, place);
-        // If read too early, the answer is the previous one, so the block is requested once more.
-        let early = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
-        if outcome.as_ref().is_err_and(early) {
+        // A bit error in the address made the gauge answer for another one.
+        let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
+        if outcome.as_ref().is_err_and(wrong) {
             Statistics::count(&gauge.statistics.retries);
-            gauge.wait(gauge.chip.access.select * 4);
             outcome = load_once(gauge, place);
         }
         outcome
     }
 
-    fn reload(&self, gauge: &mut Gauge, place: Window, _: &[u8; WINDOW]) -> Result<()> {
-        self.load(gauge, place).map(drop)
+    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        request(gauge, place)?;
+        settle(gauge);
+        read_answer(gauge, place).map(|(window, _)| window)
     }
 
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
-        let window = self.load(gauge, place)?;
+        let window = self.glance(gauge, place)?;
         into.copy_from_slice(&window[at..at + into.len()]);
         Ok(())
     }
@@ -53,23 +54,31 @@ impl Sequence for Mac {
         false
     }
 
+    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+        block.runs().into_iter().map(|run| block.only(run)).collect()
+    }
+
     fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-        let Some(range) = block.differing() else { return Ok(()) };
-        let address = block.place.base + range.start as u16;
-        let at = |error: Error| error.at(Step::WriteBlock);
-        gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
-        // The gauge loads the present bytes into MACData() and overwrites anything sent earlier.
-        gauge.wait(gauge.chip.access.select);
-        gauge.write(MAC_DATA, &block.new[range]).map_err(at)
+        for run in block.runs() {
+            let address = block.place.base + run.start as u16;
+            let at = |error: Error| error.at(Step::WriteBlock);
+            gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
+            // The gauge loads the present bytes into MACData() and overwrites anything sent earlier.
+            settle(gauge);
+            gauge.write(MAC_DATA, &block.new[run]).map_err(at)?;
+        }
+        Ok(())
     }
 
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-        let Some(range) = block.differing() else { return Ok(()) };
-        let address = block.place.base + range.start as u16;
-        let length = (range.len() + OVERHEAD) as u8;
-        let sent = gauge.write_once(MAC_DATA_SUM, &[sum(address, &block.new[range]), length]);
-        gauge.wait(gauge.chip.access.commit);
-        sent.map_err(|bus| Error::new("MACDataSum()", Cause::Bus(bus)).at(Step::WriteBlock))
+        for run in block.runs() {
+            let address = block.place.base + run.start as u16;
+            let length = (run.len() + OVERHEAD) as u8;
+            let sent = gauge.write_once(MAC_DATA_SUM, &[sum(address, &block.new[run]), length]);
+            gauge.wait(gauge.chip.access.commit);
+            sent.map_err(|bus| Error::new("MACDataSum()", Cause::Bus(bus)).at(Step::WriteBlock))?;
+        }
+        Ok(())
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
@@ -87,11 +96,23 @@ fn sum(address: u16, data: &[u8]) -> u8 {
     checksum(data).wrapping_sub(low).wrapping_sub(high)
 }
 
+fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
+    gauge.write(MAC, &place.base.to_le_bytes()).map_err(|error| error.at(Step::ReadBlock))
+}
+
 fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+    request(gauge, place)?;
+    let sum = |gauge: &mut Gauge| {
+        let mut sum = [0];
+        gauge.read(MAC_DATA_SUM, &mut sum).map(|()| sum[0])
+    };
+    look_twice(gauge, sum, |gauge| read_answer(gauge, place)).map_err(|error| error.within(&place.name(0)))
+}
+
+/// Reads the answer to a request, and checks its echo, length and sum.
+fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
     let address = place.base;
     let at = |error: Error| error.at(Step::ReadBlock);
-    gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
-    gauge.wait(gauge.chip.access.select);
     let mut answer = [0; 2 + WINDOW + 2];
     gauge.read(MAC, &mut answer).map_err(at)?;
     let echo = u16::from_le_bytes([answer[0], answer[1]]);
@@ -116,5 +137,5 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
     // At the end of data flash the answer is shorter than a window; the missing bytes are never used.
     let mut window = [0; WINDOW];
     window[..data.len()].copy_from_slice(data);
-    Ok(window)
+    Ok((window, reported))
 }

@@ -1,0 +1,191 @@
+//! What is known of the pack: the blocks that were read of it, and the values that distinguish it from others.
+//!
+//! From the factory all packs have the same serial number, so type, firmware and serial number alike do not make
+//! two packs one. Calibration does: it is measured for each board.
+
+use std::collections::BTreeMap;
+
+use super::Row;
+use super::blocks::{Bytes, Window, learned, locate};
+use crate::chip::{Chip, FLAT, Range};
+use crate::codec::{self, WINDOW};
+use crate::journal::{Identity, Mark, Plan};
+use crate::value::Value;
+
+/// Most that a counter may have risen since a mark was noted.
+const COUNTED: u16 = 2;
+
+/// Blocks as they were last read or written, while the gauge has answered.
+#[derive(Debug, Default)]
+pub(super) struct Known(BTreeMap<(u8, u16), [u8; WINDOW]>);
+
+impl Known {
+    pub(super) fn note(&mut self, place: Window, content: [u8; WINDOW]) {
+        self.0.insert((place.subclass, place.base), content);
+    }
+
+    pub(super) fn get(&self, place: Window) -> Option<[u8; WINDOW]> {
+        self.0.get(&(place.subclass, place.base)).copied()
+    }
+
+    pub(super) fn forget(&mut self, place: Window) {
+        self.0.remove(&(place.subclass, place.base));
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Bytes of a parameter, if every byte of it is known.
+    fn bytes(&self, (subclass, parameter): Row) -> Option<Vec<u8>> {
+        let places = (parameter.offset..).take(parameter.kind.size());
+        let byte = |offset| {
+            // Windows of a flat address space may begin anywhere.
+            let holds = |(&(id, base), content): (&(u8, u16), &[u8; WINDOW])| {
+                let at = usize::from(offset).checked_sub(usize::from(base)).filter(|at| *at < WINDOW)?;
+                (id == subclass.id).then(|| content[at])
+            };
+            self.0.iter().find_map(holds)
+        };
+        places.map(byte).collect()
+    }
+
+    /// What distinguishes this pack, as far as it is known.
+    pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
+        let mark = |&(id, offset): &(u8, u16)| {
+            let bytes = self.bytes(row(chip, id, offset)?)?;
+            Some(Mark { subclass: id, offset, bytes })
+        };
+        chip.preflight.marks.iter().filter_map(mark).collect()
+    }
+
+    /// The first mark in a block just read that differs from what is known: another pack has taken the place of
+    /// this one, or another program has written to it.
+    pub(super) fn contradicts(&self, chip: &'static Chip, place: Window, now: &[u8; WINDOW]) -> Option<Row> {
+        let before = self.get(place)?;
+        let moving = learned(chip, place);
+        let rows = chip.preflight.marks.iter().filter_map(|&(id, offset)| row(chip, id, offset));
+        rows.filter(|(subclass, _)| subclass.id == place.subclass).find(|(_, parameter)| {
+            let start = usize::from(parameter.offset);
+            let inside = Bytes::of(|at| {
+                (start..start + parameter.kind.size()).contains(&(usize::from(place.base) + at))
+            });
+            (0..WINDOW).any(|at| inside.has(at) && !moving.has(at) && before[at] != now[at])
+        })
+    }
+}
+
+/// Whether a gauge is the one for which a plan was made.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Match {
+    /// A value that differs from pack to pack is as it was.
+    Certain,
+    /// Nothing contradicts it, and nothing proves it: these are the values of every pack from the factory.
+    Weak,
+    /// The name of a value that is another one.
+    Other(String),
+}
+
+/// Compares the marks of a plan with a gauge; `stored` reads a window of it. A mark that the plan itself writes is
+/// one of two values, and counts as the gauge has it.
+pub(super) fn compare<E>(
+    chip: &'static Chip,
+    then: &Identity,
+    now: &Identity,
+    plan: &Plan,
+    mut stored: impl FnMut(Window) -> Result<[u8; WINDOW], E>,
+) -> Result<Match, E> {
+    let planned = |place: Window| {
+        plan.blocks.iter().find(|block| (block.subclass, block.base) == (place.subclass, place.base))
+    };
+    let mut certain = false;
+    for Mark { subclass: id, offset, bytes } in &plan.marks {
+        let Some(row) = row(chip, *id, *offset) else { continue };
+        let mut held = Vec::with_capacity(bytes.len());
+        let mut torn = false;
+        for (number, offset) in (*offset..).take(bytes.len()).enumerate() {
+            let (place, at) = locate(*id, row.0.start(), offset);
+            let byte = stored(place)?[at];
+            // In a block of the plan each byte has been explained already.
+            torn |= planned(place).is_some_and(|_| byte != bytes[number]);
+            held.push(byte);
+        }
+        if torn {
+            continue;
+        }
+        if row.1.learned {
+            let risen = word(&held).wrapping_sub(word(bytes));
+            if risen > COUNTED {
+                return Ok(Match::Other(row.1.name.into()));
+            }
+        } else if held != *bytes {
+            return Ok(Match::Other(row.1.name.into()));
+        } else {
+            certain |= distinguishes(row, &held);
+        }
+    }
+    if let Some(&(id, offset)) = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first())
+        && let Some(row) = row(chip, id, offset)
+    {
+        let (place, _) = locate(id, row.0.start(), offset);
+        let serial = now.serial.to_be_bytes();
+        if now.serial == then.serial {
+            certain |= now.serial != 0 && distinguishes(row, &serial);
+        } else if planned(place).is_none() {
+            return Ok(Match::Other("SerialNumber()".into()));
+        }
+    }
+    Ok(if certain { Match::Certain } else { Match::Weak })
+}
+
+fn word(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0, |word, &byte| word << 8 | u16::from(byte))
+}
+
+/// Whether these are not the bytes of every pack from the factory, and not those of erased flash either.
+fn distinguishes((_, parameter): Row, bytes: &[u8]) -> bool {
+    let default = match parameter.range {
+        Range::Int { default, .. } => default.map(Value::Int),
+        Range::Float { default, .. } => default.map(Value::Float),
+        Range::Text { default } => default.map(|text| Value::Text(text.into())),
+    };
+    let blank = |blank: u8| bytes.iter().all(|&byte| byte == blank);
+    match default.and_then(|default| codec::encode(parameter.kind, &default)) {
+        Some(default) => default != bytes && !blank(0) && !blank(0xff),
+        // An offset is 0 until it has been measured; of a gain without a printed default nothing is known.
+        None => matches!(parameter.range, Range::Int { .. }) && !blank(0) && !blank(0xff),
+    }
+}
+
+/// A row of the table, by subclass and offset.
+fn row(chip: &'static Chip, id: u8, offset: u16) -> Option<Row> {
+    let alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
+    alike.into_iter().find_map(|subclass| Some((subclass, subclass.parameter(offset)?)))
+}
+
+/// The windows that hold the marks. The serial number is left out where a register shows it.
+pub(super) fn mark_windows(chip: &'static Chip) -> Vec<Window> {
+    let registered = chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
+    let mut windows: Vec<Window> = Vec::new();
+    for &(id, offset) in chip.preflight.marks.iter().filter(|mark| !registered.contains(mark)) {
+        let Some((subclass, parameter)) = row(chip, id, offset) else { continue };
+        let (place, _) = locate(id, subclass.start(), offset);
+        if !parameter.learned && !windows.contains(&place) {
+            windows.push(place);
+        }
+    }
+    windows
+}
+
+/// The windows on either side of one, in the same subclass: a loss of power while flash is programmed may disturb
+/// them.
+pub(super) fn neighbours(chip: &Chip, place: Window) -> Vec<Window> {
+    let step = WINDOW as u16;
+    let sides = [place.base.checked_sub(step), place.base.checked_add(step)];
+    let inside = |base: &u16| {
+        let mut alike = chip.subclasses.iter().filter(|row| row.id == place.subclass);
+        place.subclass == FLAT || alike.any(|row| usize::from(*base) < usize::from(row.stored()))
+    };
+    let sides = sides.into_iter().flatten().filter(inside);
+    sides.map(|base| Window { base, ..place }).collect()
+}
