@@ -17,7 +17,7 @@ use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
 use super::knob;
 use super::model::{Kept, Model, Registers, bits};
-use super::part::{Action, BlockPart, Flag, Gate, Host, Part, Place, Status};
+use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Source, Window, checksum};
@@ -44,6 +44,8 @@ pub(super) struct Block {
     part: &'static BlockPart,
     gauging: Gauging,
     ram: Ram,
+    /// The scale that fits the board.
+    board: Option<Scale>,
     /// Offsets of this specimen.
     board_offset: i8,
     cc_offset: i16,
@@ -110,6 +112,11 @@ impl BlockPart {
         self.data_memory.as_ref().and_then(|memory| memory.gain_sign)
     }
 
+    fn scale(&self, flash: &Flash) -> Option<Scale> {
+        let ((id, offset), external) = self.gate.as_ref()?.divider?;
+        Some(Scale { divider: flash.u16(id, offset), external: is_set(flash, Some(external)) })
+    }
+
     /// Makes the sign of CC Gain what this specimen's ROM has.
     fn set_gain_sign(&self, flash: &mut Flash) {
         if let Some((id, offset)) = self.gain_sign() {
@@ -158,6 +165,7 @@ impl Block {
             part: scheme,
             gauging: Gauging::new(&scheme.map, &device.flash, 60.0),
             ram: Ram::new(scheme, &device.flash, now, now),
+            board: scheme.scale(&device.flash),
             // Offsets differ from part to part, by little.
             board_offset: (options.seed % 17) as i8 - 8,
             cc_offset: -1200 + (options.seed % 101) as i16 - 50,
@@ -209,16 +217,11 @@ impl Block {
         self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash)
     }
 
-    /// The divider of a stack's voltage, if the part has one.
-    fn divider(&self, flash: &Flash) -> Option<u16> {
-        let divider = self.part.gate.as_ref().and_then(|gate| gate.divider);
-        divider.map(|(id, offset)| flash.u16(id, offset))
-    }
-
-    /// Voltage() as the host reads it. The board's divider is the one that was calibrated, but a divider of 0
-    /// gives 0.
+    /// Voltage() as the host reads it.
     fn voltage(&self, flash: &Flash) -> u16 {
-        if self.divider(flash) == Some(0) { 0 } else { self.gauging.voltage_mv() }
+        let voltage_mv = self.gauging.voltage_mv();
+        let scales = self.part.scale(flash).zip(self.board);
+        scales.map_or(voltage_mv, |(scale, board)| scale.shows(board, voltage_mv))
     }
 
     /// Stores something that the gauge itself keeps.
@@ -598,17 +601,20 @@ impl Wire for Block {
         self.ram.seal.level
     }
 
-    /// The stack voltage scaled back to a cell's against Flash Update OK Cell Volt (SLUSBZ5D 7.3.16.3),
-    /// unless calibration is enabled. Both parameters count at once.
+    fn fit_board(&mut self, flash: &Flash) {
+        self.board = self.part.scale(flash);
+    }
+
+    /// Flash Update OK Cell Volt against Voltage() (SLUSBZ5D 7.3.16.3) and against Voltage() scaled back to a
+    /// cell's, as the limit for seven cells requires (8.2.2.1.3), unless calibration is enabled. All parameters
+    /// count at once.
     fn gate(&self, flash: &Flash) -> bool {
-        let Some(Gate { limit: (id, offset), .. }) = self.part.gate else { return true };
-        let voltage = f64::from(self.voltage(flash));
-        let cell = match self.divider(flash) {
-            None => voltage,
-            Some(0) => 0.0,
-            Some(divider) => voltage * 5000.0 / f64::from(divider),
-        };
-        self.ram.calibration || cell >= f64::from(flash.i16(id, offset))
+        let Some(gate) = &self.part.gate else { return true };
+        let limit = i64::from(flash.i16(gate.limit.0, gate.limit.1));
+        let voltage = i64::from(self.voltage(flash));
+        let scaled = self.part.scale(flash);
+        let scaled = scaled.is_none_or(|scale| 5000 * voltage >= limit * i64::from(scale.divider));
+        self.ram.calibration || voltage >= limit && scaled
     }
 
     fn mode(&self, flash: &Flash) -> &'static str {

@@ -399,6 +399,7 @@ impl Gauge {
             "voltage_mv" => {
                 let forced = if text == "auto" { None } else { Some(number(0.0, 65_535.0)? as u16) };
                 wire.model().battery_mut().forced_mv = forced;
+                wire.fit_board(&device.flash);
             }
             "power" => match (knob::POWER.read(name, text)?, device.is_on()) {
                 (true, false) => device.power_up(wire),

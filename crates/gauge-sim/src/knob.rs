@@ -49,7 +49,8 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("temperature", "ambient temperature in 0.1 degrees Celsius"),
     Of::Gauge.set("speed", "seconds of battery time to a second; 0 freezes it"),
     Of::Gauge.set("soc", "state of charge in percent"),
-    Of::Gauge.set("voltage_mv", "what Voltage() shows in mV; `auto` for the model's"),
+    Of::Gauge
+        .set("voltage_mv", "what Voltage() shows in mV with the present calibration; `auto` for the model's"),
     Of::Gauge.set("power", "`on` or `off`: without it the gauge loses its RAM and does not answer"),
     Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, hdq or off"),
     Of::Block.set("protocol", "`i2c` or `hdq`: the interface the gauge listens on"),

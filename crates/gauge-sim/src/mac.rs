@@ -10,10 +10,10 @@ use std::time::Duration;
 use super::device::{Device, Gauge};
 use super::error::Result;
 use super::flash::{BLOCK, Flash};
-use super::flat::{BASE, DATA_FLASH, SIZE, i16_at};
+use super::flat::{BASE, DATA_FLASH, SIZE, i16_at, u8_at, u16_at};
 use super::knob;
 use super::model::{Kept, MacModel, Model, Registers, Reply};
-use super::part::{MacPart, Part};
+use super::part::{MacPart, Part, Scale};
 use super::seal::{Level, Seal};
 use super::window::checksum;
 use super::wire::{Options, ROM_ADDRESS, Wire};
@@ -74,11 +74,20 @@ impl Buffer {
     }
 }
 
+impl MacPart {
+    fn scale(&self, flash: &Flash) -> Option<Scale> {
+        let (divider, (byte, bit)) = self.divider?;
+        Some(Scale { divider: u16_at(flash, divider), external: u8_at(flash, byte) & bit != 0 })
+    }
+}
+
 /// A gauge with ManufacturerAccessControl().
 pub(super) struct Mac {
     part: &'static MacPart,
     model: Box<dyn MacModel>,
     ram: Ram,
+    /// The scale that fits the board.
+    board: Option<Scale>,
     /// By how many bytes this specimen has its data flash lower than the manual.
     shift: u16,
 }
@@ -118,7 +127,8 @@ impl Mac {
             }
         })?;
         let model = (scheme.model)(&device.flash);
-        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::default(), shift: 0 }))
+        let board = scheme.scale(&device.flash);
+        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::default(), board, shift: 0 }))
     }
 
     fn sealed(&self) -> bool {
@@ -126,8 +136,10 @@ impl Mac {
     }
 
     /// Voltage() as the host reads it.
-    fn voltage_mv(&self) -> u16 {
-        self.model.battery().forced_mv.unwrap_or_else(|| self.model.voltage_mv())
+    fn voltage_mv(&self, flash: &Flash) -> u16 {
+        let voltage_mv = self.model.battery().forced_mv.unwrap_or_else(|| self.model.voltage_mv());
+        let scales = self.part.scale(flash).zip(self.board);
+        scales.map_or(voltage_mv, |(scale, board)| scale.shows(board, voltage_mv))
     }
 
     /// The offset in data flash that a word addresses in this specimen.
@@ -293,7 +305,8 @@ impl Wire for Mac {
             0x60 => shown.sum,
             0x61 => shown.length,
             _ => {
-                let (model, level, voltage_mv) = (&self.model, self.ram.seal.level, self.voltage_mv());
+                let (model, level, voltage_mv) =
+                    (&self.model, self.ram.seal.level, self.voltage_mv(&device.flash));
                 let registers = self.ram.registers.get_or_insert_with(|| model.registers(level, voltage_mv));
                 let byte = registers.get(usize::from(register)).copied().unwrap_or(0);
                 self.model.seen(register);
@@ -330,7 +343,11 @@ impl Wire for Mac {
     }
 
     fn gate(&self, flash: &Flash) -> bool {
-        i32::from(self.voltage_mv()) >= i32::from(i16_at(flash, self.part.gate))
+        i32::from(self.voltage_mv(flash)) >= i32::from(i16_at(flash, self.part.gate))
+    }
+
+    fn fit_board(&mut self, flash: &Flash) {
+        self.board = self.part.scale(flash);
     }
 
     fn mode(&self, _: &Flash) -> &'static str {

@@ -92,8 +92,33 @@ pub(super) struct Own {
 #[derive(Debug)]
 pub(super) struct Gate {
     pub(super) limit: Place,
-    /// The divider of a stack's voltage.
-    pub(super) divider: Option<Place>,
+    /// Voltage Divider, and the bit that switches off the internal divider.
+    pub(super) divider: Option<(Place, Flag)>,
+}
+
+/// What Voltage() shows of the voltage at the pin. It is proportional to Voltage Divider, the voltage at the
+/// full scale of the converter, and 5 times as large without the internal divider (SLUSBZ5D 7.3.8).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Scale {
+    pub(super) divider: u16,
+    pub(super) external: bool,
+}
+
+impl Scale {
+    fn factor(self) -> u64 {
+        u64::from(self.divider) * if self.external { 5 } else { 1 }
+    }
+
+    /// What Voltage() shows of a pack that it would show as `voltage_mv` with the scale that fits the board. It
+    /// overflows, and beyond the range of the converter it is 0, as owners read it (E2E 255438).
+    pub(super) fn shows(self, board: Self, voltage_mv: u16) -> u16 {
+        if self == board && self.divider > 0 {
+            return voltage_mv;
+        }
+        let board = board.factor().max(1);
+        let shown = (u64::from(voltage_mv) * self.factor() + board / 2) / board;
+        if self.external && shown > u64::from(self.divider) { 0 } else { shown as u16 }
+    }
 }
 
 /// A word that the host writes.
@@ -169,6 +194,8 @@ pub(super) enum Status {
 pub(super) struct MacPart {
     /// The address of Flash Update OK Voltage.
     pub(super) gate: u16,
+    /// The address of Voltage Divider, and the bit of a byte that switches off the internal divider.
+    pub(super) divider: Option<(u16, (u16, u8))>,
     /// Area and offset of the keys: four words in the order in which they are sent.
     pub(super) keys: Place,
     /// The subcommand that seals.

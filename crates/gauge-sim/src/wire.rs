@@ -60,6 +60,8 @@ pub(super) trait Wire: Send {
     fn refresh(&mut self);
     fn model(&mut self) -> &mut dyn Model;
     fn level(&self) -> Level;
+    /// Makes the board fit the calibration: Voltage() shows the pack's voltage as long as that does not change.
+    fn fit_board(&mut self, flash: &Flash);
     /// Whether the voltage allows flash to be programmed.
     fn gate(&self, flash: &Flash) -> bool;
 

@@ -21,6 +21,8 @@ pub(super) static PART: Part = Part {
     timing: Timing::MAC,
     scheme: Scheme::Mac(&MacPart {
         gate: 0x4157,
+        // [VEN_EN]. No source says by how much Voltage() changes: as in the bq34z100-G1.
+        divider: Some((0x4010, (0x413D, 0x10))),
         keys: (PRIVATE, 0),
         seal: 0x0030,
         answers_elsewhere: true,
@@ -128,7 +130,6 @@ struct Settings {
     low_mv: (f64, f64, f64),
     soc_low: (f64, f64),
     edv: [f64; 3],
-    divider: u16,
     config: u16,
 }
 
@@ -147,7 +148,6 @@ impl Settings {
             low_mv: (number(0x4184), byte(0x4186), number(0x4187)),
             soc_low: (byte(0x418E), byte(0x418F)),
             edv: [number(0x425A), number(0x425D), number(0x4260)],
-            divider: u16_at(flash, 0x4010),
             config: u16_at(flash, 0x413A),
         }
     }
@@ -346,9 +346,8 @@ impl Model for Cedv {
 }
 
 impl MacModel for Cedv {
-    /// The board's divider is the one that was calibrated, but a divider of 0 gives 0.
     fn voltage_mv(&self) -> u16 {
-        if self.settings.divider == 0 { 0 } else { whole(self.cell_mv() * self.battery.cells) }
+        whole(self.cell_mv() * self.battery.cells)
     }
 
     fn calibrating(&self) -> bool {

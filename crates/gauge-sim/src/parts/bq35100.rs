@@ -21,6 +21,7 @@ pub(super) static PART: Part = Part {
     timing: Timing { power_up: BOOT, reset: BOOT, reset_stretches: true, ..Timing::MAC },
     scheme: Scheme::Mac(&MacPart {
         gate: 0x41B6,
+        divider: None,
         keys: (DATA_FLASH, offset(0x41CC)),
         seal: 0x0020,
         answers_elsewhere: false,

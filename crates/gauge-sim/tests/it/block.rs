@@ -484,6 +484,43 @@ mod flash {
         assert_eq!(bench.sim.get("dropped").unwrap(), "2");
     }
 
+    /// A pack of four cells behind an external divider: 850 mV at the pin. Five times that without the internal
+    /// divider, and in proportion to Voltage Divider.
+    #[test]
+    fn voltage_follows_the_divider_and_voltsel() {
+        let bench = Bench::unsealed();
+        bench.write(68, 0, &[0, 0]);
+        bench.set("voltage_mv", "850");
+        bench.write(64, 0, &[0x09]);
+        assert_eq!(bench.word(0x08), 4250);
+        bench.write(104, 14, &[0x4E, 0x20]);
+        assert_eq!(bench.word(0x08), 17_000);
+        bench.write(64, 0, &[0x01]);
+        assert_eq!(bench.word(0x08), 3400);
+        // Without the external divider, the voltage is out of the converter's range; and it overflows.
+        bench.set("voltage_mv", "auto");
+        bench.write(104, 14, &[0x13, 0x88]);
+        bench.set("voltage_mv", "3855");
+        bench.write(64, 0, &[0x09]);
+        assert_eq!(bench.word(0x08), 0);
+        bench.write(64, 0, &[0x01]);
+        bench.set("voltage_mv", "12000");
+        bench.write(104, 14, &[0x75, 0x30]);
+        assert_eq!(bench.word(0x08), (72_000u32 - 65_536) as u16);
+    }
+
+    /// 2800 mV of Voltage() itself, even where the scaled voltage is higher.
+    #[test]
+    fn the_limit_applies_to_voltage_as_well() {
+        let bench = Bench::unsealed();
+        bench.write(104, 14, &[0x0F, 0xA0]);
+        for (voltage, stored) in [("2799", false), ("2800", true)] {
+            bench.set("voltage_mv", voltage);
+            bench.write(58, 0, b"x");
+            assert_eq!(bench.block(58, 0).0[0] == b'x', stored, "{voltage}");
+        }
+    }
+
     #[test]
     fn a_divider_of_0_blocks_writes_until_calibration() {
         let bench = Bench::unsealed();

@@ -291,6 +291,17 @@ mod traffic {
         bench.replay("W 3E 00 40 ; R 40 4 -> 7F 71 20 5C");
     }
 
+    #[test]
+    fn voltage_follows_the_divider() {
+        let bench = unsealed("bq34110");
+        bench.set("voltage_mv", "3500");
+        bench.replay("W 3E 10 40 ; W 40 17 70 ; W 60 28 06 ; X 100");
+        assert_eq!(bench.word(0x08), 4200);
+        bench.replay("W 3E 10 40 ; W 40 00 64 ; W 60 4B 06 ; X 100");
+        assert_eq!(bench.word(0x08), 70);
+        bench.replay("W 3E 10 40 ; W 40 13 88 ; W 60 14 06 ; X 100 ; W 3E 10 40 ; R 40 2 -> 00 64");
+    }
+
     /// E2E 846947.
     #[test]
     fn operation_config_a_at_low_voltage() {
