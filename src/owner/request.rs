@@ -179,7 +179,7 @@ impl Owner {
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
         match &outcome {
             Ok(Outcome::Unchanged) => {}
-            Ok(Outcome::Written { reset: false }) => {
+            Ok(Outcome::Written { reset: false, .. }) => {
                 let touched = |row: &Subclass, change: &Change| match change.row {
                     Some((subclass, _)) => ptr::eq(subclass, row),
                     None => change.place.subclass == row.id,
@@ -187,7 +187,7 @@ impl Owner {
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
-            Ok(Outcome::Written { reset: true }) | Err(_) => {
+            Ok(Outcome::Written { reset: true, .. }) | Err(_) => {
                 self.forget_dataflash();
                 self.schedule.hurry();
             }

@@ -29,7 +29,7 @@ mod session;
 mod settle;
 mod wear;
 
-use blocks::{Dirty, blocks, gather};
+use blocks::{Dirty, blocks, gather, old_bytes};
 use checks::{integer, is_gate};
 use io::{read_subclass, store, verify_written};
 use preflight::{Found, KnownPack};
@@ -63,7 +63,7 @@ pub struct Change {
 }
 
 /// Result of a successful write.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Data flash already held the values: nothing was programmed and the gauge was not reset.
     Unchanged,
@@ -71,6 +71,8 @@ pub enum Outcome {
     Written {
         /// Whether the gauge was reset.
         reset: bool,
+        /// For each change, the bytes that it replaced.
+        old: Vec<Vec<u8>>,
     },
 }
 
@@ -211,6 +213,7 @@ impl DataFlash {
         for change in changes {
             self.check_safe(gauge, change, &dirty, voltage_mv)?;
         }
+        let old = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
@@ -230,7 +233,7 @@ impl DataFlash {
             self.identity = self.identity.filter(|_| plan.serial.is_none());
         }
         program(gauge, session, &dirty, in_window, reset)?;
-        Ok(Outcome::Written { reset })
+        Ok(Outcome::Written { reset, old })
     }
 }
 
