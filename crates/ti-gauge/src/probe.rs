@@ -80,7 +80,9 @@ pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading
                 plausible.extend(reading.is_plausible().then_some(reading));
             }
             // A part may refuse the registers of another.
-            Err(error) if *error.cause() == Cause::Bus(BusError::NoAck) => failure = Some(error),
+            Err(error) if matches!(error.cause(), Cause::Bus(bus) if bus.may_be_no_ack()) => {
+                failure = Some(error);
+            }
             Err(error) => return Err(error),
         }
     }
