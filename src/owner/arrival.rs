@@ -40,6 +40,7 @@ impl Owner {
     /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
     pub(super) fn arrive(&mut self) -> Result<()> {
         if self.unverified {
+            self.schedule.reads(self.gauge.clock.now());
             probe::check(&mut self.gauge)?;
         }
         let answers = self.gauge.identify()?;

@@ -70,6 +70,14 @@ impl Request {
     }
 }
 
+/// What has to be known of a change of the seal state that leads through SEALED.
+fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
+    (now == Seal::FullAccess && goal == Seal::Unsealed).then_some(
+        "UNSEALED is reached from FULL ACCESS only through SEALED; a gauge that was never sealed before may from \
+         now on be SEALED after each reset, and then needs its unseal key",
+    )
+}
+
 impl Owner {
     /// Why a request is refused before anything is sent, if it is.
     fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
@@ -106,6 +114,9 @@ impl Owner {
                 done(self.logged(outcome));
             }
             Request::Seal(goal, done) => {
+                if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
+                    log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
+                }
                 let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
                 self.publish_seal();
                 done(self.logged(outcome));
@@ -274,6 +285,18 @@ mod tests {
         }
         assert_eq!(rig.transfers(), transfers, "nothing was sent");
         assert!(rig.sim.flash() == flash);
+    }
+
+    #[test]
+    fn only_the_way_from_full_access_to_unsealed_passes_through_sealed_unasked() {
+        let states = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
+        for (now, goal) in states.into_iter().flat_map(|now| states.map(|goal| (now, goal))) {
+            let warns = (now, goal) == (Seal::FullAccess, Seal::Unsealed);
+            assert_eq!(passes_sealed(now, goal).is_some(), warns, "{now:?} to {goal:?}");
+        }
+        let mut rig = Rig::open();
+        rig.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("the default keys");
+        assert!(passes_sealed(rig.handle.published().seal, Seal::Unsealed).is_some());
     }
 
     #[test]

@@ -407,6 +407,11 @@ impl Subcommand {
 }
 
 impl Chip {
+    /// Whether it takes only one byte per write at that clock of the bus, where the clock is known.
+    pub fn is_slower_than(&self, clock_hz: Option<u32>) -> bool {
+        self.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
+    }
+
     /// The chip of that name on the command line.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
         CHIPS.iter().copied().find(|chip| chip.name.eq_ignore_ascii_case(name))
