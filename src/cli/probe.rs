@@ -167,7 +167,18 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
             };
             found(State::Other, chips, format!("{versions}: {}; {what}", sibling.name))
         }
-        None => found(State::Other, chips, format!("{versions}: unknown part")),
+        None => match &who.unproven[..] {
+            [] => found(State::Other, chips, format!("{versions}: unknown part")),
+            unproven => {
+                let names: Vec<_> = unproven.iter().map(|chip| chip.name).collect();
+                let what = format!(
+                    "{versions}: versions for which no table was proven; can be mounted as {}, without data \
+                     flash; {reads}",
+                    names.join(" or ")
+                );
+                found(State::Other, chips, what)
+            }
+        },
     }
 }
 

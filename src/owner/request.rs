@@ -89,9 +89,8 @@ impl Owner {
                 "it has not answered yet, so nothing is sent to its address; check that it is connected";
             return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
         }
-        if let Some(sibling) = self.shared.published().sibling {
-            let why = "no table describes its data flash and subcommands; only standard commands are read";
-            return Some(Error::new(sibling.name, Cause::NotPermitted(why.into())));
+        if let Some(error) = self.limitation() {
+            return Some(error);
         }
         let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
         let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
@@ -246,7 +245,7 @@ mod tests {
     use super::super::Startup;
     use super::super::rig::Rig;
     use super::*;
-    use ti_gauge::chip::SIBLINGS;
+    use ti_gauge::chip::{Limited, SIBLINGS};
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
 
@@ -324,7 +323,7 @@ mod tests {
     #[test]
     fn a_request_to_a_relative_without_a_table_is_refused() {
         let mut rig = Rig::open();
-        rig.owner.shared.publish(|published| published.sibling = Some(&SIBLINGS[0]));
+        rig.owner.shared.publish(|published| published.limited = Some(Limited::Sibling(&SIBLINGS[0])));
         refused(&mut rig, Duration::ZERO, |error| {
             matches!(error.cause(), Cause::NotPermitted(_)) && error.to_string().starts_with(SIBLINGS[0].name)
         });

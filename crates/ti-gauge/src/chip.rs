@@ -25,7 +25,7 @@ pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
-pub use recognise::{Recognised, recognise};
+pub use recognise::{Limited, Recognised, recognise};
 
 /// Every chip that gaugefs knows, in the order of the README.
 pub static CHIPS: &[&Chip] = &[

@@ -163,6 +163,8 @@ pub struct Who {
     pub chips: Vec<&'static Chip>,
     /// A part without a table that gives these answers.
     pub sibling: Option<&'static Sibling>,
+    /// The chips of this device type, none of whose tables was proven for these versions.
+    pub unproven: Vec<&'static Chip>,
 }
 
 /// Identifies a device that reads like a gauge, by the questions for each of the plausible chips.
@@ -214,7 +216,13 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
                 who.chips.push(chip);
             }
             Recognised::Sibling(sibling) => who.sibling = Some(sibling),
-            Recognised::Chip(_) | Recognised::Ambiguous(_) | Recognised::Unknown => {}
+            Recognised::Unproven(several) if several.iter().any(|one| ptr::eq(*one, *chip)) => {
+                who.unproven.push(chip);
+            }
+            Recognised::Chip(_)
+            | Recognised::Ambiguous(_)
+            | Recognised::Unproven(_)
+            | Recognised::Unknown => {}
         }
     }
     Ok(who)
@@ -236,7 +244,8 @@ pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
         return failed(Cause::Gone(STRANGE.into()));
     }
     let who = identify(&plausible, target).map_err(|error| error.within(subject))?;
-    match (&who.chips[..], who.sibling) {
+    let chips = if who.chips.is_empty() && who.sibling.is_none() { &who.unproven } else { &who.chips };
+    match (&chips[..], who.sibling) {
         ([one], _) => Ok(one),
         ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
         ([], Some(sibling)) => {
