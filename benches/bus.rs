@@ -236,7 +236,7 @@ fn flip((subclass, parameter): Row, bytes: &[u8]) -> Change {
 fn write(gauge: &mut Gauge, dataflash: &mut DataFlash, changes: &[Change]) -> Result<(Cost, bool)> {
     let before = Cost::spent(gauge);
     let outcome = dataflash.write(gauge, changes, Duration::ZERO)?;
-    Ok((Cost::spent(gauge).since(before), outcome == Outcome::Written { reset: true }))
+    Ok((Cost::spent(gauge).since(before), matches!(outcome, Outcome::Written { reset: true, .. })))
 }
 
 /// What a write that changes every block has cost.

@@ -158,13 +158,14 @@ impl Owner {
         signal: Arc<Signal>,
     ) -> (Self, Arc<Shared>) {
         let keys = std::mem::take(&mut settings.keys);
+        let now = clock.now();
         let gauge = Gauge::new(chip, bus, clock, keys, settings.byte_writes);
         let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, signal));
         let owner = Self {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
-            schedule: Schedule::new(startup.phase),
+            schedule: Schedule::new(startup.phase, now),
             rare: Registers::UNREAD,
             statics_are_current: false,
             control_status: 0,

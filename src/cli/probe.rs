@@ -16,7 +16,7 @@ use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use ti_gauge::chip::Role;
-use ti_gauge::probe::{self, ROM_ADDRESS, Reading};
+use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
@@ -37,6 +37,9 @@ pub(super) struct Probe {
     /// Identify the gauge at this 7-bit address
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
     address: Option<u8>,
+    /// Write one byte a transfer, for a bus above 100 kHz
+    #[arg(long, requires = "address")]
+    byte_writes: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -83,8 +86,8 @@ impl Probe {
     pub(super) fn run(self) -> Result<ExitCode> {
         let adapter = Adapter::find(&self.bus)?;
         let found = match self.address {
-            Some(address) => vec![examine(&adapter, address, true)?],
-            None => vec![examine(&adapter, GAUGE_ADDRESS, false)?, examine_rom(&adapter)?],
+            Some(address) => vec![examine(&adapter, address, true, self.byte_writes)?],
+            None => vec![examine(&adapter, GAUGE_ADDRESS, false, false)?, examine_rom(&adapter)?],
         };
         let any = found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing));
         if self.json {
@@ -120,7 +123,7 @@ impl Probe {
 }
 
 /// What is at an address. Only one that the user has named is asked for its type.
-fn examine(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
+fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
     if let Some(details) = driver(adapter, address) {
         return found(State::Driver, Vec::new(), details);
@@ -130,7 +133,8 @@ fn examine(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
         let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
         Ok(Box::new(bus) as Box<dyn Bus>)
     };
-    let plausible = match probe::candidates(&open, &clock).map_err(Error::from) {
+    let target = Target { open: &open, clock: &clock, byte_writes, clock_hz: adapter.clock_hz() };
+    let plausible = match probe::candidates(&target).map_err(Error::from) {
         Ok(plausible) => plausible,
         Err(error) => match error.errno() {
             Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
@@ -147,7 +151,7 @@ fn examine(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
         let chips = plausible.iter().map(|reading| reading.chip.name).collect();
         return found(State::Maybe, chips, reads);
     }
-    let who = probe::identify(&plausible, &open, &clock)?;
+    let who = probe::identify(&plausible, &target)?;
     let answers = who.answers;
     let versions = format!(
         "device type 0x{:04x}, firmware 0x{:04x}, hardware 0x{:04x}",
@@ -163,7 +167,18 @@ fn examine(adapter: &Adapter, address: u8, named: bool) -> Result<Found> {
             };
             found(State::Other, chips, format!("{versions}: {}; {what}", sibling.name))
         }
-        None => found(State::Other, chips, format!("{versions}: unknown part")),
+        None => match &who.unproven[..] {
+            [] => found(State::Other, chips, format!("{versions}: unknown part")),
+            unproven => {
+                let names: Vec<_> = unproven.iter().map(|chip| chip.name).collect();
+                let what = format!(
+                    "{versions}: versions for which no table was proven; can be mounted as {}, without data \
+                     flash; {reads}",
+                    names.join(" or ")
+                );
+                found(State::Other, chips, what)
+            }
+        },
     }
 }
 

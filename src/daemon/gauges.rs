@@ -139,7 +139,7 @@ impl Opening {
         let settings = Settings {
             keys,
             interval: gauge.interval(),
-            byte_writes: gauge.byte_writes.unwrap_or_default() || too_fast(chip, clock_hz),
+            byte_writes: gauge.byte_writes.unwrap_or_default() || chip.is_slower_than(clock_hz),
             allow_unproven: gauge.allow_unproven.unwrap_or_default(),
             limits: gauge.limits(),
             auth_order: gauge.auth_order.unwrap_or_default(),
@@ -181,11 +181,6 @@ fn slow() -> Error {
 fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
     let image = Image::open(path, Some(chip))?;
     Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
-}
-
-/// Whether the chip takes only one byte per write at that clock.
-fn too_fast(chip: &Chip, clock_hz: Option<u32>) -> bool {
-    chip.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
 }
 
 /// The gauge's keys, from its key file or else from systemd's credential.

@@ -19,7 +19,7 @@ use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
 use ti_gauge::chip::{Chip, SealStatus, Tier};
 use ti_gauge::gauge::bursts;
-use ti_gauge::probe;
+use ti_gauge::probe::{self, Target};
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
@@ -45,6 +45,8 @@ pub(crate) enum Source<'a> {
         address: u8,
         /// `None` where the gauge is asked.
         chip: Option<&'static Chip>,
+        /// Write one byte a transfer, also while the gauge is asked.
+        byte_writes: bool,
     },
 }
 
@@ -90,7 +92,9 @@ impl<'a> Source<'a> {
             }
             (None, Some(file), _) => Self::Recording(file),
             (None, None, Some(bus)) => {
-                Self::Bus { bus, address: gauge.address.unwrap_or(GAUGE_ADDRESS), chip: gauge.chip }
+                let address = gauge.address.unwrap_or(GAUGE_ADDRESS);
+                let byte_writes = gauge.byte_writes.unwrap_or_default();
+                Self::Bus { bus, address, chip: gauge.chip, byte_writes }
             }
             (None, None, None) => unreachable!("the command line and the configuration demand a source"),
         }
@@ -121,8 +125,9 @@ impl<'a> Source<'a> {
                 let (chip, replay) = recorded(path)?;
                 Ok(Opened::new(chip, Box::new(replay), subject))
             }
-            Self::Bus { bus, address, chip } => {
-                let opened = match (on_bus(bus, address, chip, &subject, mountpoint, clock), chip) {
+            Self::Bus { bus, address, chip, byte_writes } => {
+                let opened = on_bus(bus, address, chip, byte_writes, &subject, mountpoint, clock);
+                let opened = match (opened, chip) {
                     (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
                         absent(bus, address, chip, subject, error, clock)?
                     }
@@ -162,6 +167,7 @@ fn on_bus(
     bus: &Path,
     address: u8,
     chip: Option<&'static Chip>,
+    byte_writes: bool,
     subject: &str,
     mountpoint: &Path,
     clock: &Arc<dyn Clock>,
@@ -174,7 +180,10 @@ fn on_bus(
     };
     let known = match chip {
         Some(chip) => chip,
-        None => probe::find(subject, &open, clock)?,
+        None => {
+            let clock_hz = adapter.clock_hz();
+            probe::find(subject, &Target { open: &open, clock, byte_writes, clock_hz })?
+        }
     };
     Ok(Opened {
         clock_hz: adapter.clock_hz(),

@@ -45,7 +45,7 @@ impl Supply {
 
     /// Whether the table is the part's own, and not that of a relative with the same standard commands.
     pub(super) fn has_own_table(&self) -> bool {
-        self.published().sibling.is_none()
+        self.published().limited.is_none()
     }
 
     /// The last poll, unless it is older than three poll intervals: then its values are no longer shown.
@@ -57,7 +57,7 @@ impl Supply {
 
     pub(super) fn reading<'a>(&'a self, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
         let chip = self.chip();
-        let model = self.published().sibling.map_or(chip.model, |sibling| sibling.name);
+        let model = self.published().limited.map_or(chip.model, |limited| limited.name(chip));
         Reading { chip, model, snapshot, scales: &self.scales }
     }
 

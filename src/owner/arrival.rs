@@ -5,10 +5,13 @@ use std::time::Duration;
 
 use super::{Answers, Owner, Seal};
 use crate::error::{Cause, Error, Result, Step};
-use ti_gauge::chip::{Chip, Recognised, Role, Sibling, recognise};
+use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
 use ti_gauge::dataflash::Outcome;
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
+
+/// A gauge's watchdog allows each command twice a second.
+const ASK_AGAIN: Duration = Duration::from_secs(1);
 
 impl Owner {
     /// Identifies the gauge and polls it for the first time.
@@ -28,7 +31,7 @@ impl Owner {
         self.restore_after_power_loss();
         // Reading the bytes that show a quirk takes a key, unless the gauge is found unsealed.
         let published = self.shared.published();
-        if published.seal != Seal::Sealed && published.sibling.is_none() {
+        if published.seal != Seal::Sealed && published.limited.is_none() {
             let chip = self.gauge.chip;
             let subclasses: Vec<_> =
                 chip.quirks.iter().filter_map(|quirk| index(chip, quirk.subclass)).collect();
@@ -40,15 +43,11 @@ impl Owner {
     /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
     pub(super) fn arrive(&mut self) -> Result<()> {
         if self.unverified {
+            self.schedule.reads(self.gauge.clock.now());
             probe::check(&mut self.gauge)?;
         }
-        let answers = self.gauge.identify()?;
+        let (answers, limited) = self.identify()?;
         let chip = self.gauge.chip;
-        let sibling = check_identity(chip, &answers)?;
-        if let Some(sibling) = sibling {
-            let prefix = &self.shared.prefix;
-            log::warn!("{prefix}this is a {}, not a {}: standard commands only", sibling.name, chip.model);
-        }
         self.unverified = false;
         self.gauge.forget_refusal();
         self.dataflash.meet(chip, &answers);
@@ -57,12 +56,38 @@ impl Owner {
         self.schedule.begin_anew();
         self.restore_tried = false;
         self.shared.publish(|published| {
-            (published.answers, published.sibling, published.digest) = (answers, sibling, None);
+            (published.answers, published.limited, published.digest) = (answers, limited, None);
         });
-        if sibling.is_none() {
-            self.settle();
+        match self.limitation() {
+            None => self.settle(),
+            Some(why) => self.shared.report(&why),
         }
         Ok(())
+    }
+
+    /// Asks the gauge what it is, and checks that it can be mounted with the chip's table. I2C has no error
+    /// detection, so versions that the table was not proven for are asked for once more.
+    fn identify(&mut self) -> Result<(Answers, Option<Limited>)> {
+        let chip = self.gauge.chip;
+        let answers = self.gauge.identify()?;
+        match check_identity(chip, &answers) {
+            Ok(None) => Ok((answers, None)),
+            Ok(limited @ Some(Limited::Sibling(_))) => Ok((answers, limited)),
+            Ok(Some(Limited::Unproven)) => {
+                self.gauge.wait(ASK_AGAIN);
+                let again = self.gauge.identify()?;
+                Ok((again, check_identity(chip, &again)?))
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Why nothing but standard commands is sent to the gauge, if it is so.
+    pub(super) fn limitation(&self) -> Option<Error> {
+        let published = self.shared.published();
+        let (limited, chip) = (published.limited?, self.gauge.chip);
+        let why = limited.why(chip, &published.answers);
+        Some(Error::new(limited.name(chip), Cause::NotPermitted(why)))
     }
 
     /// Settles an interrupted write before anybody sees what data flash holds.
@@ -88,7 +113,7 @@ impl Owner {
             self.restore_tried = false;
             return;
         }
-        if self.restore_tried || published.sibling.is_some() {
+        if self.restore_tried || published.limited.is_some() {
             return;
         }
         self.restore_tried = true;
@@ -131,19 +156,22 @@ fn index(chip: &Chip, id: u8) -> Option<usize> {
     chip.subclasses.iter().position(|subclass| subclass.id == id)
 }
 
-/// Checks that the part that gave these answers can be mounted with the chip's table. Returns the part if it
-/// is only a relative of the chip.
-fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<&'static Sibling>> {
+/// Checks that the part that gave these answers can be mounted with the chip's table. Returns why only its
+/// standard commands are used, if it is so.
+fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limited>> {
     let found = match recognise(answers) {
         Recognised::Chip(found) if ptr::eq(found, chip) => return Ok(None),
         // The answers fit several chips, and the user has named this one.
         Recognised::Ambiguous(found) if found.iter().any(|&found| ptr::eq(found, chip)) => return Ok(None),
         Recognised::Sibling(sibling) if sibling.like.is_some_and(|like| ptr::eq(like, chip)) => {
-            return Ok(Some(sibling));
+            return Ok(Some(Limited::Sibling(sibling)));
+        }
+        Recognised::Unproven(found) if found.iter().any(|&found| ptr::eq(found, chip)) => {
+            return Ok(Some(Limited::Unproven));
         }
         Recognised::Chip(found) => format!("this is a {}", found.model),
         Recognised::Sibling(sibling) => format!("this is a {}", sibling.name),
-        Recognised::Ambiguous(found) => {
+        Recognised::Ambiguous(found) | Recognised::Unproven(found) => {
             let models: Vec<_> = found.iter().map(|found| found.model).collect();
             format!("this is a {}", models.join(" or a "))
         }
@@ -170,7 +198,8 @@ mod tests {
         let answers = Answers { device_type, firmware_version, hardware_version, ..Answers::default() };
         match check_identity(chip, &answers) {
             Ok(None) => "itself".to_string(),
-            Ok(Some(sibling)) => format!("its relative {}", sibling.name),
+            Ok(Some(Limited::Sibling(sibling))) => format!("its relative {}", sibling.name),
+            Ok(Some(limited @ Limited::Unproven)) => format!("unproven: {}", limited.why(chip, &answers)),
             Err(error) => error.to_string(),
         }
     }
@@ -197,7 +226,30 @@ mod tests {
         refused(0x0520, 0x0324, 0, "this is a bq27520-G3");
         refused(0x0520, 0x0329, 0, "this is a bq27520-G4");
         refused(0x0421, 0x0109, 0, "this is a bq27441-G1 or a bq27421-G1");
-        refused(0x0100, 0x0017, 8, "unknown part");
+        refused(0x0521, 0x0017, 8, "unknown part");
+    }
+
+    #[test]
+    fn another_version_of_the_chip_says_which_one_is_proven() {
+        for (firmware, hardware) in [(0x0017, 0x0008), (0x0016, 0x0009)] {
+            let says = identified("bq34z100-g1", 0x0100, firmware, hardware);
+            let found = format!("unproven: firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: ");
+            assert!(says.starts_with(&found), "{says}");
+            assert!(says.contains("only for firmware 0x0016, hardware 0x0008, so only standard"), "{says}");
+            assert!(says.contains("gaugefs probe"), "{says}");
+        }
+    }
+
+    /// I2C has no error detection.
+    #[test]
+    fn a_bit_error_does_not_make_another_version_of_the_gauge() {
+        for transfer in 1..=10 {
+            let mut rig = Rig::new(Startup::default());
+            rig.sim.set("fault", &format!("flip {transfer} 0 1")).expect("a fault");
+            if rig.owner.open().is_ok() {
+                assert!(rig.handle.published().limited.is_none(), "transfer {transfer}");
+            }
+        }
     }
 
     #[test]

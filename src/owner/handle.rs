@@ -9,7 +9,7 @@ use super::{Request, Settings};
 use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
-use ti_gauge::chip::{Chip, Register, Sibling, Subclass};
+use ti_gauge::chip::{Chip, Limited, Register, Subclass};
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
 
@@ -39,9 +39,9 @@ pub struct Published {
     pub snapshot: Option<Arc<Snapshot>>,
     /// What the gauge answered when it was identified.
     pub answers: Answers,
-    /// Set if the part is not the table's but a relative of it: its standard commands mean the same, and
-    /// nothing else is sent to it.
-    pub sibling: Option<&'static Sibling>,
+    /// Set if the part is a relative of the table's, or another version of it: its standard commands mean the
+    /// same, and nothing else is sent to it.
+    pub limited: Option<Limited>,
     /// Its seal state when it was last read.
     pub seal: Seal,
     /// The answer to the last challenge; `None` while there is none.
@@ -85,7 +85,7 @@ impl Shared {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
-            sibling: None,
+            limited: None,
             seal: Seal::Sealed,
             digest: None,
             interval: settings.interval,

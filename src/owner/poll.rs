@@ -26,8 +26,10 @@ pub(super) struct Schedule {
     number: u64,
     /// Consecutive polls that failed.
     failures: u32,
-    /// When the last poll began, or failed.
+    /// When the last poll began, or failed; before the first one, when the gauge was last identified.
     last: Duration,
+    /// When the registers were read before that.
+    before: Duration,
     /// The next poll comes soon: it is the second one, or what the registers hold has changed.
     soon: bool,
     /// See [`super::Startup::phase`]; zero once it has been used.
@@ -35,13 +37,27 @@ pub(super) struct Schedule {
 }
 
 impl Schedule {
-    pub(super) fn new(phase: Duration) -> Self {
-        Self { number: 0, failures: 0, last: Duration::ZERO, soon: false, phase }
+    /// The schedule of a gauge whose registers may have been read just now, to identify it.
+    pub(super) fn new(phase: Duration, now: Duration) -> Self {
+        Self { number: 0, failures: 0, last: now, before: Duration::ZERO, soon: false, phase }
     }
 
     /// When the next poll is due.
     pub(super) fn due(&self, interval: Duration) -> Duration {
-        self.last + self.pause(interval)
+        (self.last + self.pause(interval)).max(self.earliest())
+    }
+
+    /// When the registers may be read again: never more than twice a second.
+    fn earliest(&self) -> Duration {
+        match self.before {
+            Duration::ZERO => self.last + SHORTEST,
+            before => (self.last + SHORTEST).max(before + 2 * SHORTEST),
+        }
+    }
+
+    /// The registers are read, to identify the gauge.
+    pub(super) fn reads(&mut self, now: Duration) {
+        (self.before, self.last) = (self.last, now);
     }
 
     /// Time from the last poll to the next one.
@@ -56,7 +72,7 @@ impl Schedule {
 
     /// How long to wait before a poll that somebody asks for.
     pub(super) fn wait(&self, now: Duration) -> Duration {
-        (self.last + SHORTEST).saturating_sub(now)
+        self.earliest().saturating_sub(now)
     }
 
     /// Whether the last poll succeeded, and began after that moment.
@@ -106,7 +122,8 @@ impl Schedule {
     /// A poll that began then has succeeded. Returns its number.
     fn succeeded(&mut self, begun: Duration) -> u64 {
         self.number += 1;
-        (self.failures, self.last) = (0, begun);
+        self.reads(begun);
+        self.failures = 0;
         if !self.soon && self.number > 1 {
             self.phase = Duration::ZERO;
         }
@@ -117,7 +134,7 @@ impl Schedule {
     /// A poll has failed.
     fn failed(&mut self, now: Duration) {
         self.failures = self.failures.saturating_add(1);
-        self.last = now;
+        self.reads(now);
     }
 }
 
@@ -248,7 +265,7 @@ mod tests {
 
     #[test]
     fn the_slow_tier_is_read_with_the_second_poll_and_every_tenth_after_it() {
-        let mut schedule = Schedule::new(Duration::ZERO);
+        let mut schedule = Schedule::new(Duration::ZERO, Duration::ZERO);
         let mut polls = |count| -> Vec<usize> {
             let slow = (1..=count).filter(|_| {
                 let slow = schedule.reads_slow_tier();
@@ -260,9 +277,41 @@ mod tests {
         assert_eq!(polls(25), [2, 12, 22]);
     }
 
+    /// The watchdog of a gauge may reset it otherwise.
+    #[test]
+    fn registers_are_not_read_more_than_twice_a_second() {
+        for (unverified, refresh) in [(false, false), (true, false), (true, true)] {
+            let mut rig = Rig::new(Startup { unverified, ..Startup::default() });
+            rig.sim.keep_log(true);
+            rig.owner.open().expect("it answers");
+            for _ in 0..4 {
+                let now = rig.clock.now();
+                if refresh {
+                    rig.clock.sleep(Duration::from_millis(10));
+                    rig.ask(super::super::Request::Refresh).expect("it answers");
+                } else {
+                    rig.clock.sleep(rig.owner.schedule.due(SHORTEST).saturating_sub(now));
+                    rig.owner.poll_on_time();
+                }
+            }
+            for code in 2..0x40 {
+                let log = rig.sim.log().into_iter();
+                let reads = log.filter(|record| match record.write[..] {
+                    [start] => (start..).take(record.read.len()).any(|read| read == code),
+                    _ => false,
+                });
+                let times: Vec<_> = reads.map(|record| record.at).collect();
+                // A transfer is logged when it has ended.
+                let least = 2 * SHORTEST - Duration::from_millis(10);
+                let close = times.windows(3).any(|three| three[2] - three[0] < least);
+                assert!(!close, "0x{code:02x} is read at {times:?}");
+            }
+        }
+    }
+
     #[test]
     fn a_gauge_that_comes_back_is_polled_as_at_first() {
-        let mut schedule = Schedule::new(Duration::ZERO);
+        let mut schedule = Schedule::new(Duration::ZERO, Duration::ZERO);
         let last = (0..5).map(|_| schedule.succeeded(Duration::ZERO)).last();
         schedule.begin_anew();
         assert!(!schedule.reads_slow_tier());

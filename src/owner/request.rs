@@ -70,6 +70,14 @@ impl Request {
     }
 }
 
+/// What has to be known of a change of the seal state that leads through SEALED.
+fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
+    (now == Seal::FullAccess && goal == Seal::Unsealed).then_some(
+        "UNSEALED is reached from FULL ACCESS only through SEALED; a gauge that was never sealed before may from \
+         now on be SEALED after each reset, and then needs its unseal key",
+    )
+}
+
 impl Owner {
     /// Why a request is refused before anything is sent, if it is.
     fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
@@ -81,9 +89,8 @@ impl Owner {
                 "it has not answered yet, so nothing is sent to its address; check that it is connected";
             return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
         }
-        if let Some(sibling) = self.shared.published().sibling {
-            let why = "no table describes its data flash and subcommands; only standard commands are read";
-            return Some(Error::new(sibling.name, Cause::NotPermitted(why.into())));
+        if let Some(error) = self.limitation() {
+            return Some(error);
         }
         let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
         let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
@@ -106,6 +113,9 @@ impl Owner {
                 done(self.logged(outcome));
             }
             Request::Seal(goal, done) => {
+                if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
+                    log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
+                }
                 let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
                 self.publish_seal();
                 done(self.logged(outcome));
@@ -179,7 +189,7 @@ impl Owner {
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
         match &outcome {
             Ok(Outcome::Unchanged) => {}
-            Ok(Outcome::Written { reset: false }) => {
+            Ok(Outcome::Written { reset: false, .. }) => {
                 let touched = |row: &Subclass, change: &Change| match change.row {
                     Some((subclass, _)) => ptr::eq(subclass, row),
                     None => change.place.subclass == row.id,
@@ -187,7 +197,7 @@ impl Owner {
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
-            Ok(Outcome::Written { reset: true }) | Err(_) => {
+            Ok(Outcome::Written { reset: true, .. }) | Err(_) => {
                 self.forget_dataflash();
                 self.schedule.hurry();
             }
@@ -235,7 +245,7 @@ mod tests {
     use super::super::Startup;
     use super::super::rig::Rig;
     use super::*;
-    use ti_gauge::chip::SIBLINGS;
+    use ti_gauge::chip::{Limited, SIBLINGS};
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
 
@@ -277,6 +287,18 @@ mod tests {
     }
 
     #[test]
+    fn only_the_way_from_full_access_to_unsealed_passes_through_sealed_unasked() {
+        let states = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
+        for (now, goal) in states.into_iter().flat_map(|now| states.map(|goal| (now, goal))) {
+            let warns = (now, goal) == (Seal::FullAccess, Seal::Unsealed);
+            assert_eq!(passes_sealed(now, goal).is_some(), warns, "{now:?} to {goal:?}");
+        }
+        let mut rig = Rig::open();
+        rig.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("the default keys");
+        assert!(passes_sealed(rig.handle.published().seal, Seal::Unsealed).is_some());
+    }
+
+    #[test]
     fn a_late_request_is_refused_and_not_begun() {
         let mut rig = Rig::open();
         let late = QUEUE_LIMIT + Duration::from_millis(1);
@@ -301,7 +323,7 @@ mod tests {
     #[test]
     fn a_request_to_a_relative_without_a_table_is_refused() {
         let mut rig = Rig::open();
-        rig.owner.shared.publish(|published| published.sibling = Some(&SIBLINGS[0]));
+        rig.owner.shared.publish(|published| published.limited = Some(Limited::Sibling(&SIBLINGS[0])));
         refused(&mut rig, Duration::ZERO, |error| {
             matches!(error.cause(), Cause::NotPermitted(_)) && error.to_string().starts_with(SIBLINGS[0].name)
         });

@@ -545,6 +545,7 @@ fn an_inverted_cc_gain_is_reported_with_its_remedy() {
 /// A bus on which the gauge reports another firmware version.
 struct OtherFirmware {
     bus: Box<dyn Bus>,
+    version: u16,
     asked: bool,
 }
 
@@ -552,22 +553,43 @@ impl Bus for OtherFirmware {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
         self.bus.transfer(write, read)?;
         if self.asked && write == [0] {
-            read.copy_from_slice(&[0x02, 0x02]);
+            read.copy_from_slice(&self.version.to_le_bytes());
         }
         self.asked = write == [0, 2, 0];
         Ok(())
     }
 }
 
+fn with_firmware(version: u16) -> Option<Mount> {
+    let open = move |sim: &Sim| {
+        Box::new(OtherFirmware { bus: Box::new(sim.bus()), version, asked: false }) as Box<dyn Bus>
+    };
+    Mount::with("bq34z100-g1", Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
+}
+
+/// A firmware that the table was not proven for may keep its data flash elsewhere.
+#[test]
+fn an_unknown_firmware_shows_standard_commands_and_says_why() {
+    let Some(mount) = with_firmware(0x0017) else { return };
+    let why = mount.cat("gauge/last_error");
+    assert!(why.starts_with("bq34z100-G1: firmware 0x0017, hardware 0x0008: "), "{why}");
+    assert!(why.contains("proven only for firmware 0x0016, hardware 0x0008"), "{why}");
+    assert!(why.contains("gaugefs probe"), "{why}");
+    assert_eq!(mount.cat("model_name"), "bq34z100-G1");
+    assert_eq!(mount.cat("gauge/firmware_version"), "0x0017");
+    assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
+    assert!(!mount.path("df").exists());
+    for (text, file) in [("unsealed", "gauge/seal"), ("CHEM_ID", "gauge/control")] {
+        assert_eq!(mount.echo(text, file), Err(Errno::EPERM), "{file}");
+    }
+    assert_eq!(mount.cat("gauge/last_error"), why);
+    assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+}
+
 /// The bq34z100-R2 has the registers of the G1, but another layout of data flash.
 #[test]
 fn a_sibling_shows_standard_commands_only() {
-    let open = |sim: &Sim| Box::new(OtherFirmware { bus: Box::new(sim.bus()), asked: false }) as Box<dyn Bus>;
-    let Some(mount) =
-        Mount::with("bq34z100-g1", Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
-    else {
-        return;
-    };
+    let Some(mount) = with_firmware(0x0202) else { return };
     assert!(mount.cat("model_name").contains("R2"), "{}", mount.cat("model_name"));
     assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
     assert!(!mount.path("df").exists());

@@ -15,7 +15,7 @@ use ti_gauge::value::Value;
 
 use crate::rig::Rig;
 
-const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true });
+const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
 
 /// Two packs at one address; the switch selects one.
 struct Swap([Box<dyn Bus>; 2], Arc<AtomicUsize>);

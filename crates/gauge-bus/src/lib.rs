@@ -30,6 +30,8 @@
 
 use std::{fmt, io};
 
+use rustix::io::Errno;
+
 pub mod clock;
 pub mod error;
 pub mod hal;
@@ -66,20 +68,37 @@ pub enum BusError {
     Other(i32),
 }
 
-/// The number of an input/output error on Linux.
-const EIO: i32 = 5;
+/// What an adapter answers after a disturbed transfer, besides the errors with a name of their own. The kernel's
+/// `Documentation/i2c/fault-codes.rst` leaves adapters much choice.
+const DISTURBED: [Errno; 7] = [
+    // i2c-gpio: a byte after the address was not acknowledged. Adapters behind USB: any failure.
+    Errno::IO,
+    // The checksum of what was transferred, on the bus or between host and adapter, is wrong.
+    Errno::BADMSG,
+    Errno::ILSEQ,
+    // The target broke the protocol, or a USB packet was lost.
+    Errno::PROTO,
+    Errno::PIPE,
+    // The adapter is suspended, and is resumed with the machine.
+    Errno::SHUTDOWN,
+    // A signal ended the wait for the end of the transfer.
+    Errno::INTR,
+];
 
 impl BusError {
     /// Whether the same transfer may succeed when it is sent again.
     pub fn is_transient(self) -> bool {
         match self {
             BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short => true,
-            BusError::Gone
-            | BusError::Busy
-            | BusError::ReadOnly
-            | BusError::NotRecorded
-            | BusError::Other(_) => false,
+            BusError::Other(number) => DISTURBED.iter().any(|errno| errno.raw_os_error() == number),
+            BusError::Gone | BusError::Busy | BusError::ReadOnly | BusError::NotRecorded => false,
         }
+    }
+
+    /// Whether the target may have refused the transfer by not acknowledging it. Adapters that cannot report
+    /// this as such report an input/output error.
+    pub fn may_be_no_ack(self) -> bool {
+        matches!(self, BusError::NoAck) || self == BusError::Other(Errno::IO.raw_os_error())
     }
 
     /// The error whose `Display` is `text`, for reading recordings. An unknown text becomes an input/output
@@ -96,7 +115,7 @@ impl BusError {
             BusError::NotRecorded,
         ];
         let found = known.into_iter().find(|error| error.to_string() == text);
-        found.unwrap_or(BusError::Other(EIO))
+        found.unwrap_or(BusError::Other(Errno::IO.raw_os_error()))
     }
 }
 
@@ -179,6 +198,29 @@ pub fn wire_bits(write: usize, read: usize) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Each error number of the kernel's list of I2C fault codes, and those of adapters behind USB.
+    #[test]
+    fn a_disturbed_transfer_is_worth_sending_again() {
+        let other = |errno: Errno| BusError::Other(errno.raw_os_error());
+        for errno in
+            [Errno::IO, Errno::BADMSG, Errno::ILSEQ, Errno::PROTO, Errno::PIPE, Errno::SHUTDOWN, Errno::INTR]
+        {
+            assert!(other(errno).is_transient(), "{errno}");
+        }
+        for error in [BusError::NoAck, BusError::ArbitrationLost, BusError::Timeout, BusError::Short] {
+            assert!(error.is_transient(), "{error}");
+        }
+        // The adapter cannot do it, now or later.
+        for errno in [Errno::OPNOTSUPP, Errno::INVAL, Errno::NOMEM, Errno::ACCESS, Errno::PERM] {
+            assert!(!other(errno).is_transient(), "{errno}");
+        }
+        for error in [BusError::Gone, BusError::Busy, BusError::ReadOnly, BusError::NotRecorded] {
+            assert!(!error.is_transient(), "{error}");
+        }
+        assert!(BusError::NoAck.may_be_no_ack() && other(Errno::IO).may_be_no_ack());
+        assert!(!other(Errno::PROTO).may_be_no_ack() && !BusError::Timeout.may_be_no_ack());
+    }
 
     #[test]
     fn a_full_poll_costs_what_the_readme_says() {

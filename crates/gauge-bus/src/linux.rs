@@ -171,7 +171,7 @@ impl LinuxBus {
             gone => {
                 self.adapter = Adapter::find(&self.adapter.path).map_err(|_| BusError::Gone)?;
                 let device = LinuxI2CDevice::new(&self.adapter.path, self.address.into());
-                let device = device.map_err(|error| bus_error(errno(&error)))?;
+                let device = device.map_err(|error| claim_error(errno(&error)))?;
                 hold(&device, self.address).map_err(|_| BusError::Busy)?;
                 Ok(gone.insert(device))
             }
@@ -203,7 +203,7 @@ impl Bus for LinuxBus {
                 self.device = None;
                 Err(BusError::Gone)
             }
-            Err(error) => Err(bus_error(errno(&error))),
+            Err(error) => Err(transfer_error(errno(&error))),
         }
     }
 
@@ -215,7 +215,7 @@ impl Bus for LinuxBus {
 
     fn claim(&mut self) -> Result<(), BusError> {
         let address = self.address.into();
-        self.device()?.set_slave_address(address).map_err(|error| bus_error(errno(&error)))
+        self.device()?.set_slave_address(address).map_err(|error| claim_error(errno(&error)))
     }
 }
 
@@ -284,15 +284,23 @@ fn errno(error: &LinuxI2CError) -> Errno {
     }
 }
 
-/// The kernel's I2C fault codes (`Documentation/i2c/fault-codes.rst`).
-fn bus_error(errno: Errno) -> BusError {
+/// What the kernel answers to a transfer (`Documentation/i2c/fault-codes.rst`).
+fn transfer_error(errno: Errno) -> BusError {
     match errno {
         Errno::ENXIO | Errno::EREMOTEIO => BusError::NoAck,
         Errno::EAGAIN => BusError::ArbitrationLost,
-        Errno::ETIMEDOUT => BusError::Timeout,
+        // The adapter waited in vain for both lines to be high.
+        Errno::ETIMEDOUT | Errno::EBUSY => BusError::Timeout,
         Errno::ENODEV | Errno::ENOENT => BusError::Gone,
-        Errno::EBUSY => BusError::Busy,
         other => BusError::Other(other as i32),
+    }
+}
+
+/// What the kernel answers to the claim of an address.
+fn claim_error(errno: Errno) -> BusError {
+    match errno {
+        Errno::EBUSY => BusError::Busy,
+        other => transfer_error(other),
     }
 }
 
@@ -399,11 +407,35 @@ mod tests {
 
     #[test]
     fn the_kernels_fault_codes_become_bus_errors() {
-        assert_eq!(bus_error(Errno::ENXIO), BusError::NoAck);
-        assert_eq!(bus_error(Errno::EREMOTEIO), BusError::NoAck);
-        assert_eq!(bus_error(Errno::EAGAIN), BusError::ArbitrationLost);
-        assert_eq!(bus_error(Errno::ETIMEDOUT), BusError::Timeout);
-        assert_eq!(bus_error(Errno::ENODEV), BusError::Gone);
-        assert_eq!(bus_error(Errno::EIO), BusError::Other(libc::EIO));
+        for (errno, error) in [
+            (Errno::ENXIO, BusError::NoAck),
+            (Errno::EREMOTEIO, BusError::NoAck),
+            (Errno::EAGAIN, BusError::ArbitrationLost),
+            (Errno::ETIMEDOUT, BusError::Timeout),
+            (Errno::ENODEV, BusError::Gone),
+            (Errno::EIO, BusError::Other(libc::EIO)),
+        ] {
+            assert_eq!((transfer_error(errno), claim_error(errno)), (error, error));
+        }
+        // A busy bus is not a bound driver.
+        assert_eq!(
+            (transfer_error(Errno::EBUSY), claim_error(Errno::EBUSY)),
+            (BusError::Timeout, BusError::Busy)
+        );
+    }
+
+    /// The numbers are the kernel's, on every architecture.
+    #[test]
+    fn only_disturbed_transfers_are_worth_sending_again() {
+        let passes = |errno| transfer_error(errno).is_transient();
+        for errno in [Errno::EAGAIN, Errno::EBADMSG, Errno::EBUSY, Errno::EIO, Errno::ENXIO, Errno::EPROTO] {
+            assert!(passes(errno), "{errno}");
+        }
+        for errno in [Errno::EREMOTEIO, Errno::ESHUTDOWN, Errno::ETIMEDOUT, Errno::EINTR, Errno::EPIPE] {
+            assert!(passes(errno), "{errno}");
+        }
+        for errno in [Errno::EINVAL, Errno::ENODEV, Errno::ENOMEM, Errno::EOPNOTSUPP] {
+            assert!(!passes(errno), "{errno}");
+        }
     }
 }

@@ -28,6 +28,10 @@ pub const LENGTH: usize = 20;
 /// A challenge or a digest, the most significant byte first, as SHA-1 takes and gives it.
 pub type Message = [u8; LENGTH];
 
+/// The least time from the selection until the challenge: a window that is loaded later would overwrite it.
+const SELECTED: Duration = Duration::from_millis(60);
+/// The least time before the buffer is read: gauges take up to 30 ms for what is in it.
+const SETTLED: Duration = Duration::from_millis(30);
 /// Reads of the digest before the gauge is given up.
 const DIGEST_READS: u32 = 4;
 /// write(2) returns within 30 s.
@@ -130,11 +134,11 @@ fn attempt(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<
 
 fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
     gauge.write(DATA_FLASH_BLOCK, &[0])?;
-    gauge.wait(gauge.chip.access.select);
+    gauge.wait(gauge.chip.access.select.max(SELECTED));
     gauge.write(AUTHENTICATE_DATA, sent)?;
-    gauge.wait(waits.challenge);
-    // A corrupted challenge starts no computation and stays in the buffer, so its present content, whatever it
-    // is, must not be taken for the digest.
+    gauge.wait(waits.challenge.max(SETTLED));
+    // A corrupted challenge starts no computation and stays in the buffer. So neither the challenge nor the present
+    // content, whatever it is, must be taken for the digest.
     let mut echo = [0; LENGTH];
     gauge.read(AUTHENTICATE_DATA, &mut echo)?;
     // Sent once: a second checksum would apply to the digest.
@@ -144,10 +148,12 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     // digest must agree.
     let mut before = None;
     for _ in 0..DIGEST_READS {
-        gauge.wait(waits.digest);
+        gauge.wait(waits.digest.max(SETTLED));
         let mut digest = [0; LENGTH];
         gauge.read(AUTHENTICATE_DATA, &mut digest)?;
-        if digest != echo && before == Some(digest) {
+        let is_blank = digest.iter().all(|&byte| byte == digest[0]);
+        let is_new = digest != echo && digest != *sent && !is_blank;
+        if is_new && before == Some(digest) {
             return Ok(digest);
         }
         before = Some(digest);

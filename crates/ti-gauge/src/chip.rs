@@ -25,7 +25,7 @@ pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
-pub use recognise::{Recognised, recognise};
+pub use recognise::{Limited, Recognised, recognise};
 
 /// Every chip that gaugefs knows, in the order of the README.
 pub static CHIPS: &[&Chip] = &[
@@ -408,6 +408,11 @@ impl Subcommand {
 }
 
 impl Chip {
+    /// Whether it takes only one byte per write at that clock of the bus, where the clock is known.
+    pub fn is_slower_than(&self, clock_hz: Option<u32>) -> bool {
+        self.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
+    }
+
     /// The chip of that name on the command line.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
         CHIPS.iter().copied().find(|chip| chip.name.eq_ignore_ascii_case(name))

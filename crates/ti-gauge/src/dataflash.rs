@@ -36,7 +36,7 @@ mod settle;
 mod wear;
 
 pub(crate) use blocks::Bytes;
-use blocks::{Dirty, Window, blocks, gather, learned};
+use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::{integer, is_gate};
 use io::{read_subclass, reload, store, verify_written};
 use pack::Known;
@@ -73,7 +73,7 @@ pub struct Change {
 }
 
 /// Result of a successful write.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Data flash already held the values: nothing was programmed and the gauge was not reset.
     Unchanged,
@@ -81,6 +81,8 @@ pub enum Outcome {
     Written {
         /// Whether the gauge was reset.
         reset: bool,
+        /// For each change, the bytes that it replaced.
+        old: Vec<Vec<u8>>,
     },
 }
 
@@ -256,6 +258,7 @@ impl DataFlash {
         for change in changes {
             self.check_safe(gauge, change, &dirty, voltage_mv)?;
         }
+        let old = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
@@ -286,7 +289,7 @@ impl DataFlash {
                 Err(_) => self.known.forget(block.place),
             }
         }
-        programmed.map(|()| Outcome::Written { reset })
+        programmed.map(|()| Outcome::Written { reset, old })
     }
 
     /// Reads, once after the gauge has arrived, what distinguishes its pack.

@@ -347,8 +347,13 @@ impl Gauge {
 
     /// Reads the type, firmware and versions that the gauge reports.
     pub fn identify(&mut self) -> Result<Answers> {
+        let device_type = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
+        self.identify_type(device_type)
+    }
+
+    /// The same for a gauge that has answered with that type.
+    pub fn identify_type(&mut self, device_type: u16) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
-        let device_type = self.ask(DEVICE_TYPE).map_err(named)?;
         let firmware_version = self.ask(FW_VERSION).map_err(named)?;
         let hardware_version = self.ask_named("HW_VERSION").map_err(named)?.unwrap_or_default();
         let chem_id = self.ask_named("CHEM_ID").map_err(named)?;

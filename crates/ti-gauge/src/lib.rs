@@ -34,7 +34,8 @@
 //! let value = text::parse(row.1, b"3100")?;
 //! let change = Change::of_value(row, &value).expect("a number of two bytes");
 //! let outcome = dataflash.write(&mut gauge, &[change], Duration::ZERO)?;
-//! assert_eq!(outcome, Outcome::Written { reset: true });
+//! let old = vec![3000_u16.to_be_bytes().to_vec()];
+//! assert_eq!(outcome, Outcome::Written { reset: true, old });
 //! # Ok::<(), ti_gauge::error::Error>(())
 //! ```
 

@@ -6,12 +6,13 @@
 
 use std::ptr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, recognise};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Answers, Gauge};
 use crate::keys::Keys;
-use crate::registers::Registers;
+use crate::registers::{Registers, bursts};
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
@@ -19,6 +20,9 @@ use gauge_bus::{Bus, BusError};
 pub const ROM_ADDRESS: u8 = 0x0b;
 
 const STRANGE: &str = "the device at this address does not read like a gauge, so nothing was written to it";
+
+/// A gauge's watchdog allows each standard command twice within this time.
+const SECOND: Duration = Duration::from_secs(1);
 
 /// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
@@ -52,14 +56,48 @@ impl Reading {
 /// Opens a bus to the address.
 pub type Open<'a> = dyn Fn() -> Result<Box<dyn Bus>> + 'a;
 
-fn gauge(chip: &'static Chip, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Gauge> {
-    Ok(Gauge::new(chip, open()?, clock.clone(), Keys::default(), false))
+/// An address, and how the device there is reached.
+pub struct Target<'a> {
+    /// Opens a bus to it.
+    pub open: &'a Open<'a>,
+    /// Clock for waiting.
+    pub clock: &'a Arc<dyn Clock>,
+    /// Write one byte a transfer, whatever the clock of the bus is.
+    pub byte_writes: bool,
+    /// The clock of the bus, where it is known.
+    pub clock_hz: Option<u32>,
+}
+
+impl Target<'_> {
+    /// The device, taken for a chip.
+    fn gauge(&self, chip: &'static Chip) -> Result<Gauge> {
+        let byte_writes = self.byte_writes || chip.is_slower_than(self.clock_hz);
+        Ok(Gauge::new(chip, (self.open)()?, self.clock.clone(), Keys::default(), byte_writes))
+    }
+}
+
+fn is_polled(tier: Tier) -> bool {
+    tier == Tier::Poll
 }
 
 fn reading(gauge: &mut Gauge) -> Result<Reading> {
     let mut registers = Registers::UNREAD;
-    registers.read(gauge, |tier| tier == Tier::Poll)?;
+    registers.read(gauge, is_polled)?;
     Ok(Reading { chip: gauge.chip, registers })
+}
+
+/// The polled registers of all chips, as address and length of reads that have no register in common.
+fn spans() -> Vec<(u8, u8)> {
+    let mut reads: Vec<_> = CHIPS.iter().flat_map(|chip| bursts(chip.registers, is_polled)).collect();
+    reads.sort_unstable();
+    let mut spans: Vec<(u8, u8)> = Vec::new();
+    for (start, length) in reads {
+        match spans.last_mut() {
+            Some((first, all)) if start <= *first + *all => *all = (*all).max(start + length - *first),
+            _ => spans.push((start, length)),
+        }
+    }
+    spans
 }
 
 /// Checks that the device's registers read like the gauge's. Nothing is written.
@@ -71,20 +109,39 @@ pub fn check(gauge: &mut Gauge) -> Result<()> {
 }
 
 /// The chips whose registers read plausibly at the address. Fails if no chip's registers could be read at all.
-pub fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading>> {
-    let (mut plausible, mut answered, mut failure) = (Vec::new(), false, None);
-    for chip in CHIPS {
-        match gauge(chip, open, clock).and_then(|mut gauge| reading(&mut gauge)) {
-            Ok(reading) => {
-                answered = true;
-                plausible.extend(reading.is_plausible().then_some(reading));
-            }
-            // A part may refuse the registers of another.
-            Err(error) if *error.cause() == Cause::Bus(BusError::NoAck) => failure = Some(error),
+///
+/// No register is read more than twice within a second, which a gauge's watchdog may take for a failure of the host.
+pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
+    let refused = |error: &Error| matches!(error.cause(), Cause::Bus(bus) if bus.may_be_no_ack());
+    let mut gauge = target.gauge(CHIPS[0])?;
+    let (mut all, mut answered, mut failure) = (Registers::UNREAD, false, None);
+    for (start, length) in spans() {
+        match all.read_span(&mut gauge, start, length) {
+            Ok(()) => answered = true,
+            Err(error) if refused(&error) => failure = Some(error),
             Err(error) => return Err(error),
         }
     }
-    failure.filter(|_| !answered).map_or(Ok(plausible), Err)
+    if let Some(error) = failure.take_if(|_| !answered) {
+        return Err(error);
+    }
+    drop(gauge);
+    let mut plausible = Vec::new();
+    for chip in CHIPS {
+        let mut reading = Reading { chip, registers: all.clone() };
+        let polled = || chip.registers.iter().filter(|register| is_polled(register.tier));
+        // A part may refuse the registers of another, and with them the whole read.
+        if polled().any(|register| all.value(register).is_none()) {
+            target.clock.sleep(SECOND);
+            match reading.registers.read(&mut target.gauge(chip)?, is_polled) {
+                Ok(()) => {}
+                Err(error) if refused(&error) => continue,
+                Err(error) => return Err(error),
+            }
+        }
+        plausible.extend(reading.is_plausible().then_some(reading));
+    }
+    Ok(plausible)
 }
 
 /// Whether a device answers at the address of gauges in ROM mode. One byte is read and nothing is written: a
@@ -106,16 +163,31 @@ pub struct Who {
     pub chips: Vec<&'static Chip>,
     /// A part without a table that gives these answers.
     pub sibling: Option<&'static Sibling>,
+    /// The chips of this device type, none of whose tables was proven for these versions.
+    pub unproven: Vec<&'static Chip>,
 }
 
 /// Identifies a device that reads like a gauge, by the questions for each of the plausible chips.
 ///
-/// All chips have DEVICE_TYPE at the same code; the other questions follow only if the type fits.
-pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Who> {
+/// All chips have DEVICE_TYPE at the same code; the other questions follow only if the type fits. Chips with the same
+/// questions share the answers.
+pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
     let mut who = Who::default();
+    let mut types: Vec<(u8, u16)> = Vec::new();
+    let mut asked: Vec<(Questions, Answers)> = Vec::new();
     for Reading { chip, .. } in plausible {
-        let mut gauge = gauge(chip, open, clock)?;
-        let device_type = gauge.ask(DEVICE_TYPE)?;
+        let mut gauge = target.gauge(chip)?;
+        let device_type = match types.iter().find(|(register, _)| *register == chip.identity.answer) {
+            Some((_, device_type)) => *device_type,
+            None => {
+                if !types.is_empty() {
+                    target.clock.sleep(SECOND);
+                }
+                let device_type = gauge.ask(DEVICE_TYPE)?;
+                types.push((chip.identity.answer, device_type));
+                device_type
+            }
+        };
         let alike = |sibling: &&Sibling| {
             sibling.identity.device_type == device_type
                 && sibling.like.is_none_or(|like| ptr::eq(like, *chip))
@@ -126,7 +198,15 @@ pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) 
             }
             continue;
         }
-        let answers = gauge.identify()?;
+        let questions = questions(chip);
+        let answers = match asked.iter().find(|(same, _)| *same == questions) {
+            Some((_, answers)) => *answers,
+            None => {
+                let answers = gauge.identify_type(device_type)?;
+                asked.push((questions, answers));
+                answers
+            }
+        };
         if who.chips.is_empty() {
             who.answers = answers;
         }
@@ -136,21 +216,36 @@ pub fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) 
                 who.chips.push(chip);
             }
             Recognised::Sibling(sibling) => who.sibling = Some(sibling),
-            Recognised::Chip(_) | Recognised::Ambiguous(_) | Recognised::Unknown => {}
+            Recognised::Unproven(several) if several.iter().any(|one| ptr::eq(*one, *chip)) => {
+                who.unproven.push(chip);
+            }
+            Recognised::Chip(_)
+            | Recognised::Ambiguous(_)
+            | Recognised::Unproven(_)
+            | Recognised::Unknown => {}
         }
     }
     Ok(who)
 }
 
+/// Where a chip's answers are read, and the codes of its subcommands that identify it.
+type Questions = (u8, [Option<u16>; 3]);
+
+fn questions(chip: &Chip) -> Questions {
+    let code = |name| Some(chip.subcommands.iter().find(|subcommand| subcommand.name == name)?.code);
+    (chip.identity.answer, ["HW_VERSION", "CHEM_ID", "DM_CODE"].map(code))
+}
+
 /// The chip at an address that the user has named.
-pub fn find(subject: &str, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<&'static Chip> {
+pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
     let failed = |cause| Err(Error::new(subject, cause).at(Step::Identify));
-    let plausible = candidates(open, clock).map_err(|error| error.within(subject))?;
+    let plausible = candidates(target).map_err(|error| error.within(subject))?;
     if plausible.is_empty() {
         return failed(Cause::Gone(STRANGE.into()));
     }
-    let who = identify(&plausible, open, clock).map_err(|error| error.within(subject))?;
-    match (&who.chips[..], who.sibling) {
+    let who = identify(&plausible, target).map_err(|error| error.within(subject))?;
+    let chips = if who.chips.is_empty() && who.sibling.is_none() { &who.unproven } else { &who.chips };
+    match (&chips[..], who.sibling) {
         ([one], _) => Ok(one),
         ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
         ([], Some(sibling)) => {

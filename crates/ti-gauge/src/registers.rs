@@ -27,12 +27,16 @@ impl Registers {
 
     /// Reads the registers of the wanted tiers. If a read fails, the bytes that it was for keep their values.
     pub fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
-        for (start, length) in bursts(gauge.chip.registers, wanted) {
-            let mut bytes = [0; ADDRESSES];
-            let bytes = &mut bytes[..usize::from(length)];
-            gauge.read(start, bytes)?;
-            self.store(start, bytes);
-        }
+        let mut bursts = bursts(gauge.chip.registers, wanted).into_iter();
+        bursts.try_for_each(|(start, length)| self.read_span(gauge, start, length))
+    }
+
+    /// Reads that many bytes from an address on.
+    pub(crate) fn read_span(&mut self, gauge: &mut Gauge, start: u8, length: u8) -> Result<()> {
+        let mut bytes = [0; ADDRESSES];
+        let bytes = &mut bytes[..usize::from(length)];
+        gauge.read(start, bytes)?;
+        self.store(start, bytes);
         Ok(())
     }
 

@@ -21,12 +21,20 @@ pub struct Identity {
 
 impl Identity {
     pub(super) fn fits(&self, answers: &Answers) -> bool {
-        let known = |codes: &[u16], code| codes.is_empty() || codes.contains(&code);
-        self.device_type == answers.device_type
+        self.is_of_type(answers)
             && known(self.firmware, answers.firmware_version)
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
+    }
+
+    /// Whether all fits but the versions of firmware and hardware.
+    pub(super) fn is_of_type(&self, answers: &Answers) -> bool {
+        self.device_type == answers.device_type
             && answers.dm_code.is_none_or(|code| known(self.dm_codes, code))
     }
+}
+
+fn known(codes: &[u16], code: u16) -> bool {
+    codes.is_empty() || codes.contains(&code)
 }
 
 /// A part's answers to the subcommands that identify it.

@@ -11,8 +11,56 @@ pub enum Recognised {
     Sibling(&'static Sibling),
     /// Several chips give these answers; only the user can decide.
     Ambiguous(Vec<&'static Chip>),
+    /// The device type of these chips, with a firmware or hardware version that their tables were not proven for.
+    Unproven(Vec<&'static Chip>),
     /// An unknown part.
     Unknown,
+}
+
+/// Why only the standard commands of a part are used.
+#[derive(Clone, Copy, Debug)]
+pub enum Limited {
+    /// It is a relative of the chip, without a table.
+    Sibling(&'static Sibling),
+    /// It has the chip's device type, but a firmware or hardware version that the table was not proven for.
+    Unproven,
+}
+
+impl Limited {
+    /// What the part is called.
+    pub fn name(self, chip: &Chip) -> &'static str {
+        match self {
+            Limited::Sibling(sibling) => sibling.name,
+            Limited::Unproven => chip.model,
+        }
+    }
+
+    /// Why it is limited, and what would change that.
+    pub fn why(self, chip: &Chip, answers: &Answers) -> String {
+        let found = match self {
+            Limited::Sibling(_) => {
+                let why =
+                    "no table describes its data flash and subcommands; only standard commands are read";
+                return why.to_string();
+            }
+            Limited::Unproven => format!(
+                "firmware 0x{:04x}, hardware 0x{:04x}",
+                answers.firmware_version, answers.hardware_version
+            ),
+        };
+        let identity = &chip.identity;
+        let firmware: Vec<_> =
+            identity.firmware.iter().map(|code| format!("firmware 0x{code:04x}")).collect();
+        let hardware = identity.hardware.map(|code| format!("hardware 0x{code:04x}"));
+        let proven: Vec<_> = firmware.into_iter().chain(hardware).collect();
+        format!(
+            "{found}: the table was proven only for {}, so only standard commands are read, and there is no df. To have \
+             this version added, report the output of `gaugefs probe --bus BUS --address ADDRESS`, the files \
+             gauge/*_version, gauge/device_type, gauge/chem_id and gauge/registers/*, and, if there is one, a gg.csv \
+             that bqStudio exported from this gauge",
+            proven.join(", ")
+        )
+    }
 }
 
 /// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence
@@ -31,11 +79,22 @@ pub fn recognise(answers: &Answers) -> Recognised {
         }
     }
     match (chips.as_slice(), siblings.as_slice()) {
-        ([], []) => Recognised::Unknown,
+        ([], []) => unproven(answers),
         ([], [sibling, ..]) => Recognised::Sibling(sibling),
         ([chip], []) => Recognised::Chip(chip),
         _ => Recognised::Ambiguous(chips),
     }
+}
+
+/// What a part is that answers like none. A hardware version narrows down the chips of one device type.
+fn unproven(answers: &Answers) -> Recognised {
+    let fits = |chip: &&Chip| chip.identity.is_of_type(answers);
+    let mut chips: Vec<_> = CHIPS.iter().copied().filter(fits).collect();
+    let is_hardware = |chip: &&Chip| chip.identity.hardware == Some(answers.hardware_version);
+    if chips.iter().any(is_hardware) {
+        chips.retain(|chip| is_hardware(&chip));
+    }
+    if chips.is_empty() { Recognised::Unknown } else { Recognised::Unproven(chips) }
 }
 
 #[cfg(test)]
@@ -54,6 +113,10 @@ mod tests {
             Recognised::Ambiguous(chips) => {
                 chips.iter().map(|chip| chip.name).collect::<Vec<_>>().join(" or ")
             }
+            Recognised::Unproven(chips) => {
+                let chips: Vec<_> = chips.iter().map(|chip| chip.name).collect();
+                format!("unproven {}", chips.join(" or "))
+            }
             Recognised::Unknown => "unknown".to_string(),
         }
     }
@@ -67,11 +130,16 @@ mod tests {
         assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
         assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
         assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like none");
-        assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unknown");
-        assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unknown");
-        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unknown");
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
         assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
+    }
+
+    #[test]
+    fn another_version_of_a_known_type_is_unproven() {
+        assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unproven bq27520-g3");
+        assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unproven bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unproven bq34z100-g1 or bq35100");
+        assert_eq!(seen(0x0421, 0x0200, 0, None), "unproven bq27441-g1 or bq27421-g1");
     }
 
     #[test]
@@ -81,14 +149,14 @@ mod tests {
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x80)), "bq27411-G1 like bq27441-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, Some(0x11)), "bq27421-g1");
         assert_eq!(seen(0x0421, 0x0109, 0, None), "bq27441-g1 or bq27421-g1");
-        assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unknown");
+        assert_eq!(seen(0x0421, 0x0200, 0, Some(0x48)), "unproven bq27441-g1 or bq27421-g1");
     }
 
     #[test]
     fn a_unique_device_type_is_enough() {
         assert_eq!(seen(0x0427, 0x0202, 0, Some(0x9f)), "bq27427");
         assert_eq!(seen(0x0427, 0x0202, 0, None), "bq27427");
-        assert_eq!(seen(0x0427, 0x0109, 0, None), "unknown");
+        assert_eq!(seen(0x0427, 0x0109, 0, None), "unproven bq27427");
         assert_eq!(seen(0x0426, 0x0202, 0, Some(0x9f)), "bq27426 like bq27427");
         assert_eq!(seen(0x0621, 0x0110, 0, None), "bq27621-G1 like none");
     }

@@ -181,6 +181,39 @@ fn a_fault_at_any_transfer_of_a_write_causes_no_false_success() {
     );
 }
 
+/// No manual gives the times of the challenge. Whatever they are, and whatever a single reading looks like, what is
+/// returned is the digest.
+#[test]
+fn a_challenge_is_answered_by_slow_and_by_fast_gauges() {
+    use ti_gauge::authentication::{Order, answer, ask};
+
+    let key = *b"\x01\x23\x45\x67\x89\xab\xcd\xef\xfe\xdc\xba\x98\x76\x54\x32\x10";
+    let challenge = *b"a challenge of 20 by";
+    for found in [Seal::Sealed, Seal::Unsealed] {
+        for (load, digest) in [("0", "0"), ("20", "30"), ("50", "20"), ("50", "100"), ("0", "150")] {
+            let mut rig = Case { chip: "bq34z100-g1", at: (0, 0), text: "", found }.rig();
+            for (knob, ms) in [("load_ms", load), ("sealed_load_ms", load), ("auth_ms", digest)] {
+                rig.sim.set(knob, ms).expect("a knob");
+            }
+            let genuine = answer(&key, &challenge);
+            let asked = ask(&mut rig.gauge, &challenge, Order::LsbFirst, Duration::ZERO);
+            assert_eq!(asked, Ok(genuine), "{load} ms, {digest} ms");
+            // A bit error in what the window holds before the digest does not make the challenge the digest.
+            let before = rig.cost().0;
+            ask(&mut rig.gauge, &challenge, Order::LsbFirst, Duration::ZERO).expect("no fault");
+            let transfers = rig.cost().0 - before;
+            rig.sim.set("auth_ms", "5000").expect("a knob");
+            for at in 1..=transfers {
+                rig.sim.set("fault", &format!("flip {at} 0 1")).expect("a fault");
+                let asked = ask(&mut rig.gauge, &challenge, Order::LsbFirst, Duration::ZERO);
+                assert!(asked.is_err(), "{load} ms, bit error at transfer {at}: {asked:02x?}");
+                rig.sim.set("fault", "none").expect("a fault");
+                rig.clock.sleep(Duration::from_secs(6));
+            }
+        }
+    }
+}
+
 /// A challenge is answered correctly or not at all, nothing is programmed, and the seal state does not change.
 #[test]
 fn a_fault_at_any_transfer_of_a_challenge_causes_no_false_answer() {

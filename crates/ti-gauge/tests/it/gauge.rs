@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use gauge_bus::clock::SimClock;
+use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use ti_gauge::chip::Chip;
 use ti_gauge::gauge::{Gauge, Seal};
@@ -51,4 +51,32 @@ fn an_invalid_control_status_is_not_taken_for_a_seal_state() {
         gauge.confirm_identity().expect("the same part");
         assert_eq!(gauge.seal(), Ok(Seal::Unsealed), "{name}");
     }
+}
+
+/// A gauge whose adapter answers with an error before every transfer that succeeds.
+struct Disturbed(Box<dyn Bus>, BusError, bool);
+
+impl Bus for Disturbed {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        self.2 = !self.2;
+        if self.2 { Err(self.1) } else { self.0.transfer(write, read) }
+    }
+}
+
+/// i2c-gpio reports EIO, other adapters ENXIO or ETIMEDOUT, where a byte was not acknowledged.
+#[test]
+fn an_idempotent_transfer_is_sent_again_whatever_the_adapter_calls_the_failure() {
+    let clock = Arc::new(SimClock::new());
+    let sim =
+        gauge_sim::Sim::new("bq34z100-g1", &gauge_sim::Options::default(), clock.clone()).expect("a gauge");
+    clock.sleep(std::time::Duration::from_secs(1));
+    let chip = Chip::by_name("bq34z100-g1").expect("a chip in the tables");
+    for error in [BusError::NoAck, BusError::Timeout, BusError::Other(5)] {
+        let bus = Box::new(Disturbed(Box::new(sim.bus()), error, false));
+        let mut gauge = Gauge::new(chip, bus, clock.clone(), Keys::default(), false);
+        assert_eq!(gauge.seal(), Ok(Seal::Sealed), "{error}");
+    }
+    let bus = Box::new(Disturbed(Box::new(sim.bus()), BusError::Other(22), false));
+    let mut gauge = Gauge::new(chip, bus, clock, Keys::default(), false);
+    gauge.seal().expect_err("the adapter cannot do it");
 }

@@ -1,21 +1,39 @@
 //! Finding a gauge on a bus: which transfers each device gets, and which devices are never written.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, SIBLINGS, Sibling};
-use ti_gauge::error::Cause;
+use ti_gauge::error::{Cause, Result};
 use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
-use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom, candidates, check, find, identify};
+use ti_gauge::probe::{self, Open, ROM_ADDRESS, Reading, Target, Who, answers_in_rom, check};
+
+fn target<'a>(open: &'a Open<'a>, clock: &'a Arc<dyn Clock>) -> Target<'a> {
+    Target { open, clock, byte_writes: false, clock_hz: None }
+}
+
+fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading>> {
+    probe::candidates(&target(open, clock))
+}
+
+fn identify(plausible: &[Reading], open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Who> {
+    probe::identify(plausible, &target(open, clock))
+}
+
+fn find(subject: &str, open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<&'static Chip> {
+    probe::find(subject, &target(open, clock))
+}
 
 /// An EEPROM with an address pointer, which must not be written.
 struct Eeprom(u8);
 
 impl Bus for Eeprom {
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
         assert!(write.len() <= 1, "the EEPROM was written to");
         read.fill(self.0);
         Ok(())
@@ -57,7 +75,7 @@ struct Sister {
 }
 
 impl Bus for Sister {
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
         match write {
             [] | [_] => {}
             [register @ (0x00 | 0x3e), low, high] => {
@@ -149,4 +167,76 @@ fn an_empty_address_is_reported() {
     let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);
     let error = candidates(&open, &clock).expect_err("nobody is there");
     assert_eq!(*error.cause(), Cause::Bus(BusError::NoAck));
+}
+
+/// A gauge whose transfers are recorded, each with its time.
+struct Recorded {
+    inner: Box<dyn Bus>,
+    clock: Arc<dyn Clock>,
+    transfers: Arc<Mutex<Vec<Transfer>>>,
+}
+
+/// When it was, what was written, and how many bytes were read.
+type Transfer = (Duration, Vec<u8>, usize);
+
+impl Bus for Recorded {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        let transfer = (self.clock.now(), write.to_vec(), read.len());
+        self.transfers.lock().expect("no panic").push(transfer);
+        self.inner.transfer(write, read)
+    }
+}
+
+/// All transfers of the identification of a simulated gauge.
+fn identification(chip: &Chip, byte_writes: bool, clock_hz: Option<u32>) -> Vec<Transfer> {
+    let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+    let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a gauge");
+    clock.sleep(Duration::from_secs(1));
+    let transfers = Arc::new(Mutex::new(Vec::new()));
+    let open = || {
+        let (inner, clock, transfers) = (Box::new(sim.bus()), clock.clone(), transfers.clone());
+        Ok(Box::new(Recorded { inner, clock, transfers }) as Box<dyn Bus>)
+    };
+    let target = Target { open: &open, clock: &clock, byte_writes, clock_hz };
+    assert_eq!(probe::find("here", &target).expect("a gauge").name, chip.name);
+    std::mem::take(&mut transfers.lock().expect("no panic"))
+}
+
+/// The watchdog of a gauge that gets a standard command more often may reset it.
+#[test]
+fn no_register_is_read_and_no_subcommand_is_sent_more_than_twice_a_second() {
+    for chip in CHIPS {
+        let mut times: HashMap<(bool, u16), Vec<Duration>> = HashMap::new();
+        for (now, write, read) in identification(chip, false, None) {
+            match write[..] {
+                [0x00 | 0x3e, low, high] => {
+                    times.entry((true, u16::from_le_bytes([low, high]))).or_default().push(now);
+                }
+                // Control() and MACData() are read after each subcommand.
+                [0x00 | 0x40] => {}
+                [start] => (start..).take(read).for_each(|code| {
+                    times.entry((false, code.into())).or_default().push(now);
+                }),
+                _ => panic!("{}: {write:02x?} was written", chip.name),
+            }
+        }
+        for ((_, code), times) in times {
+            let close = times.windows(3).any(|three| three[2] - three[0] < Duration::from_secs(1));
+            assert!(!close, "{}: 0x{code:02x} at {times:?}", chip.name);
+        }
+    }
+}
+
+#[test]
+fn one_byte_is_written_a_transfer_while_a_gauge_is_identified() {
+    let chip = Chip::by_name("bq27427").expect("a chip");
+    let longest = |byte_writes, clock_hz| {
+        let written =
+            identification(chip, byte_writes, clock_hz).into_iter().map(|(_, write, _)| write.len());
+        written.max()
+    };
+    assert_eq!(longest(false, None), Some(3));
+    assert_eq!(longest(false, Some(100_000)), Some(3));
+    assert_eq!(longest(true, None), Some(2));
+    assert_eq!(longest(false, Some(400_000)), Some(2));
 }

@@ -11,8 +11,8 @@ use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause};
 
-const WRITTEN: Outcome = Outcome::Written { reset: true };
-const STORED: Outcome = Outcome::Written { reset: false };
+const WRITTEN: Outcome = Outcome::Written { reset: true, old: Vec::new() };
+const STORED: Outcome = Outcome::Written { reset: false, old: Vec::new() };
 
 fn spent(rig: &mut Rig, run: impl FnOnce(&mut Rig)) -> (u64, u64) {
     let before = rig.cost();
@@ -94,7 +94,7 @@ fn an_unchanged_value_is_not_programmed() {
 #[test]
 fn a_class_that_is_only_stored_needs_no_reset() {
     let mut rig = Rig::new("bq34z100-g1");
-    assert_eq!(rig.write(58, 3, "0x5a"), Ok(Outcome::Written { reset: false }));
+    assert_eq!(rig.write(58, 3, "0x5a"), Ok(Outcome::Written { reset: false, old: Vec::new() }));
     assert_eq!(rig.read(58, 3), Ok(vec![0x5a]));
 }
 
@@ -105,6 +105,19 @@ fn a_string_across_two_blocks_programs_both() {
     assert_eq!(rig.write(48, 31, "My Pack"), Ok(WRITTEN));
     assert_eq!(rig.read(48, 31), Ok(b"\x07My Pack\0\0\0\0".to_vec()));
     assert_eq!(rig.read(48, 43), Ok(b"\x0bTexas Inst.".to_vec()));
+}
+
+/// In the order of the changes, those that were not programmed included.
+#[test]
+fn a_write_reports_the_bytes_that_it_replaced() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let changes = [(80, 53, "3100"), (58, 3, "0x5a"), (80, 53, "3200"), (48, 31, "My Pack")];
+    let changes = changes.map(|(subclass, offset, text)| rig.change(subclass, offset, text));
+    let old =
+        [(80, 53), (58, 3), (80, 53), (48, 31)].map(|(id, offset)| rig.read(id, offset).expect("a read"));
+    let outcome = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO);
+    assert_eq!(outcome, Ok(Outcome::Written { reset: true, old: old.to_vec() }));
+    assert_eq!(old[0], 3000_u16.to_be_bytes());
 }
 
 /// Every refusal leaves data flash unchanged and the gauge sealed.
