@@ -23,6 +23,7 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod settle;
 mod umount;
 
 const EXAMPLES: &str = "\
@@ -52,6 +53,7 @@ enum Command {
     Import(import::Import),
     Diff(diff::Diff),
     Lint(lint::Lint),
+    Settle(settle::Settle),
     Auth(auth::Auth),
     Keys(keys::Command),
     #[cfg(feature = "screen")]
@@ -77,6 +79,7 @@ impl Command {
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),
             Self::Lint(command) => command.run(),
+            Self::Settle(command) => command.run(),
             Self::Auth(command) => command.run(),
             Self::Keys(command) => command.run(),
             #[cfg(feature = "screen")]

@@ -5,7 +5,8 @@
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do,
-//! `arrival` identifies a gauge that comes or comes back, and `poll` reads its registers.
+//! `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a
+//! failed access has left: a seal, or a write that is neither done nor undone.
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
@@ -26,12 +27,14 @@ use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 mod arrival;
+mod debt;
 mod handle;
 mod poll;
 mod request;
 #[cfg(test)]
 mod rig;
 
+use debt::Debt;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
@@ -132,6 +135,7 @@ struct Owner {
     dataflash: DataFlash,
     shared: Arc<Shared>,
     schedule: Schedule,
+    debt: Debt,
     /// Registers of the tiers that are not read with every poll.
     rare: Registers,
     /// The static tier has been read since data flash last changed.
@@ -166,6 +170,7 @@ impl Owner {
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
             schedule: Schedule::new(startup.phase, now),
+            debt: Debt::default(),
             rare: Registers::UNREAD,
             statics_are_current: false,
             control_status: 0,
@@ -196,9 +201,11 @@ impl Owner {
     /// Serves requests, and polls when a poll is due, until the last handle has been dropped.
     fn run(&mut self, requests: &Receiver<(Duration, Request)>) {
         loop {
-            let due = self.schedule.due(self.shared.published().interval);
+            let poll = self.schedule.due(self.shared.published().interval);
+            let due = self.debt.due().map_or(poll, |debt| debt.min(poll));
             match requests.recv_timeout(due.saturating_sub(self.gauge.clock.now())) {
                 Ok((submitted, request)) => self.serve(submitted, request),
+                Err(RecvTimeoutError::Timeout) if due < poll => self.pay(),
                 Err(RecvTimeoutError::Timeout) => self.poll_on_time(),
                 Err(RecvTimeoutError::Disconnected) => return,
             }

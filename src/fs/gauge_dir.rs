@@ -12,6 +12,7 @@ use crate::error::{Cause, Error, Result};
 use crate::owner::{Answers, Done, Request, Seal};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
+use ti_gauge::dataflash::Decision;
 use ti_gauge::keys;
 
 /// One file.
@@ -54,6 +55,8 @@ static FILES: &[File] = &[
         gauge.submit(authentication::from_hex(data), done, Request::Authenticate)
     }),
     file("auth_order", Mode::Public, auth_order),
+    file("settle", Mode::ReadWrite, settling)
+        .written(|gauge, data, done| gauge.submit(decision(data), done, Request::Settle)),
     file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64()))
         .written(|gauge, data, done| gauge.submit(interval(data), done, Request::Interval)),
     file("refresh", Mode::Write, |_| empty())
@@ -239,8 +242,26 @@ fn auth_order(gauge: &Supply) -> Option<String> {
 }
 
 fn last_error(gauge: &Supply) -> Option<String> {
-    let error = gauge.published().last_error.clone();
-    if error.is_empty() { empty() } else { line(error) }
+    let published = gauge.published();
+    let (owed, error) = (&published.owed, &published.last_error);
+    match (owed.is_empty(), error.is_empty()) {
+        (true, true) => empty(),
+        (true, false) => line(error),
+        (false, _) if error.is_empty() || error.contains(&**owed) => line(owed),
+        // What is owed goes first: it must not be lost among less important errors.
+        (false, _) => line(format_args!("{owed}; last error: {error}")),
+    }
+}
+
+/// What is known of an interrupted write.
+fn settling(gauge: &Supply) -> Option<String> {
+    let published = gauge.published();
+    match (published.settling.is_empty(), published.owed.is_empty()) {
+        _ if !gauge.has_own_table() => None,
+        (false, _) => Some(published.settling.to_string()),
+        (true, false) => line(&published.owed),
+        (true, true) => line("nothing to settle"),
+    }
 }
 
 /// The registers that have been read, except Control() and the block-access window.
@@ -287,6 +308,17 @@ fn seal(data: &[u8]) -> Result<Seal> {
     let found = seals.into_iter().find(|seal| seal.as_str() == text(data));
     let why = "write sealed, unsealed or full-access";
     found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
+}
+
+/// `show`, or what somebody has decided about an interrupted write.
+fn decision(data: &[u8]) -> Result<Option<Decision>> {
+    match text(data) {
+        "show" => Ok(None),
+        "undo" => Ok(Some(Decision::Undo)),
+        "finish" => Ok(Some(Decision::Finish)),
+        "discard" => Ok(Some(Decision::Discard)),
+        _ => Err(Error::new("settle", Cause::Invalid("write show, undo, finish or discard".into()))),
+    }
 }
 
 fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {

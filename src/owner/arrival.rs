@@ -90,18 +90,6 @@ impl Owner {
         Some(Error::new(limited.name(chip), Cause::NotPermitted(why)))
     }
 
-    /// Settles an interrupted write before anybody sees what data flash holds.
-    fn settle(&mut self) {
-        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
-            Ok(Some(found)) => {
-                self.forget_dataflash();
-                self.shared.report(&Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
-            }
-            Ok(None) => {}
-            Err(error) => self.shared.report(&error.into()),
-        }
-    }
-
     /// Writes the saved configuration to a gauge with RAM data memory that has lost its power. Called after
     /// each scheduled poll, whose flags show the loss.
     pub(super) fn restore_after_power_loss(&mut self) {
@@ -128,6 +116,7 @@ impl Owner {
             return;
         }
         let outcome = self.dataflash.write(&mut self.gauge, &self.restore, Duration::ZERO);
+        self.note_debt();
         self.forget_dataflash();
         match self.logged(outcome.map_err(|error| error.within("--restore"))) {
             Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.shared.name()),

@@ -50,6 +50,10 @@ pub struct Published {
     pub interval: Duration,
     /// The last failure, one line; empty for none.
     pub last_error: Arc<str>,
+    /// What a failed access has left to do, one line; empty for nothing.
+    pub owed: Arc<str>,
+    /// What is known of an interrupted write, since somebody last asked; empty until then.
+    pub settling: Arc<str>,
 }
 
 /// What the owner shares with its handles.
@@ -90,6 +94,8 @@ impl Shared {
             digest: None,
             interval: settings.interval,
             last_error: "".into(),
+            owed: "".into(),
+            settling: "".into(),
         };
         Self {
             chip: gauge.chip,

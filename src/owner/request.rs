@@ -8,7 +8,7 @@ use super::{Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::chip::Subclass;
-use ti_gauge::dataflash::{Change, Outcome};
+use ti_gauge::dataflash::{Change, Decision, Outcome};
 use ti_gauge::keys;
 
 /// Requests queued longer than this are refused, so that write(2) returns within 30 s.
@@ -31,6 +31,8 @@ pub enum Request {
     ChangeKey(keys::KeyChange, Done<()>),
     /// Publish the gauge's answer to a challenge.
     Authenticate(Message, Done<()>),
+    /// Show what is known of an interrupted write, or settle it as somebody has decided.
+    Settle(Option<Decision>, Done<()>),
     /// Poll now, and forget what was read of data flash.
     Refresh(Done<()>),
     /// Change the time between polls.
@@ -49,7 +51,8 @@ impl Request {
             | Request::Seal(..)
             | Request::Control(..)
             | Request::ChangeKey(..)
-            | Request::Authenticate(..) => true,
+            | Request::Authenticate(..)
+            | Request::Settle(..) => true,
             Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
         }
     }
@@ -63,6 +66,7 @@ impl Request {
             | Request::Control(_, done)
             | Request::ChangeKey(_, done)
             | Request::Authenticate(_, done)
+            | Request::Settle(_, done)
             | Request::Refresh(done)
             | Request::Interval(_, done) => done(Err(error)),
             Request::Look => {}
@@ -117,6 +121,7 @@ impl Owner {
                     log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
                 }
                 let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
+                self.note_debt();
                 self.publish_seal();
                 done(self.logged(outcome));
             }
@@ -132,6 +137,7 @@ impl Owner {
             Request::ChangeKey(change, done) => {
                 let order = self.shared.auth_order;
                 let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, waited);
+                self.note_debt();
                 self.publish_seal();
                 let (prefix, name) = (&self.shared.prefix, change.name.as_str());
                 done(self.logged(outcome).map(|()| log::info!("{prefix}{name} key: changed and tried")));
@@ -145,6 +151,7 @@ impl Owner {
                     self.shared.publish(|published| published.digest = Some(digest));
                 }));
             }
+            Request::Settle(decision, done) => done(self.settle_as_decided(decision, waited)),
             Request::Refresh(done) => done(self.refresh(submitted)),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
@@ -173,6 +180,7 @@ impl Owner {
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
         let Some(first) = rows.first() else { return Ok(Vec::new()) };
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        self.note_debt();
         let read = self.logged(read.map_err(|error| error.within(&format!("df of {}", first.name))))?;
         let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
         for (&index, bytes) in wanted.iter().zip(&read) {
@@ -187,6 +195,7 @@ impl Owner {
             return Ok(());
         }
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
+        self.note_debt();
         match &outcome {
             Ok(Outcome::Unchanged) => {}
             Ok(Outcome::Written { reset: false, .. }) => {

@@ -929,21 +929,14 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     write.join().expect("the thread ends").expect_err("the daemon was killed");
     // Otherwise the kernel's cache of the dead mount would be taken for the next one.
     gaugefs(&["umount", &at]).done();
-    // A journal of another pack at the same address.
-    let path = files().next().expect("the journal");
-    let name = path.file_name().expect("a name").to_string_lossy().into_owned();
-    let foreign = name.replace("-0001.journal", "-0002.journal");
-    assert_ne!(name, foreign);
-    fs::copy(&path, path.with_file_name(&foreign)).expect("a copy");
     let log = folder.file("log");
     let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
     let last_error = read(&at, "BAT0/gauge/last_error");
     assert!(last_error.contains("a write was interrupted"), "{last_error}");
     let log = fs::read_to_string(log).expect("the log");
     assert!(log.contains("a write was interrupted"), "{log}");
-    assert!(log.contains(&foreign) && log.contains("journal of another gauge"), "{log}");
-    let left: Vec<_> = files().map(|path| path.file_name().expect("a name").to_owned()).collect();
-    assert_eq!(left, [&*foreign]);
+    let left: Vec<_> = files().filter(|path| path.extension().is_some_and(|end| end == "journal")).collect();
+    assert!(left.is_empty(), "{left:?}");
     assert!(["3000", "3100"].contains(&&*read(&at, "BAT0/df/80/53")));
     assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
     fs::write(Path::new(&at).join("BAT0/df/80/53"), "3200\n").expect("writes work again");

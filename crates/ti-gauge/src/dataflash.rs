@@ -128,6 +128,8 @@ pub struct DataFlash {
     known: Known,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
+    /// The journal of a read could not be written, which has been reported.
+    unrecorded: bool,
 }
 
 impl DataFlash {
@@ -155,7 +157,17 @@ impl DataFlash {
             let mut session = Session::new(gauge, found, waited);
             // While something is pending its own entry owes the seal.
             if found == Seal::Sealed && self.find_pending().is_none() {
-                self.owe(gauge, &mut session, 0)?;
+                match self.owe(gauge, &mut session, 0) {
+                    Ok(()) => self.unrecorded = false,
+                    // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it
+                    // leaves the gauge unsealed.
+                    Err(error) if matches!(error.cause(), Cause::Io(..)) => {
+                        if !std::mem::replace(&mut self.unrecorded, true) {
+                            log::warn!("{error}");
+                        }
+                    }
+                    Err(error) => return Err(error),
+                }
             }
             let read = session.open(gauge).and_then(|()| {
                 let read = |subclass: &&Subclass| read_subclass(gauge, subclass, &mut self.known);
@@ -214,10 +226,10 @@ impl DataFlash {
     fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.identity(gauge)?;
         gauge.watch();
+        let entry = session.entry.insert(Entry { identity, found: session.found, plan: None });
         if let Some(journal) = &self.journal {
-            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
+            session.journal = Some(journal.begin(&entry.identity, session.found, blocks)?);
         }
-        session.entry = Some(Entry { identity, found: session.found, plan: None });
         Ok(())
     }
 

@@ -47,6 +47,9 @@ const SEAL_POLL: Duration = Duration::from_millis(80);
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
 
+/// The least time between two transfers (SLUSBZ5D 6.13, t(BUF); the bq274xx above 100 kHz).
+const BUS_FREE: Duration = Duration::from_micros(66);
+
 /// The seal state of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
@@ -163,6 +166,8 @@ pub struct Gauge {
     proven: bool,
     /// Transfers that failed.
     failures: u64,
+    /// When the last transfer ended.
+    stopped: Option<Duration>,
     /// When the gauge last answered, and the longest silence since `watch`.
     answered: Duration,
     silence: Duration,
@@ -192,6 +197,7 @@ impl Gauge {
             refused: false,
             proven: false,
             failures: 0,
+            stopped: None,
             answered: Duration::ZERO,
             silence: Duration::ZERO,
             expected: None,
@@ -220,9 +226,13 @@ impl Gauge {
         if self.deadline.is_some_and(|deadline| self.clock.now() >= deadline) {
             return Err(BusError::Timeout);
         }
+        if let Some(stopped) = self.stopped {
+            self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
+        }
         Statistics::count(&self.statistics.transfers);
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
         let outcome = self.bus.transfer(write, read);
+        self.stopped = Some(self.clock.now());
         match outcome {
             Ok(()) => {
                 self.silence = self.longest_silence();

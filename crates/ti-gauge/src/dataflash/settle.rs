@@ -69,8 +69,19 @@ enum Held {
 enum Verdict {
     /// It has been settled; the text says how.
     Done(String),
+    /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
+    /// write was begun on is not certain, so its journal is kept under another name.
+    Plausible(String),
     /// Nothing was touched; the text says why.
     Undecided(String),
+}
+
+/// Why an interrupted write is not settled without being told to.
+enum Doubt {
+    None,
+    /// Nothing shows that this is another pack, and nothing that it is the one.
+    Weak,
+    Because(String),
 }
 
 /// A planned block, what the gauge has in its place, and which content that is.
@@ -216,7 +227,7 @@ impl DataFlash {
         };
         self.identity = None;
         let (error, undecided) = match verdict {
-            Ok(Verdict::Done(message)) => {
+            Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
                 self.known.clear();
                 return Ok(message);
@@ -281,7 +292,17 @@ impl DataFlash {
                     log::warn!("{error}");
                 }
             }
-            _ => session.journal = None,
+            (Ok(Verdict::Plausible(message)), None) => {
+                let Some(journal) = self.journal.as_ref().filter(|_| session.journal.is_some()) else {
+                    return outcome;
+                };
+                let kept = journal.dismiss()?;
+                return Ok(Verdict::Plausible(format!(
+                    "{message}; its journal is kept as {}",
+                    kept.display()
+                )));
+            }
+            _ => {}
         }
         outcome
     }
@@ -404,48 +425,58 @@ impl Task<'_> {
             return Ok(Verdict::Undecided(why.into()));
         }
         let seen = look(gauge, self.plan)?;
-        if self.decision.is_none()
-            && let Some(why) = self.doubt(gauge, &seen)?
-        {
-            return Ok(Verdict::Undecided(why));
+        let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
+        let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
+        let whole = intact && (all(Held::Old) || all(Held::New));
+        let mut done: fn(String) -> Verdict = Verdict::Done;
+        if self.decision.is_none() {
+            match self.doubt(gauge, &seen)? {
+                Doubt::None => {}
+                // Flash is not touched, whichever gauge it is.
+                Doubt::Weak if whole => done = Verdict::Plausible,
+                Doubt::Weak => {
+                    let why = "this gauge has the serial number and the calibration of every new one, so it may be \
+                               another pack";
+                    return Ok(Verdict::Undecided(why.into()));
+                }
+                Doubt::Because(why) => return Ok(Verdict::Undecided(why)),
+            }
         }
         // The mode that the write started may still be on; `begin` detects that.
         if sequence(gauge).always_finishes() {
             session.begin(gauge)?;
         }
-        let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
-        let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
         let forward = match self.decision {
             Some(Decision::Finish) => true,
             Some(Decision::Undo | Decision::Discard) => false,
             None => intact && all(Held::New),
         };
         if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
-            return Ok(Verdict::Done("a write was interrupted; data flash holds the old values".into()));
+            return Ok(done("a write was interrupted; data flash holds the old values".into()));
         }
-        let done =
+        let settled =
             if forward { self.finish(gauge, session, &seen) } else { self.undo(gauge, session, &seen) };
         let message = match forward {
-            true => "a write was interrupted; it has been finished and verified",
+            true => "a write was interrupted after its last block; it has been finished and verified",
             false => "a write was interrupted half way; the old values were restored and verified",
         };
         let unknown = |error: Error| {
             Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
         };
-        done.map(|()| Verdict::Done(message.into())).map_err(unknown)
+        settled.map(|()| done(message.into())).map_err(unknown)
     }
 
     /// Why nothing may be written without being told to.
-    fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Option<String>> {
+    fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Doubt> {
         let same = compare(gauge.chip, self.then, self.now, self.plan, |place| {
             let seen = seen.iter().find(|seen| seen.block.place == place);
             seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
         })?;
         if let Match::Other(name) = &same {
-            return Ok(Some(format!("{name} is not what it was then: this is another pack")));
+            return Ok(Doubt::Because(format!("{name} is not what it was then: this is another pack")));
         }
         if self.watched {
-            return Ok(None);
+            return Ok(Doubt::None);
         }
         if let Some(Seen { block, stored, .. }) = seen.iter().find(|seen| seen.held == Held::Unexplained) {
             let unlike = |&at: &usize| {
@@ -459,10 +490,9 @@ impl Task<'_> {
                 block.old[at],
                 block.new[at]
             );
-            return Ok(Some(why));
+            return Ok(Doubt::Because(why));
         }
-        let weak = "this gauge has the serial number and the calibration of every new one, so it may be another pack";
-        Ok((same == Match::Weak).then(|| weak.into()))
+        Ok(if same == Match::Weak { Doubt::Weak } else { Doubt::None })
     }
 
     /// Writes the old values. Torn blocks are restored as a whole; of the others only the written bytes, which

@@ -1,0 +1,76 @@
+//! `gaugefs settle`: shows an interrupted write, and carries out what somebody decides about it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use nix::errno::Errno;
+
+use super::print;
+use crate::error::{Error, Result};
+
+const SETTLE: &str = "\
+A write that was interrupted is settled by itself where the gauge is certainly the one it was begun on.
+Where it is not, nothing is touched and every further write is refused until you decide. Without an
+option this command shows what is known: each parameter with its old value, its new one, and what the
+gauge has now. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
+
+Examples:
+  gaugefs settle /run/gauges/BAT0             what is there to settle
+  gaugefs settle /run/gauges/BAT0 --undo      write the old values";
+
+/// Show an interrupted write, and undo, finish or discard it
+#[derive(Args, Debug)]
+#[command(after_help = SETTLE)]
+pub(super) struct Settle {
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// Write the old values, verify them and reset the gauge
+    #[arg(long, conflicts_with_all = ["finish", "discard"])]
+    undo: bool,
+    /// Write the new values, verify them and reset the gauge
+    #[arg(long, conflicts_with = "discard")]
+    finish: bool,
+    /// Leave data flash as it is; the journal is kept under another name
+    #[arg(long)]
+    discard: bool,
+}
+
+impl Settle {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let word = match (self.undo, self.finish, self.discard) {
+            (true, _, _) => "undo",
+            (_, true, _) => "finish",
+            (_, _, true) => "discard",
+            _ => "show",
+        };
+        let told = exchange(&self.gauge, word)?;
+        print(&format!("{}\n", told.trim_end()));
+        let is_pending = word == "show" && told.trim() != "nothing to settle";
+        Ok(if is_pending { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    }
+}
+
+/// Writes a word to `gauge/settle` and reads the answer.
+fn exchange(gauge: &Path, word: &str) -> Result<String> {
+    let path = gauge.join("gauge/settle");
+    let name = gauge.display().to_string();
+    if !path.exists() {
+        let why = "not a mounted gauge with data flash; give a folder such as /run/gauges/BAT0";
+        return Err(Error::host(name, Errno::ENOENT, why));
+    }
+    // One write(2) is one request.
+    let written = fs::File::options().write(true).open(&path).and_then(|mut file| {
+        use std::io::Write;
+        file.write(word.as_bytes())
+    });
+    written.map_err(|error| {
+        let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+        match (why.trim(), error.raw_os_error().map(Errno::from_raw)) {
+            ("", _) | (_, None) => Error::io(&name, "cannot be settled", &error),
+            (why, Some(errno)) => Error::host(&name, errno, why),
+        }
+    })?;
+    fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read what is to settle", &error))
+}

@@ -1,0 +1,124 @@
+//! What a failed access has left to do: a seal, or a write that is neither done nor undone. It is tried again until
+//! the gauge answers, whether anybody asks for it or not.
+
+use std::time::Duration;
+
+use super::Owner;
+use crate::error::{Cause, Error, Result};
+use ti_gauge::dataflash::Decision;
+
+/// Pause before the first try, which doubles up to the longest.
+const FIRST: Duration = Duration::from_secs(1);
+const LONGEST: Duration = Duration::from_secs(30);
+
+/// When what is owed is tried next.
+#[derive(Debug, Default)]
+pub(super) struct Debt {
+    next: Option<(Duration, Duration)>,
+}
+
+impl Debt {
+    /// When it is tried next; `None` while nothing is owed that a try could pay.
+    pub(super) fn due(&self) -> Option<Duration> {
+        self.next.map(|(due, _)| due)
+    }
+
+    /// Notes after an access whether anything is owed.
+    fn note(&mut self, owed: bool, now: Duration) {
+        match self.next {
+            _ if !owed => self.next = None,
+            None => self.next = Some((now + FIRST, FIRST)),
+            Some((due, pause)) if due <= now => {
+                let pause = (pause * 2).min(LONGEST);
+                self.next = Some((now + pause, pause));
+            }
+            Some(_) => {}
+        }
+    }
+}
+
+impl Owner {
+    /// Notes and publishes what is owed.
+    pub(super) fn note_debt(&mut self) {
+        let owed = self.dataflash.owed();
+        self.debt.note(owed.is_some_and(|owed| !owed.needs_decision), self.gauge.clock.now());
+        let text = owed.map_or("", |owed| owed.why);
+        if *self.shared.published().owed != *text {
+            self.shared.publish(|published| published.owed = text.into());
+        }
+    }
+
+    /// Tries to pay what is owed.
+    pub(super) fn pay(&mut self) {
+        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
+            Ok(Some(message)) => {
+                log::warn!("{}: {message}", self.shared.name());
+                self.after_settling();
+            }
+            Ok(None) => {}
+            // The first failure was reported; why it still fails is published as what is owed.
+            Err(error) => log::debug!("{}: {error}", self.shared.name()),
+        }
+        self.note_debt();
+    }
+
+    /// Settles what an earlier process has left, before anybody sees what data flash holds.
+    pub(super) fn settle(&mut self) {
+        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
+            Ok(Some(found)) => {
+                self.forget_dataflash();
+                self.shared.report(&Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
+            }
+            Ok(None) => {}
+            Err(error) => self.shared.report(&error.into()),
+        }
+        self.note_debt();
+    }
+
+    /// Shows what is known of an interrupted write, or settles it as somebody has decided.
+    pub(super) fn settle_as_decided(&mut self, decision: Option<Decision>, waited: Duration) -> Result<()> {
+        let outcome = match decision {
+            None => self.dataflash.examine(&mut self.gauge, waited),
+            Some(decision) => self.dataflash.decide(&mut self.gauge, decision, waited),
+        };
+        if decision.is_some() {
+            self.after_settling();
+        }
+        self.note_debt();
+        let told = self.logged(outcome)?;
+        if decision.is_some() {
+            log::warn!("{}: {told}", self.shared.name());
+        }
+        self.shared.publish(|published| published.settling = told.into());
+        Ok(())
+    }
+
+    fn after_settling(&mut self) {
+        self.forget_dataflash();
+        self.schedule.hurry();
+        self.publish_seal();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_owed_is_tried_again_after_growing_pauses_until_it_is_paid() {
+        let mut debt = Debt::default();
+        let (mut now, mut pauses) = (Duration::ZERO, Vec::new());
+        debt.note(true, now);
+        for _ in 0..7 {
+            let due = debt.due().expect("it is owed");
+            pauses.push((due - now).as_secs());
+            // An access in between changes nothing.
+            debt.note(true, due - Duration::from_millis(1));
+            now = due;
+            debt.note(true, now);
+        }
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30]);
+        debt.note(false, now);
+        assert_eq!(debt.due(), None);
+    }
+}
