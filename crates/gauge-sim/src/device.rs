@@ -67,9 +67,11 @@ pub(super) struct Device {
     /// Commits that were acknowledged and not stored.
     dropped: u64,
     last_transfer: Duration,
-    /// Transfers to the gauge, and when one of its own values has moved last.
+    /// Transfers to the gauge.
     transfers: u64,
-    moved_at: Duration,
+    /// How often the gauge has rewritten one of its own values, and when it last did.
+    rewrites: usize,
+    rewritten_at: Duration,
     /// Silence on the bus before the present message.
     pub(super) quiet: Duration,
 }
@@ -94,7 +96,7 @@ impl Device {
             store,
             timing: part.timing,
             envelope: Envelope::friendly(options.seed),
-            plan: Plan::new(options.envelope.unwrap_or(options.seed), options.envelope.is_some()),
+            plan: Plan::new(options.seed, options.envelope.is_some()),
             now,
             speed: 1.0,
             modelled: now,
@@ -111,7 +113,8 @@ impl Device {
             dropped: 0,
             last_transfer: Duration::ZERO,
             transfers: 0,
-            moved_at: now,
+            rewrites: 0,
+            rewritten_at: now,
             quiet: Duration::MAX,
         })
     }
@@ -187,18 +190,19 @@ impl Device {
         wire.run(self, settle);
     }
 
-    /// Moves one of the gauge's own values, if it is time, and programs the row as the gauge has it.
-    fn move_own(&mut self, wire: &mut dyn Wire) {
+    /// Changes one of the gauge's own values, if that is due, and programs the row as the gauge has it.
+    fn rewrite_own(&mut self, wire: &mut dyn Wire) {
         let Envelope { rewrite, rewrite_every, .. } = self.envelope;
         self.transfers += 1;
         let counted = rewrite_every > 0 && self.transfers.is_multiple_of(rewrite_every.into());
-        let timed = !rewrite.is_zero() && self.now >= self.moved_at + rewrite;
+        let timed = !rewrite.is_zero() && self.now >= self.rewritten_at + rewrite;
         let rows = self.part.rewrites;
         if !(counted || timed) || rows.is_empty() || self.now < self.ready_at || !wire.gauges() {
             return;
         }
-        self.moved_at = self.now;
-        let (area, offset, length) = rows[self.transfers as usize % rows.len()];
+        self.rewritten_at = self.now;
+        self.rewrites += 1;
+        let (area, offset, length) = rows[self.rewrites % rows.len()];
         let mut bytes = self.flash.bytes_at(area, offset, length).to_vec();
         if let Some(last) = bytes.last_mut() {
             *last = last.wrapping_add(1);
@@ -364,6 +368,8 @@ pub(super) struct Gauge {
     wire: Box<dyn Wire>,
     /// The register that is read or written next.
     pointer: u8,
+    /// The seed by which it was drawn from the envelope.
+    drawn: Option<u64>,
 }
 
 impl Gauge {
@@ -373,7 +379,7 @@ impl Gauge {
             let printed = wire.versions(&device.flash);
             device.envelope = Envelope::draw(seed, device.part, printed, &mut device.timing);
         }
-        Self { device, wire: Box::new(wire), pointer: 0 }
+        Self { device, wire: Box::new(wire), pointer: 0, drawn: envelope }
     }
 
     /// The drawn knobs and their values.
@@ -381,7 +387,8 @@ impl Gauge {
         let device = &mut self.device;
         let drawn = |name: &&str| Some(format!("{name} {}", device.dial(name)?.show()));
         let shown: Vec<String> = DRAWN.iter().filter_map(drawn).collect();
-        format!("seed {}: {}", self.device.envelope.seed, shown.join(", "))
+        let seed = self.drawn.map_or_else(|| "friendly".into(), |seed| format!("seed {seed}"));
+        format!("{seed}: {}", shown.join(", "))
     }
 
     pub(super) fn nack_as(&self) -> NackAs {
@@ -412,7 +419,7 @@ impl Gauge {
         {
             return None;
         }
-        device.move_own(wire);
+        device.rewrite_own(wire);
         let busy = match (device.busy_until.saturating_sub(now), device.envelope.commit_busy) {
             (busy, Busy::Nack) if !busy.is_zero() => return None,
             (busy, Busy::Stretch) => busy,

@@ -116,7 +116,7 @@ pub(super) enum Lost {
 #[derive(Clone, Debug)]
 pub(super) struct Envelope {
     /// The seed of everything that differs from place to place.
-    pub(super) seed: u64,
+    seed: u64,
     /// The longest time by which a block can be read later than others.
     block: Duration,
     pub(super) early: Early,
@@ -132,7 +132,7 @@ pub(super) struct Envelope {
     drop_resets: u32,
     drop_seals: u32,
     drop_keys: u32,
-    /// The gauge moves one of its own values this often, and at every such transfer.
+    /// The interval, in time and in transfers, at which the gauge rewrites one of its own values; 0 for never.
     pub(super) rewrite: Duration,
     pub(super) rewrite_every: u32,
     pub(super) nack_as: NackAs,
@@ -242,7 +242,7 @@ impl Envelope {
         let lost = random.roll(8);
         (new.drop_resets, new.drop_seals) = (u32::from(lost == 0), u32::from(lost == 1));
         new.drop_keys = u32::from(lost == 2);
-        // Learned values, lifetime data and offsets move at any moment (SLUSBZ5D 7.3).
+        // The gauge rewrites learned values, lifetime data and offsets at any moment (SLUSBZ5D 7.3).
         match random.roll(4) {
             0 => new.rewrite = ms(&mut random, 300..=5000),
             1 => new.rewrite_every = random.within(50..=500) as u32,

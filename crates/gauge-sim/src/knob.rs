@@ -106,9 +106,9 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("drop_keys", "how many right keys it refuses"),
     Of::Gauge.set(
         "rewrite_ms",
-        "every so many ms the gauge moves one of its own values and programs its row; 0 never",
+        "interval at which the gauge changes one of its own values and programs its row; 0 never",
     ),
-    Of::Gauge.set("rewrite_every", "the same at every such transfer; 0 never"),
+    Of::Gauge.set("rewrite_every", "the same interval in transfers; 0 never"),
     Of::Bus.set("nack_as", "`enxio`, `eio`, `etimedout` or `eagain`: what the adapter reports for a NACK"),
     Of::Gauge.set("firmware", "FW_VERSION in hexadecimal, or `printed`"),
     Of::Gauge.set("hardware", "HW_VERSION in hexadecimal, or `printed`"),

@@ -235,7 +235,8 @@ impl Sim {
         }
     }
 
-    /// What the seed of [`Options::envelope`] has drawn: names of knobs with the values they have now, in one line.
+    /// What the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs with the
+    /// values that they have now.
     pub fn envelope(&self) -> String {
         self.lock().gauge.envelope()
     }

@@ -23,6 +23,8 @@ use gauge_bus::GAUGE_ADDRESS;
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).
 /// Where that begins is not known.
 const SHIFTED: u16 = 0x4100;
+/// The subcommand that answers with the seal state among other things.
+const OPERATION_STATUS: u16 = 0x0054;
 /// A word above it that is no subcommand is taken for one of a key.
 const LAST_SUBCOMMAND: u16 = 0x00FF;
 /// What MACDataLen() counts besides the data: the word, the sum and itself.
@@ -201,6 +203,8 @@ impl Mac {
             }
             return;
         }
+        // What shows the level shows it late.
+        let level = if word == OPERATION_STATUS { self.shown_level(device) } else { self.ram.seal.level };
         self.ram.elsewhere |= self.part.answers_elsewhere && matches!(word, 0x0001 | 0x0002);
         match word {
             0x0000 => {}
@@ -217,7 +221,7 @@ impl Mac {
                     self.ram.buffer = Buffer::default();
                 }
             }
-            _ => match self.model.subcommand(word, self.ram.seal.level, &device.flash) {
+            _ => match self.model.subcommand(word, level, &device.flash) {
                 Some(Reply::Answer(mut bytes)) => {
                     if let Some(version) = device.envelope.version(word) {
                         set_version(word, &mut bytes, version);

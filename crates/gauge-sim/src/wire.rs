@@ -59,7 +59,7 @@ pub(super) trait Wire: Send {
     fn stop(&mut self) {}
     /// The printed firmware and hardware versions.
     fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
-    /// Whether the gauge gauges, so that its own values may move.
+    /// Whether the gauge gauges, so that it may rewrite its own values.
     fn gauges(&self) -> bool;
 
     /// Builds all RAM anew, after a reset or when power has come.

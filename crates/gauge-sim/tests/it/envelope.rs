@@ -346,6 +346,16 @@ mod security {
             assert_eq!(bench.word(0x00) & 0x2000 != 0, late);
             bench.replay("X 200");
             assert_eq!(bench.word(0x00) & 0x6000, 0x4000);
+            // OperationStatus() and the subcommand for it.
+            let bench = open("bq34110", &[("status_ms", ms)]);
+            let shown = || {
+                bench.replay("W 3E 54 00");
+                [bench.word(0x3A), bench.word(0x40)]
+            };
+            let before = shown();
+            bench.replay("X 200");
+            let after = shown();
+            assert_eq!([before[0] != after[0], before[1] != after[1]], [late; 2]);
         }
     }
 
@@ -386,7 +396,7 @@ mod rewrites {
     use super::*;
 
     #[test]
-    fn the_gauge_moves_its_own_values_in_time_and_by_transfers() {
+    fn the_gauge_rewrites_its_own_values_in_time_and_by_transfers() {
         for chip in [FLASH, RAM, MAC].into_iter().chain(OTHERS) {
             let friendly = gauge(chip, &[]);
             for knob in [("rewrite_ms", "500"), ("rewrite_every", "10")] {
@@ -403,9 +413,9 @@ mod rewrites {
         }
     }
 
-    /// Between a host's reading and its commit: the host undoes it, or finds more changed than it has written.
+    /// Between two readings of the row that hosts write most.
     #[test]
-    fn a_value_moves_in_the_row_that_the_host_writes() {
+    fn a_value_changes_in_a_row_that_hosts_write() {
         let bench = open(FLASH, &[("rewrite_every", "1")]);
         let moved = (0..100).any(|_| {
             let (before, _) = bench.block(48, 0);
@@ -415,7 +425,7 @@ mod rewrites {
     }
 
     #[test]
-    fn nothing_moves_in_config_update() {
+    fn nothing_is_rewritten_in_config_update() {
         let bench = open(RAM, &[("rewrite_every", "1")]);
         bench.replay("W 00 13 00 ; X 1200 ; R 06 2 -> ..");
         let flash = bench.sim.flash();
