@@ -30,3 +30,23 @@ fn check_sums(image: flash::Image, sums: &[(u16, usize, u8)]) {
         assert_eq!(super::window::checksum(bytes), sum, "{id}/{block}");
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_values_that_a_gauge_rewrites_are_in_its_flash() {
+        for part in PARTS {
+            let flash = flash::Flash::new(part.image);
+            for &(area, offset, length) in part.rewrites {
+                assert_eq!(
+                    flash.bytes_at(area, offset, length).len(),
+                    length,
+                    "{} {area}/{offset}",
+                    part.name
+                );
+            }
+        }
+    }
+}

@@ -623,3 +623,97 @@ mod draws {
         assert!(count(Some(3)) > 0);
     }
 }
+
+/// A host that waits for as long as any gauge of the envelope needs.
+struct Patient(Bench);
+
+impl Patient {
+    fn wait(&self, ms: u64) {
+        self.0.clock.sleep(Duration::from_millis(ms));
+    }
+
+    /// Repeats a transfer until it is acknowledged.
+    fn transfer(&self, write: &[u8], read: &mut [u8]) {
+        let mut bus = self.0.sim.bus();
+        let acknowledged = (0..400).any(|_| {
+            self.wait(2);
+            bus.transfer(write, read).is_ok()
+        });
+        assert!(acknowledged, "{write:02X?}: {}", self.0.sim.envelope());
+    }
+
+    fn words(&self, words: &[u16]) {
+        for word in words {
+            let [low, high] = word.to_le_bytes();
+            self.transfer(&[0x00, low, high], &mut []);
+        }
+    }
+
+    /// Sends words until the gauge has the seal state, of which one attempt may be lost.
+    fn go_to(&self, words: &[u16], state: &str) {
+        for _ in 0..2 {
+            if seal(&self.0) != state {
+                self.wait(5100);
+                self.words(words);
+            }
+        }
+        assert_eq!(seal(&self.0), state, "{}", self.0.sim.envelope());
+    }
+
+    fn block(&self, class: u8, block: u8) -> Vec<u8> {
+        for write in [[0x61, 0], [0x3E, class], [0x3F, block]] {
+            self.transfer(&write, &mut []);
+        }
+        self.wait(60);
+        let mut read = vec![0; 33];
+        self.transfer(&[0x40], &mut read);
+        assert_eq!(read[32], sum(&read[..32]));
+        read.truncate(32);
+        read
+    }
+
+    /// Changes a byte of a block, and reads it back.
+    fn change(&self, (class, number): (u8, u8), at: u8, byte: u8) {
+        let mut block = self.block(class, number);
+        block[usize::from(at)] = byte;
+        self.transfer(&[0x40 + at, byte], &mut []);
+        self.transfer(&[0x60, sum(&block)], &mut []);
+        self.wait(600);
+        assert_eq!(self.block(class, number)[usize::from(at)], byte, "{}", self.0.sim.envelope());
+    }
+}
+
+/// No behaviour, nor any two together, makes a gauge that cannot be used.
+#[test]
+fn a_patient_host_can_write_every_drawn_gauge() {
+    for seed in 0..200 {
+        let made = |chip| {
+            let host = Patient(with(chip, &Options { envelope: Some(seed), ..Options::default() }));
+            host.wait(3000);
+            host
+        };
+        let host = made(FLASH);
+        host.go_to(&[0x0414, 0x3672], "unsealed");
+        host.change((58, 0), 3, 0x5A);
+        host.go_to(&[0x0020], "sealed");
+        let host = made(RAM);
+        host.go_to(&[0x8000, 0x8000], "unsealed");
+        host.words(&[0x0013]);
+        host.wait(1200);
+        host.change((82, 0), 10, 0x5A);
+        host.words(&[0x0043]);
+        host.wait(1200);
+        host.go_to(&[0x0020], "sealed");
+        let host = made(MAC);
+        host.go_to(&[0x0414, 0x3672], "unsealed");
+        host.transfer(&[0x3E, 0xB1, 0x41, 0x82], &mut []);
+        host.transfer(&[0x60, 0x8B, 0x05], &mut []);
+        host.wait(600);
+        host.transfer(&[0x3E, 0xB1, 0x41], &mut []);
+        host.wait(60);
+        let mut read = [0];
+        host.transfer(&[0x40], &mut read);
+        assert_eq!(read, [0x82], "{}", host.0.sim.envelope());
+        host.go_to(&[0x0020], "sealed");
+    }
+}
