@@ -152,7 +152,8 @@ fn power_up(
     clock: &Arc<dyn Clock>,
 ) -> Result<(Sim, SimBus)> {
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
-    let options = gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed };
+    let options =
+        gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed, envelope: None };
     let sim = Sim::new(chip.name, &options, clock.clone())?;
     let mut bus = sim.bus();
     let start = clock.now();

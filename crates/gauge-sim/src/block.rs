@@ -12,6 +12,7 @@ use std::time::Duration;
 use sha1::{Digest, Sha1};
 
 use super::device::{Device, Gauge};
+use super::envelope::{Early, First, Lost};
 use super::error::{Error, Kind, Result};
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
@@ -20,7 +21,7 @@ use super::model::{Kept, Model, Registers, bits};
 use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
-use super::window::{Source, Window, checksum};
+use super::window::{Before, Source, Window, checksum};
 use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
 
@@ -53,6 +54,8 @@ pub(super) struct Block {
     ignores_sealed: bool,
     /// Challenge and digest are sent most significant byte first, instead of least significant.
     as_sent: bool,
+    /// The registers before the last reset.
+    before: Registers,
 }
 
 /// Everything that a reset clears.
@@ -171,8 +174,9 @@ impl Block {
             cc_offset: -1200 + (options.seed % 101) as i16 - 50,
             ignores_sealed: false,
             as_sent: false,
+            before: [0; 0x80],
         };
-        Ok(Gauge::new(device, block))
+        Ok(Gauge::new(device, block, options.envelope))
     }
 
     fn sealed(&self) -> bool {
@@ -180,8 +184,8 @@ impl Block {
     }
 
     /// To SEALED, with nothing left open.
-    fn close(&mut self) {
-        self.ram.seal = Seal::new(Level::Sealed);
+    fn close(&mut self, now: Duration) {
+        self.ram.seal.change(Level::Sealed, now);
         self.ram.window = Window::new(self.part.authentication.is_some());
     }
 
@@ -196,7 +200,7 @@ impl Block {
         }
         self.ram.registers = None;
         if self.part.level(&device.flash) == Level::Sealed {
-            self.close();
+            self.close(device.now);
             self.ram.locked_until = device.now + device.timing.lock;
         }
         device.save();
@@ -266,12 +270,18 @@ impl Block {
                 (source, device.timing.sealed_load)
             }
         };
-        let bytes = match source {
-            Source::Flash(id, block) => device.flash.block(id, block),
-            Source::Nothing | Source::Authentication => &[],
+        let flash = device.loadable();
+        let (bytes, late) = match source {
+            Source::Flash(id, block) => (flash.block(id, block), device.envelope.delay(id, block.into())),
+            Source::Nothing | Source::Authentication => (&[][..], Duration::ZERO),
         };
         let source = if bytes.is_empty() && !special { Source::Nothing } else { source };
-        window.load(source, bytes, special, device.now + wait);
+        let early = match device.envelope.early {
+            _ if special => Before::Zeros,
+            Early::Blank => Before::Blank,
+            Early::Previous => Before::Same,
+        };
+        window.load(source, bytes, early, device.now + wait + late);
     }
 
     /// Answers a challenge with SHA-1 of the key and SHA-1 of the key and the challenge (SLUSBZ5D 7.3.15).
@@ -293,17 +303,30 @@ impl Block {
             digest.reverse();
         }
         let ready = device.now + device.timing.authentication;
-        self.ram.window.load(Source::Authentication, &digest, false, ready);
+        self.ram.window.load(Source::Authentication, &digest, Before::Same, ready);
+    }
+
+    /// The level that CONTROL_STATUS shows.
+    fn shown_level(&self, device: &Device) -> Level {
+        self.ram.seal.shown(device.envelope.status, device.now)
+    }
+
+    /// Whether predictions are right. A part that shows when they are is believed.
+    fn predicts(&self, device: &Device) -> bool {
+        let shown = self.part.status.iter().any(|(status, _)| *status == Status::Initialized);
+        let initialized = !shown || device.modelled >= self.ram.initialized_from;
+        device.envelope.first.is_zero() || initialized && !device.unmeasured()
     }
 
     fn is(&self, device: &Device, status: Status) -> bool {
         let (own, flash) = (&self.part.own, &device.flash);
         match status {
-            Status::NotFullAccess => self.ram.seal.level != Level::FullAccess,
-            Status::Sealed => self.sealed(),
+            Status::NotFullAccess => self.shown_level(device) != Level::FullAccess,
+            Status::Sealed => self.shown_level(device) == Level::Sealed,
             Status::CcOffset => self.ram.offset_until.is_some(),
             Status::BoardOffset => self.ram.board_until.is_some(),
             Status::Initialized => self.present(flash) && device.modelled >= self.ram.initialized_from,
+            Status::WatchdogReset => device.watchdog_expired,
             Status::Sleep => own.sleep.is_some_and(|(allowed, (id, offset))| {
                 let current = f64::from(flash.i16(id, offset));
                 is_set(flash, Some(allowed)) && self.gauging.is_quiet(current)
@@ -343,18 +366,39 @@ impl Block {
         if locked && word > LOCKING {
             self.ram.locked_until = now + device.timing.lock;
         }
-        let listening = device.hears_keys(self.ram.seal.level) && !locked;
+        let listening = device.hears_keys(&self.ram.seal) && !locked;
+        let before = self.ram.seal;
         if self.ram.seal.word(word, &keys, listening, now) {
+            if device.loses(Lost::Key) {
+                self.ram.seal = before;
+                self.refuse(device);
+            }
             return;
         }
         let known = self.part.subcommands.iter().find(|(code, _, _)| *code == word);
+        // The second word was another one, or a word was no command at all.
+        let open = self.ram.seal.level == Level::FullAccess || keys.len() == 1 && !self.sealed();
+        if !open && !self.ram.seal.is_half() && (before.is_half() || known.is_none() && word > LOCKING) {
+            self.refuse(device);
+        }
         if let Some(&(_, least, action)) = known
             && self.ram.seal.level >= least
         {
             self.act(device, action);
+            if let (Action::Answer(_), Some(version)) = (action, device.envelope.version(word)) {
+                self.ram.answer = version;
+            }
         }
         if word < self.part.remembered {
             self.ram.previous = word;
+        }
+    }
+
+    /// A key was wrong, incomplete or not taken.
+    fn refuse(&mut self, device: &Device) {
+        self.ram.seal = self.ram.seal.after_refusal();
+        if self.part.data_memory.is_some() && device.envelope.key_lock {
+            self.ram.locked_until = device.now + device.timing.lock;
         }
     }
 
@@ -400,12 +444,13 @@ impl Block {
                 }
                 self.ram.inserted = inserted;
             }
+            Action::Seal if device.loses(Lost::Seal) => {}
             Action::Seal => {
                 if self.part.data_memory.is_some() {
                     self.part.remember_seal(&mut device.flash);
                     device.save();
                 }
-                self.close();
+                self.close(now);
             }
             Action::ItEnable => {
                 if let Some((id, offset)) = own.update_status {
@@ -418,6 +463,7 @@ impl Block {
             Action::CalEnable => self.ram.calibration = !self.ram.calibration,
             Action::ExitCalibration if self.ram.calibration => self.mark(Status::Calibrating, false),
             Action::EnterCalibration if self.ram.calibration => self.mark(Status::Calibrating, true),
+            Action::Reset if device.loses(Lost::Reset) => {}
             Action::Reset => device.reset(self),
             Action::ConfigUpdate => self.ram.update.enter(device.timing.update_enter, now),
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
@@ -542,8 +588,18 @@ impl Wire for Block {
                 let (voltage, present, flags) =
                     (self.voltage(flash), self.present(flash), self.own_flags(flash));
                 let (gauging, calibration) = (&self.gauging, self.ram.calibration);
-                let registers =
-                    self.ram.registers.get_or_insert_with(|| gauging.registers(calibration, present));
+                let predicts = self.predicts(device);
+                let (envelope, before) = (&device.envelope, &self.before);
+                let registers = self.ram.registers.get_or_insert_with(|| {
+                    let mut registers = gauging.registers(calibration, present);
+                    for at in gauging.predicted().filter(|_| present && !predicts) {
+                        registers[usize::from(at)] = match envelope.first_values {
+                            First::Old => before[usize::from(at)],
+                            First::Nonsense => envelope.nonsense(at),
+                        };
+                    }
+                    registers
+                });
                 let from = |first: u8, word: u16| {
                     word.to_le_bytes().get(usize::from(register.wrapping_sub(first))).copied()
                 };
@@ -554,7 +610,21 @@ impl Wire for Block {
         }
     }
 
+    fn versions(&mut self, _: &Flash) -> [Option<u16>; 2] {
+        [0x0002, 0x0003].map(|code| {
+            let found = self.part.subcommands.iter().find(|(known, _, _)| *known == code);
+            found
+                .and_then(|(_, _, action)| if let Action::Answer(word) = action { Some(*word) } else { None })
+        })
+    }
+
+    /// In CONFIG UPDATE the gauge does not gauge.
+    fn gauges(&self) -> bool {
+        !self.ram.update.shows() && self.ram.rom.is_none()
+    }
+
     fn reset(&mut self, device: &mut Device) {
+        self.before = self.gauging.registers(false, true);
         if self.part.data_memory.is_some() {
             device.flash.reload(device.part.image, CODES);
             self.part.set_gain_sign(&mut device.flash);
@@ -582,8 +652,7 @@ impl Wire for Block {
             self.store(device, self.part.own.board_offset, &[self.board_offset as u8]);
         }
         self.ram.offset_until.take_if(|until| device.now >= *until);
-        // In CONFIG UPDATE the gauge does not gauge.
-        if !self.ram.update.shows() {
+        if self.gauges() {
             self.ram.registers = None;
         }
     }

@@ -4,16 +4,19 @@
 //! Where the documents leave a choice, the gauge does what is worst for a driver: it does not answer while
 //! it starts, and what it does not store it acknowledges all the same.
 
+use std::borrow::Cow;
 use std::time::Duration;
 
+use super::envelope::{Busy, DRAWN, Envelope, Lost, NackAs};
 use super::error::Result;
 use super::fault::{Commit, Plan};
 use super::flash::{BLOCK, Flash, Store};
-use super::knob::{self, Knob, Of};
+use super::knob::{self, Dial, Knob, Of};
 use super::model::Kept;
 use super::part::{Part, Scheme};
-use super::seal::Level;
+use super::seal::{Level, Seal};
 use super::timing::Timing;
+use super::watchdog::Watchdog;
 use super::wire::{Options, Wire};
 
 enum Power {
@@ -34,6 +37,7 @@ pub(super) struct Device {
     pub(super) flash: Flash,
     pub(super) store: Store,
     pub(super) timing: Timing,
+    pub(super) envelope: Envelope,
     /// The faults that are still to come.
     plan: Plan,
     /// The time up to which everything has happened.
@@ -45,18 +49,29 @@ pub(super) struct Device {
     power: Power,
     /// When the gauge has started and answers.
     pub(super) ready_at: Duration,
+    /// When it resets, if it still answers as before.
+    resets_at: Option<Duration>,
     /// It starts because power has come, and not after a reset.
     cold: bool,
     /// When Voltage() is measured for the first time since power came.
     pub(super) measured_from: Duration,
     /// Full resets since power came.
     pub(super) resets: u16,
-    /// The clock is held until then.
+    /// The last reset was the watchdog's.
+    pub(super) watchdog_expired: bool,
+    watchdog: Watchdog,
+    /// Flash is programmed until then.
     busy_until: Duration,
-    pending: Option<Pending>,
+    /// What is being programmed, the latest last.
+    pending: Vec<Pending>,
     /// Commits that were acknowledged and not stored.
     dropped: u64,
     last_transfer: Duration,
+    /// Transfers to the gauge.
+    transfers: u64,
+    /// How often the gauge has rewritten one of its own values, and when it last did.
+    rewrites: usize,
+    rewritten_at: Duration,
     /// Silence on the bus before the present message.
     pub(super) quiet: Duration,
 }
@@ -80,19 +95,26 @@ impl Device {
             flash,
             store,
             timing: part.timing,
-            plan: Plan::new(options.seed),
+            envelope: Envelope::friendly(options.seed),
+            plan: Plan::new(options.seed, options.envelope.is_some()),
             now,
             speed: 1.0,
             modelled: now,
             power: Power::On,
             ready_at: now,
+            resets_at: None,
             cold: false,
             measured_from: now,
             resets: 0,
+            watchdog_expired: false,
+            watchdog: Watchdog::new(),
             busy_until: now,
-            pending: None,
+            pending: Vec::new(),
             dropped: 0,
             last_transfer: Duration::ZERO,
+            transfers: 0,
+            rewrites: 0,
+            rewritten_at: now,
             quiet: Duration::MAX,
         })
     }
@@ -101,13 +123,47 @@ impl Device {
         matches!(self.power, Power::On)
     }
 
-    /// Whether there was enough silence for the first word of a key to be taken at `level`.
-    pub(super) fn hears_keys(&self, level: Level) -> bool {
-        let quiet = match level {
-            Level::Unsealed => self.timing.key_quiet.max(self.timing.full_access_quiet),
-            Level::Sealed | Level::FullAccess => self.timing.key_quiet,
-        };
-        self.quiet >= quiet
+    /// Whether there was enough silence for the first word of a key to be taken.
+    pub(super) fn hears_keys(&self, seal: &Seal) -> bool {
+        let timing = &self.timing;
+        let full_access =
+            if seal.level == Level::Unsealed { timing.full_access_quiet } else { Duration::ZERO };
+        let refused = if seal.refused { timing.refused_quiet } else { Duration::ZERO };
+        self.quiet >= timing.key_quiet.max(full_access).max(refused)
+    }
+
+    /// Whether the gauge does not get, or does not take, a command.
+    pub(super) fn loses(&mut self, lost: Lost) -> bool {
+        self.plan.loses(lost) || self.envelope.loses(lost)
+    }
+
+    /// Whether nothing has been measured yet since the gauge started, and registers are not right.
+    pub(super) fn unmeasured(&self) -> bool {
+        !self.envelope.first.is_zero() && self.now < self.measured_from
+    }
+
+    /// Flash as a block that is selected now is loaded from it.
+    pub(super) fn loadable(&self) -> Cow<'_, Flash> {
+        if self.envelope.commit_busy != Busy::Old || self.pending.is_empty() {
+            return Cow::Borrowed(&self.flash);
+        }
+        let mut flash = self.flash.clone();
+        // The latest first, so that what was there before all of them stays.
+        for Pending { old, .. } in self.pending.iter().rev() {
+            flash.set(old.area, old.offset, &old.bytes);
+        }
+        Cow::Owned(flash)
+    }
+
+    /// The knob of that name which is a time or of the envelope.
+    fn dial(&mut self, name: &str) -> Option<&mut dyn Dial> {
+        if name == "reset_busy" {
+            return Some(&mut self.timing.reset_busy);
+        }
+        match self.timing.knob(name) {
+            Some(time) => Some(time),
+            None => self.envelope.dial(name),
+        }
     }
 
     /// Saves flash. The `state` knob reports a file that cannot be written.
@@ -123,11 +179,35 @@ impl Device {
             self.now = until;
             self.power_up(wire);
         }
+        if let Some(at) = self.resets_at.take_if(|at| now >= *at) {
+            self.now = at;
+            self.restart(wire, at);
+        }
         self.now = now;
         if now >= self.busy_until {
-            self.pending = None;
+            self.pending.clear();
         }
         wire.run(self, settle);
+    }
+
+    /// Changes one of the gauge's own values, if that is due, and programs the row as the gauge has it.
+    fn rewrite_own(&mut self, wire: &mut dyn Wire) {
+        let Envelope { rewrite, rewrite_every, .. } = self.envelope;
+        self.transfers += 1;
+        let counted = rewrite_every > 0 && self.transfers.is_multiple_of(rewrite_every.into());
+        let timed = !rewrite.is_zero() && self.now >= self.rewritten_at + rewrite;
+        let rows = self.part.rewrites;
+        if !(counted || timed) || rows.is_empty() || self.now < self.ready_at || !wire.gauges() {
+            return;
+        }
+        self.rewritten_at = self.now;
+        self.rewrites += 1;
+        let (area, offset, length) = rows[self.rewrites % rows.len()];
+        let mut bytes = self.flash.bytes_at(area, offset, length).to_vec();
+        if let Some(last) = bytes.last_mut() {
+            *last = last.wrapping_add(1);
+        }
+        self.keep(wire, vec![Kept::new(area, offset, &bytes)]);
     }
 
     /// Lets the battery's time pass. Measurements are made once a second of the gauge's time; `settle` makes
@@ -178,9 +258,10 @@ impl Device {
         }
         self.program(wire, kept);
         if let Some(Commit::Torn(words)) = fault
-            && let Some(pending) = self.pending.take()
+            && let Some(pending) = self.pending.pop()
         {
             self.tear(&pending.old, words);
+            self.pending.clear();
             self.power_down(wire, None);
         }
     }
@@ -193,15 +274,18 @@ impl Device {
         };
         let before = self.flash.clone();
         self.flash.program(area, offset, &bytes);
+        for block in offset / BLOCK..(offset + bytes.len()).div_ceil(BLOCK) {
+            self.envelope.wear_out(&mut self.flash, area, block);
+        }
         if self.store.save(&self.flash).is_err() {
             self.flash = before;
             self.dropped += 1;
             return;
         }
         let words = bytes.len().div_ceil(2) as u32;
-        self.busy_until = self.busy_until.max(self.now) + self.timing.word * words;
+        self.busy_until = self.busy_until.max(self.now) + self.timing.commit + self.timing.word * words;
         let old = Kept::new(area, offset, before.bytes_at(area, offset, bytes.len()));
-        self.pending = Some(Pending { old, started: self.now });
+        self.pending.push(Pending { old, started: self.now });
         wire.model().configure(&self.flash);
     }
 
@@ -213,19 +297,19 @@ impl Device {
         Kept { area: kept.area, offset: block * BLOCK, bytes }
     }
 
-    /// What a loss of power leaves of a commit of which `words` words are programmed: those are new, and the
-    /// rest is old. This is decided nowhere else.
+    /// Leaves of a commit what a loss of power leaves of it. This is decided nowhere else.
     fn tear(&mut self, old: &Kept, words: usize) {
-        let count = old.bytes.len().min(2 * words);
-        self.flash.set(old.area, old.offset + count, &old.bytes[count..]);
+        self.envelope.tear(&mut self.flash, old, words);
         self.save();
     }
 
     /// Takes power away, for that time or until it is switched on.
     pub(super) fn power_down(&mut self, wire: &mut dyn Wire, back: Option<Duration>) {
         self.run(wire, self.now, true);
-        if let Some(pending) = self.pending.take() {
-            let time = self.now.saturating_sub(pending.started).as_nanos();
+        self.resets_at = None;
+        if let Some(pending) = self.pending.pop() {
+            self.pending.clear();
+            let time = self.now.saturating_sub(pending.started).saturating_sub(self.timing.commit).as_nanos();
             let words = time / self.timing.word.as_nanos().max(1);
             self.tear(&pending.old, words.min(BLOCK as u128) as usize);
         }
@@ -236,21 +320,43 @@ impl Device {
         self.power = Power::On;
         self.cold = true;
         self.resets = 0;
+        self.watchdog_expired = false;
+        self.resets_at = None;
         self.busy_until = self.now;
         self.measured_from = self.now + self.timing.first_voltage;
-        self.ready_at = self.now + self.timing.power_up;
         wire.model().power_up();
-        self.restart(wire);
+        self.restart(wire, self.now + self.timing.power_up);
     }
 
+    /// The watchdog expires.
+    fn expire(&mut self, wire: &mut dyn Wire) {
+        self.cold = false;
+        self.watchdog = Watchdog::new();
+        self.watchdog_expired = true;
+        self.resets = self.resets.saturating_add(1);
+        self.restart(wire, self.now + self.timing.reset);
+    }
+
+    /// RESET.
     pub(super) fn reset(&mut self, wire: &mut dyn Wire) {
         self.cold = false;
+        self.watchdog_expired = false;
         self.resets = self.resets.saturating_add(1);
-        self.ready_at = self.now + self.timing.reset;
-        self.restart(wire);
+        let at = self.now + self.timing.reset;
+        if self.timing.reset_busy == Busy::Old {
+            self.resets_at = Some(at);
+        } else {
+            self.restart(wire, at);
+        }
     }
 
-    fn restart(&mut self, wire: &mut dyn Wire) {
+    /// Begins anew, and answers from `ready_at` on.
+    fn restart(&mut self, wire: &mut dyn Wire, ready_at: Duration) {
+        self.ready_at = ready_at;
+        if !self.envelope.first.is_zero() {
+            self.measured_from = ready_at + self.envelope.first;
+            wire.model().power_up();
+        }
         wire.reset(self);
         wire.model().restart(&self.flash);
     }
@@ -262,11 +368,31 @@ pub(super) struct Gauge {
     wire: Box<dyn Wire>,
     /// The register that is read or written next.
     pointer: u8,
+    /// The seed by which it was drawn from the envelope.
+    drawn: Option<u64>,
 }
 
 impl Gauge {
-    pub(super) fn new(device: Device, wire: impl Wire + 'static) -> Self {
-        Self { device, wire: Box::new(wire), pointer: 0 }
+    /// A gauge, drawn from the envelope if a seed for that is given.
+    pub(super) fn new(mut device: Device, mut wire: impl Wire + 'static, envelope: Option<u64>) -> Self {
+        if let Some(seed) = envelope {
+            let printed = wire.versions(&device.flash);
+            device.envelope = Envelope::draw(seed, device.part, printed, &mut device.timing);
+        }
+        Self { device, wire: Box::new(wire), pointer: 0, drawn: envelope }
+    }
+
+    /// The drawn knobs and their values.
+    pub(super) fn envelope(&mut self) -> String {
+        let device = &mut self.device;
+        let drawn = |name: &&str| Some(format!("{name} {}", device.dial(name)?.show()));
+        let shown: Vec<String> = DRAWN.iter().filter_map(drawn).collect();
+        let seed = self.drawn.map_or_else(|| "friendly".into(), |seed| format!("seed {seed}"));
+        format!("{seed}: {}", shown.join(", "))
+    }
+
+    pub(super) fn nack_as(&self) -> NackAs {
+        self.device.envelope.nack_as
     }
 
     pub(super) fn flash(&self) -> &Flash {
@@ -291,14 +417,21 @@ impl Gauge {
         device.quiet = now.saturating_sub(device.last_transfer);
         let starting = device.ready_at.saturating_sub(now);
         let timing = &device.timing;
-        let stretches = timing.reset_stretches && (timing.power_up_stretches || !device.cold);
+        let stretches = timing.reset_busy == Busy::Stretch && (timing.power_up_stretches || !device.cold);
+        let free = Duration::from_micros(device.envelope.bus_free_us.into());
         if !device.is_on()
             || wire.address(&device.flash) != Some(address)
             || !starting.is_zero() && !stretches
+            || !device.last_transfer.is_zero() && device.quiet < free
         {
             return None;
         }
-        let busy = device.busy_until.saturating_sub(now);
+        device.rewrite_own(wire);
+        let busy = match (device.busy_until.saturating_sub(now), device.envelope.commit_busy) {
+            (busy, Busy::Nack) if !busy.is_zero() => return None,
+            (busy, Busy::Stretch) => busy,
+            (_, Busy::Nack | Busy::Old) => Duration::ZERO,
+        };
         Some(busy.max(starting).max(wire.wake(device)))
     }
 
@@ -312,12 +445,20 @@ impl Gauge {
             }
             self.pointer = register;
             for (at, &byte) in data.iter().enumerate() {
+                if at > 0 && self.device.envelope.single_byte {
+                    return Err(at + 2);
+                }
                 let extends = at == 0 || self.wire.extends(self.pointer);
                 if !extends || !self.wire.write(&mut self.device, self.pointer, byte) {
                     return Err(at + 2);
                 }
                 self.advance();
             }
+        }
+        let device = &mut self.device;
+        if device.envelope.watchdog && !read.is_empty() && device.watchdog.read(self.pointer, now) {
+            device.expire(&mut *self.wire);
+            return Err(1);
         }
         for byte in read {
             *byte = self.wire.read(&self.device, self.pointer);
@@ -355,8 +496,8 @@ impl Gauge {
     pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);
-        if let Some(time) = device.timing.knob(name) {
-            return Some(time.as_millis().to_string());
+        if let Some(dial) = device.dial(name) {
+            return Some(dial.show());
         }
         let mode = match wire.mode(&device.flash) {
             _ if !device.is_on() => "off",
@@ -378,7 +519,6 @@ impl Gauge {
             "dropped" => device.dropped.to_string(),
             "resets" => device.resets.to_string(),
             "state" => device.store.failure.clone().unwrap_or_else(|| "ok".into()),
-            "reset_busy" => knob::RESET_BUSY.show(device.timing.reset_stretches),
             _ => return wire.knob(device, name),
         })
     }
@@ -407,9 +547,8 @@ impl Gauge {
                 (false, false) => device.power = Power::Off(None),
                 (true, true) => {}
             },
-            "reset_busy" => device.timing.reset_stretches = knob::RESET_BUSY.read(name, text)?,
-            _ => match device.timing.knob(name) {
-                Some(time) => *time = Duration::from_millis(number(0.0, 60_000.0)? as u64),
+            _ => match device.dial(name) {
+                Some(dial) => dial.turn(name, text)?,
                 None => wire.set_knob(device, name, text)?,
             },
         }

@@ -3,7 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
+use super::envelope::{Lost, NackAs};
 use super::error::{Error, Kind, Result};
+use super::random::Random;
 use gauge_bus::{Bus, BusError};
 
 /// What goes wrong with a transfer on the bus.
@@ -11,9 +13,11 @@ use gauge_bus::{Bus, BusError};
 pub(super) enum Transfer {
     /// The address, or the given byte after the register, is not acknowledged. The bytes before it have
     /// reached the target.
-    Nack(Option<usize>),
+    Nack(Option<usize>, NackAs),
     /// One bit of one byte is wrong. Bytes written are counted first, then bytes read.
     Flip(usize, u8),
+    /// From a byte on, that many bytes read have this value.
+    Burst(usize, usize, u8),
     /// The adapter moves only a part: all but the last byte written, or no byte read.
     Short,
     /// The transfer takes effect and its acknowledgement is lost.
@@ -46,8 +50,12 @@ pub(super) enum Fault {
     PowerCut(Option<u64>),
     /// Power is lost right after the transfer.
     PowerCutAfter(Option<u64>),
+    /// From the transfer on, nothing is acknowledged for that many milliseconds.
+    Silence(u64),
     /// In the gauge's next commit.
     Commit(Commit),
+    /// The gauge ignores the next command of that kind.
+    Lost(Lost),
 }
 
 /// A fault with the words that armed it.
@@ -65,24 +73,26 @@ pub(super) struct Plan {
     armed: Vec<Armed>,
     /// Chance of a random fault for each transfer, in thousandths.
     permille: u32,
-    random: u64,
+    random: Random,
+    /// Random faults are of all kinds.
+    all: bool,
 }
 
 /// The syntax of a plan.
 pub(super) const SYNTAX: &str = "none, nack N [BYTE], flip N BYTE BIT, short N, lost N, stuck N [BYTE], \
      arbitration N, stretch N MS, power-cut N [MS], power-cut-after N [MS], drop-commit, corrupt-commit, \
-     torn-commit WORDS, random PERMILLE; several with `;` between";
+     torn-commit WORDS, random PERMILLE; eio, etimedout or eagain N [BYTE]: a nack that the adapter reports so; \
+     burst N BYTE COUNT VALUE, silence N MS, drop-reset, drop-seal, drop-key; several with `;` between";
 
 impl Plan {
-    /// No faults. `seed` is for the random ones.
-    pub(super) fn new(seed: u64) -> Self {
-        // An odd multiplier keeps seeds apart, and the generator must not start at 0.
-        Self { armed: Vec::new(), permille: 0, random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1 }
+    /// No faults. `seed` is for the random ones, which are of `all` kinds or of the first ones in [`SYNTAX`] only.
+    pub(super) fn new(seed: u64, all: bool) -> Self {
+        Self { armed: Vec::new(), permille: 0, random: Random::new(seed), all }
     }
 
     /// Replaces the faults by those of a text (see [`SYNTAX`]). A bad text changes nothing.
     pub(super) fn set(&mut self, text: &str) -> Result<()> {
-        let mut new = Self { armed: Vec::new(), permille: 0, random: self.random };
+        let mut new = Self { armed: Vec::new(), permille: 0, random: self.random.clone(), all: self.all };
         for part in text.split(';') {
             let words: Vec<&str> = part.split_whitespace().collect();
             let Some((name, numbers)) = words.split_first() else { continue };
@@ -103,8 +113,22 @@ impl Plan {
                 self.permille = permille as u32;
                 return Some(());
             }
-            ("nack", [_]) => Fault::Transfer(Transfer::Nack(None)),
-            ("nack", &[_, byte]) => Fault::Transfer(Transfer::Nack(Some(byte as usize))),
+            ("nack" | "eio" | "etimedout" | "eagain", &[_, ref byte @ ..]) if byte.len() < 2 => {
+                let error = match name {
+                    "nack" => NackAs::Enxio,
+                    "eio" => NackAs::Eio,
+                    "etimedout" => NackAs::Etimedout,
+                    _ => NackAs::Eagain,
+                };
+                Fault::Transfer(Transfer::Nack(byte.first().map(|&byte| byte as usize), error))
+            }
+            ("burst", &[_, byte, count, value @ ..=255]) => {
+                Fault::Transfer(Transfer::Burst(byte as usize, count as usize, value as u8))
+            }
+            ("silence", &[_, ms]) => Fault::Silence(ms),
+            ("drop-reset", []) => Fault::Lost(Lost::Reset),
+            ("drop-seal", []) => Fault::Lost(Lost::Seal),
+            ("drop-key", []) => Fault::Lost(Lost::Key),
             ("flip", &[_, byte, bit @ ..8]) => Fault::Transfer(Transfer::Flip(byte as usize, bit as u8)),
             ("short", [_]) => Fault::Transfer(Transfer::Short),
             ("lost", [_]) => Fault::Transfer(Transfer::Lost),
@@ -137,16 +161,26 @@ impl Plan {
         if let Some(at) = self.armed.iter().position(Armed::due) {
             return Some(self.armed.remove(at).fault);
         }
-        if self.permille > 0 && self.roll(1000) < u64::from(self.permille) {
-            let byte = self.roll(bytes.max(1) as u64) as usize;
-            return Some(Fault::Transfer(match self.roll(7) {
-                0 => Transfer::Nack(None),
-                1 => Transfer::Nack(Some(byte)),
-                2 => Transfer::Flip(byte, self.roll(8) as u8),
+        let random = &mut self.random;
+        if self.permille > 0 && random.roll(1000) < u64::from(self.permille) {
+            let byte = random.roll(bytes.max(1) as u64) as usize;
+            return Some(Fault::Transfer(match random.roll(if self.all { 11 } else { 7 }) {
+                0 => Transfer::Nack(None, NackAs::Enxio),
+                1 => Transfer::Nack(Some(byte), NackAs::Enxio),
+                2 => Transfer::Flip(byte, random.roll(8) as u8),
                 3 => Transfer::Short,
                 4 => Transfer::Lost,
                 5 => Transfer::Stuck(byte),
-                _ => Transfer::Arbitration,
+                6 => Transfer::Arbitration,
+                7 => {
+                    let errors = [NackAs::Eio, NackAs::Etimedout, NackAs::Eagain];
+                    Transfer::Nack(random.pick(&[None, Some(byte)]), random.pick(&errors))
+                }
+                8 | 9 => {
+                    let count = random.within(1..=bytes.max(1) as u64) as usize;
+                    Transfer::Burst(byte, count, random.pick(&[0x00, 0xFF]))
+                }
+                _ => return Some(Fault::Silence(random.within(1..=300))),
             }));
         }
         None
@@ -154,24 +188,24 @@ impl Plan {
 
     /// Takes the fault that waits for a commit.
     pub(super) fn commit(&mut self) -> Option<Commit> {
-        let at = self.armed.iter().position(Armed::waits)?;
-        match self.armed.remove(at).fault {
-            Fault::Commit(commit) => Some(commit),
-            _ => None,
-        }
+        let commits =
+            |armed: &Armed| if let Fault::Commit(commit) = armed.fault { Some(commit) } else { None };
+        let (at, commit) =
+            self.armed.iter().enumerate().find_map(|(at, armed)| Some((at, commits(armed)?)))?;
+        self.armed.remove(at);
+        Some(commit)
     }
 
-    fn roll(&mut self, below: u64) -> u64 {
-        self.random ^= self.random << 13;
-        self.random ^= self.random >> 7;
-        self.random ^= self.random << 17;
-        self.random % below
+    /// Takes the fault that waits for a command of that kind.
+    pub(super) fn loses(&mut self, lost: Lost) -> bool {
+        let at = self.armed.iter().position(|armed| armed.fault == Fault::Lost(lost));
+        at.map(|at| self.armed.remove(at)).is_some()
     }
 }
 
 impl Armed {
     fn waits(&self) -> bool {
-        matches!(self.fault, Fault::Commit(_))
+        matches!(self.fault, Fault::Commit(_) | Fault::Lost(_))
     }
 
     fn due(&self) -> bool {
@@ -208,10 +242,15 @@ impl Transfer {
     /// stuck bus takes.
     pub(super) fn perform(self, bus: &mut dyn Bus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         match self {
-            Transfer::Nack(None) => Err(BusError::NoAck),
-            Transfer::Nack(Some(byte)) => {
+            Transfer::Nack(None, error) => Err(error.error()),
+            Transfer::Nack(Some(byte), error) => {
                 part(bus, write, byte.saturating_add(1))?;
-                Err(BusError::NoAck)
+                Err(error.error())
+            }
+            Transfer::Burst(byte, count, value) => {
+                bus.transfer(write, read)?;
+                read.iter_mut().skip(byte).take(count).for_each(|byte| *byte = value);
+                Ok(())
             }
             Transfer::Flip(byte, bit) => {
                 let mut write = write.to_vec();
@@ -272,7 +311,7 @@ mod tests {
     type Outcome = (Result<(), BusError>, Vec<Vec<u8>>, [u8; 2]);
 
     fn run(text: &str, write: &[u8]) -> Outcome {
-        let mut plan = Plan::new(1);
+        let mut plan = Plan::new(1, false);
         plan.set(text).unwrap();
         let (mut bus, mut read) = (Echo(Vec::new()), [0; 2]);
         let result = match plan.next(write.len() + read.len()) {
@@ -289,6 +328,10 @@ mod tests {
         assert_eq!(run("nack 1 1", &write), (Err(BusError::NoAck), vec![vec![0x40, 1]], [0; 2]));
         assert_eq!(run("flip 1 2 0", &write), (Ok(()), vec![vec![0x40, 1, 3]], [0xA0; 2]));
         assert_eq!(run("flip 1 4 0", &write), (Ok(()), vec![vec![0x40, 1, 2]], [0xA0, 0xA1]));
+        assert_eq!(run("eio 1", &write), (Err(BusError::Other(5)), vec![], [0; 2]));
+        assert_eq!(run("etimedout 1 0", &write), (Err(BusError::Timeout), vec![vec![0x40]], [0; 2]));
+        assert_eq!(run("eagain 1", &write), (Err(BusError::ArbitrationLost), vec![], [0; 2]));
+        assert_eq!(run("burst 1 1 9 255", &write), (Ok(()), vec![write.to_vec()], [0xA0, 0xFF]));
         assert_eq!(run("short 1", &write), (Err(BusError::Short), vec![vec![0x40, 1, 2]], [0; 2]));
         assert_eq!(run("lost 1", &write), (Err(BusError::NoAck), vec![vec![0x40, 1, 2]], [0; 2]));
         assert_eq!(run("stuck 1", &write), (Err(BusError::Timeout), vec![], [0; 2]));
@@ -299,7 +342,7 @@ mod tests {
 
     #[test]
     fn only_the_nth_transfer_fails_and_only_once() {
-        let mut plan = Plan::new(1);
+        let mut plan = Plan::new(1, false);
         plan.set("nack 2; lost 2; short 5").unwrap();
         let due: Vec<_> = (0..7).map(|_| plan.next(3).is_some()).collect();
         assert_eq!(due, [false, true, true, false, true, false, false]);
@@ -308,7 +351,7 @@ mod tests {
 
     #[test]
     fn texts_read_back() {
-        let mut plan = Plan::new(1);
+        let mut plan = Plan::new(1, false);
         for text in [
             "none",
             "nack 3",
@@ -319,6 +362,9 @@ mod tests {
             "drop-commit",
             "torn-commit 5; random 20",
             "stretch 1 25",
+            "eio 1; etimedout 2 1; eagain 3",
+            "burst 1 0 32 255; silence 2 300",
+            "drop-reset; drop-seal; drop-key; drop-key",
         ] {
             plan.set(text).unwrap();
             assert_eq!(plan.to_string(), text);
@@ -327,7 +373,7 @@ mod tests {
 
     #[test]
     fn a_bad_text_changes_nothing() {
-        let mut plan = Plan::new(1);
+        let mut plan = Plan::new(1, false);
         plan.set("nack 3").unwrap();
         for text in ["nack", "nack 0", "nack x", "flip 1 2 8", "fail", "lost 1; bad", "random 1001", "none 1"]
         {
@@ -337,9 +383,18 @@ mod tests {
     }
 
     #[test]
+    fn commits_and_commands_wait_for_their_own() {
+        let mut plan = Plan::new(1, false);
+        plan.set("drop-seal; drop-commit").unwrap();
+        assert!(!plan.loses(Lost::Reset));
+        assert_eq!((plan.commit(), plan.commit()), (Some(Commit::Drop), None));
+        assert!(plan.loses(Lost::Seal) && !plan.loses(Lost::Seal));
+    }
+
+    #[test]
     fn random_faults_repeat_with_their_seed() {
         let draw = |seed| {
-            let mut plan = Plan::new(seed);
+            let mut plan = Plan::new(seed, false);
             plan.set("random 100").unwrap();
             (0..1000).map(|_| plan.next(8)).collect::<Vec<_>>()
         };

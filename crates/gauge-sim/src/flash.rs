@@ -134,6 +134,11 @@ impl Flash {
         out
     }
 
+    /// How often a block was programmed.
+    pub(super) fn wear_of(&self, id: u16, block: usize) -> u32 {
+        self.area(id).and_then(|area| area.wear.get(block)).copied().unwrap_or(0)
+    }
+
     /// How many times blocks were programmed, all together.
     pub(super) fn programmed(&self) -> u64 {
         self.areas.iter().flat_map(|area| &area.wear).map(|&count| u64::from(count)).sum()

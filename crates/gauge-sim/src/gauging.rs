@@ -525,6 +525,12 @@ impl Gauging {
         if load_ma < 0.0 { whole((self.remaining() / -load_ma * 60.0).min(65534.0)) } else { NO_TIME }
     }
 
+    /// The registers that are predicted.
+    pub(super) fn predicted(&self) -> impl Iterator<Item = u8> {
+        let predicted = self.map.registers.iter().filter(|(_, _, quantity)| quantity.is_predicted());
+        predicted.flat_map(|&(register, size, _)| register..register + size as u8)
+    }
+
     /// The registers. Those that the host writes are left 0, and without a battery `present` also those
     /// that are predicted.
     pub(super) fn registers(&self, calibration: bool, present: bool) -> Registers {

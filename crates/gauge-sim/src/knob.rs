@@ -1,5 +1,7 @@
 //! The knobs of a simulated gauge: their names, and how their texts are read.
 
+use std::time::Duration;
+
 use super::error::{Error, Kind, Result};
 use super::fault::SYNTAX;
 
@@ -60,7 +62,12 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.show("dropped", "commits that were acknowledged and not stored"),
     Of::Gauge.show("resets", "full resets since power came"),
     Of::Gauge.show("state", "`ok`, or why the state file could not be written"),
-    Of::Gauge.set("reset_busy", "`nack` or `stretch`: what the gauge does while it resets"),
+    Of::Gauge
+        .set("reset_ms", "from a RESET to the first answer, or to the reset itself if `reset_busy` is `old`"),
+    Of::Gauge.set(
+        "reset_busy",
+        "`nack`, `stretch` or `old`: what the gauge does while it resets; `old` answers as before",
+    ),
     Of::Block
         .set("sealed_writes", "`nack` or `ignore`: what a sealed gauge does with registers it withholds"),
     Of::Gauge.set("load_ms", "from selecting a block until it can be read"),
@@ -71,9 +78,136 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Block.set("auth_ms", "from the challenge's checksum until the digest can be read"),
     Of::Block.set("auth_order", "`lsb-first` or `as-sent`: order of challenge and digest on the wire"),
     Of::Gauge.set("word_ms", "time to program a 16-bit word of flash; the clock is held meanwhile"),
+    Of::Gauge.set("commit_ms", "time that a commit takes besides that of its words"),
+    Of::Gauge.set(
+        "commit_busy",
+        "`nack`, `stretch` or `old`: what the gauge does meanwhile; `old` loads the block as it was",
+    ),
+    Of::Gauge
+        .set("block_ms", "longest time by which a block can be read later than others; each has its own"),
+    Of::Gauge.set(
+        "early",
+        "`previous` or `blank`: what is read of a block that is not loaded, with a valid checksum",
+    ),
+    Of::Gauge.set(
+        "tear",
+        "`rest-old`, `rest-erased`, `old`, `erased` or `neighbour`: what a loss of power leaves of a commit",
+    ),
+    Of::Gauge
+        .set("first_ms", "time after the first answer in which Voltage() is 0 and predictions are wrong"),
+    Of::Gauge.set("first_values", "`old` or `nonsense`: what the predictions are meanwhile"),
+    Of::Gauge.set("status_ms", "time by which CONTROL_STATUS shows a change of the seal state late"),
+    Of::Block.set("lock_ms", "how long a gauge that has sealed itself refuses keys"),
+    Of::Block.set(
+        "key_lock",
+        "`on`: a gauge with RAM refuses keys for that time after a wrong or interrupted key too; `off`",
+    ),
+    Of::Gauge.set("drop_resets", "how many RESETs the gauge ignores from now on"),
+    Of::Gauge.set("drop_seals", "how many SEAL commands it ignores"),
+    Of::Gauge.set("drop_keys", "how many right keys it refuses"),
+    Of::Gauge.set(
+        "rewrite_ms",
+        "interval at which the gauge changes one of its own values and programs its row; 0 never",
+    ),
+    Of::Gauge.set("rewrite_every", "the same interval in transfers; 0 never"),
+    Of::Bus.set("nack_as", "`enxio`, `eio`, `etimedout` or `eagain`: what the adapter reports for a NACK"),
+    Of::Gauge.set("firmware", "FW_VERSION in hexadecimal, or `printed`"),
+    Of::Gauge.set("hardware", "HW_VERSION in hexadecimal, or `printed`"),
+    Of::Gauge.set(
+        "watchdog",
+        "`on`: a standard command more than twice a second for some seconds resets the gauge; `off`",
+    ),
+    Of::Gauge.set(
+        "single_byte",
+        "`on`: the second data byte of a write is not acknowledged, as above 100 kHz; `off`",
+    ),
+    Of::Gauge.set("bus_free_us", "time after STOP in microseconds within which START is not acknowledged"),
+    Of::Gauge.set("endurance", "how often a block can be programmed until some of its bits stay 0; 0 always"),
     Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
     Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
+    Of::Gauge.set("full_access_quiet_ms", "the same for the key to FULL ACCESS"),
+    Of::Gauge.set("refused_quiet_ms", "the same after a key was refused"),
 ];
+
+/// A value that a knob shows and sets.
+pub(super) trait Dial {
+    fn show(&self) -> String;
+    /// Takes a text. One that is not understood changes nothing.
+    fn turn(&mut self, name: &str, text: &str) -> Result<()>;
+}
+
+/// A value with a word for each position.
+pub(super) trait Choice: Copy + PartialEq + 'static {
+    const WORDS: &'static [(&'static str, Self)];
+}
+
+impl<C: Choice> Dial for C {
+    fn show(&self) -> String {
+        Self::WORDS.iter().find(|(_, value)| value == self).map_or("", |(word, _)| word).into()
+    }
+
+    fn turn(&mut self, name: &str, text: &str) -> Result<()> {
+        let found = Self::WORDS.iter().find(|(word, _)| *word == text);
+        let words = || Self::WORDS.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ");
+        let bad = || Error::new(name, Kind::Invalid, format!("`{text}` is not one of: {}", words()));
+        *self = found.ok_or_else(bad)?.1;
+        Ok(())
+    }
+}
+
+impl Choice for bool {
+    const WORDS: &'static [(&'static str, Self)] = &[("off", false), ("on", true)];
+}
+
+/// A time in milliseconds.
+impl Dial for Duration {
+    fn show(&self) -> String {
+        self.as_millis().to_string()
+    }
+
+    fn turn(&mut self, name: &str, text: &str) -> Result<()> {
+        *self = Duration::from_millis(number(name, text, 0.0, 60_000.0)? as u64);
+        Ok(())
+    }
+}
+
+impl Dial for u32 {
+    fn show(&self) -> String {
+        self.to_string()
+    }
+
+    fn turn(&mut self, name: &str, text: &str) -> Result<()> {
+        *self = number(name, text, 0.0, 1_000_000.0)? as u32;
+        Ok(())
+    }
+}
+
+/// A word that replaces the printed one.
+impl Dial for Option<u16> {
+    fn show(&self) -> String {
+        self.map_or_else(|| "printed".into(), |word| format!("0x{word:04X}"))
+    }
+
+    fn turn(&mut self, name: &str, text: &str) -> Result<()> {
+        let bad = || {
+            Error::new(
+                name,
+                Kind::Invalid,
+                format!("`{text}` is neither `printed` nor a word such as 0x0100"),
+            )
+        };
+        *self = match text {
+            "printed" => None,
+            _ => {
+                let digits = text
+                    .strip_prefix("0x")
+                    .filter(|digits| digits.bytes().all(|byte| byte.is_ascii_hexdigit()));
+                Some(digits.and_then(|digits| u16::from_str_radix(digits, 16).ok()).ok_or_else(bad)?)
+            }
+        };
+        Ok(())
+    }
+}
 
 /// A knob with two positions.
 #[derive(Debug)]
@@ -81,7 +215,6 @@ pub(super) struct Switch([&'static str; 2]);
 
 pub(super) const POWER: Switch = Switch(["off", "on"]);
 pub(super) const PROTOCOL: Switch = Switch(["i2c", "hdq"]);
-pub(super) const RESET_BUSY: Switch = Switch(["nack", "stretch"]);
 pub(super) const SEALED_WRITES: Switch = Switch(["nack", "ignore"]);
 pub(super) const CC_GAIN_INVERTED: Switch = Switch(["off", "on"]);
 pub(super) const AUTH_ORDER: Switch = Switch(["lsb-first", "as-sent"]);

@@ -5,6 +5,14 @@
 //! apart from flash, the checksum that commits, the voltage below which nothing is stored, a reset that takes its time.
 //! Knobs turn the load, the temperature, the timings and the power, and make the nth transfer fail.
 //!
+//! Real gauges differ from each other more than their manuals say. [`Options::envelope`] draws one by seed: blocks that
+//! are ready late while the window shows another one with a valid checksum, commits that leave the gauge deaf or its old
+//! content readable, rows that a loss of power erases, a RESET or SEAL that is lost, wrong values after a reset, seal bits
+//! that are late, values that the gauge itself rewrites, other versions, a watchdog. A test prints [`Sim::envelope`], so
+//! that the same gauge can be drawn again, and sets one behaviour alone by its knob. Without that seed the gauge is
+//! friendly: quick, and the same every time. Two knobs are never drawn: `single_byte`, because the simulated bus runs at
+//! 100 kHz, and `endurance`.
+//!
 //! What it is not: it knows no tables of parameters, no names and no units, so that a wrong table of `ti-gauge` cannot
 //! agree with a wrong simulator by being the same text. It is no model of a chemistry.
 //!
@@ -26,7 +34,7 @@
 //! ```
 //!
 //! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one of
-//! two schemes: `block` access or `mac`. A `part` describes what is particular to one gauge, and a `model` is what it
+//! two schemes: `block` access or `mac`. What a specimen does differently is in its `envelope`. A `part` describes what is particular to one gauge, and a `model` is what it
 //! makes of its `battery`.
 
 use std::collections::VecDeque;
@@ -40,6 +48,7 @@ use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
 mod battery;
 mod block;
 mod device;
+mod envelope;
 mod error;
 mod fault;
 mod flash;
@@ -50,9 +59,11 @@ mod mac;
 mod model;
 mod part;
 mod parts;
+mod random;
 mod seal;
 mod timing;
 mod update;
+mod watchdog;
 mod window;
 mod wire;
 
@@ -124,6 +135,8 @@ struct State {
     gauge: Gauge,
     counters: Counters,
     log: Option<VecDeque<Record>>,
+    /// Until then nothing on the bus is acknowledged.
+    silent_until: Duration,
 }
 
 /// Traffic on the bus.
@@ -168,7 +181,7 @@ impl Sim {
             Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
             Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
         };
-        let state = State { gauge, counters: Counters::default(), log: None };
+        let state = State { gauge, counters: Counters::default(), log: None, silent_until: Duration::ZERO };
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
@@ -220,6 +233,12 @@ impl Sim {
             Some(_) if knob == "fault" => state.gauge.plan().set(text),
             Some(_) => state.gauge.set_knob(knob, text, self.clock.now()),
         }
+    }
+
+    /// What the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs with the
+    /// values that they have now.
+    pub fn envelope(&self) -> String {
+        self.lock().gauge.envelope()
     }
 
     /// All flash, subclass after subclass.
@@ -280,6 +299,10 @@ impl Bus for Direct<'_> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let clock = &*self.sim.clock;
         let mut held = self.sim.lock();
+        if clock.now() < held.silent_until {
+            self.pass(&mut held, 0, 0);
+            return Err(BusError::NoAck);
+        }
         let Some(hold) = held.gauge.start(self.address, clock.now()) else {
             self.pass(&mut held, 0, 0);
             return Err(BusError::NoAck);
@@ -324,7 +347,7 @@ impl SimBus {
         };
         let result = match due {
             Some(Fault::Transfer(fault)) => {
-                if matches!(fault, Transfer::Nack(None) | Transfer::Arbitration) {
+                if matches!(fault, Transfer::Nack(None, _) | Transfer::Arbitration) {
                     direct.pass(&mut self.sim.lock(), 0, 0);
                 }
                 fault.perform(&mut direct, write, read)
@@ -338,12 +361,27 @@ impl SimBus {
                 power_off(back);
                 result
             }
-            // The commit takes its fault from the plan itself.
-            Some(Fault::Commit(_)) | None => direct.transfer(write, read),
+            Some(Fault::Silence(ms)) => {
+                self.sim.lock().silent_until = clock.now() + Duration::from_millis(ms);
+                direct.transfer(write, read)
+            }
+            // The gauge takes these from the plan itself.
+            Some(Fault::Commit(_) | Fault::Lost(_)) | None => direct.transfer(write, read),
         };
-        if result == Err(BusError::NoAck) {
-            self.sim.lock().counters.nacks += 1;
-        }
+        let mut state = self.sim.lock();
+        let nack_as = state.gauge.nack_as();
+        let result = match result {
+            Err(BusError::NoAck) => {
+                state.counters.nacks += 1;
+                Err(nack_as.error())
+            }
+            Err(error) if matches!(due, Some(Fault::Transfer(Transfer::Nack(..)))) => {
+                state.counters.nacks += 1;
+                Err(error)
+            }
+            other => other,
+        };
+        drop(state);
         if let Some(Fault::Transfer(Transfer::Stuck(_))) = due {
             clock.sleep(ADAPTER_WAITS);
         }

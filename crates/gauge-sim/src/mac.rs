@@ -8,6 +8,7 @@
 use std::time::Duration;
 
 use super::device::{Device, Gauge};
+use super::envelope::{Early, First, Lost};
 use super::error::Result;
 use super::flash::{BLOCK, Flash};
 use super::flat::{BASE, DATA_FLASH, SIZE, i16_at, u8_at, u16_at};
@@ -22,6 +23,10 @@ use gauge_bus::GAUGE_ADDRESS;
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).
 /// Where that begins is not known.
 const SHIFTED: u16 = 0x4100;
+/// The subcommand that answers with the seal state among other things.
+const OPERATION_STATUS: u16 = 0x0054;
+/// A word above it that is no subcommand is taken for one of a key.
+const LAST_SUBCOMMAND: u16 = 0x00FF;
 /// What MACDataLen() counts besides the data: the word, the sum and itself.
 const OVERHEAD: usize = 4;
 /// What Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
@@ -90,6 +95,8 @@ pub(super) struct Mac {
     board: Option<Scale>,
     /// By how many bytes this specimen has its data flash lower than the manual.
     shift: u16,
+    /// The registers before the last reset.
+    before: Registers,
 }
 
 /// Everything that a reset clears.
@@ -128,7 +135,8 @@ impl Mac {
         })?;
         let model = (scheme.model)(&device.flash);
         let board = scheme.scale(&device.flash);
-        Ok(Gauge::new(device, Self { part: scheme, model, ram: Ram::default(), board, shift: 0 }))
+        let mac = Self { part: scheme, model, ram: Ram::default(), board, shift: 0, before: [0; 0x80] };
+        Ok(Gauge::new(device, mac, options.envelope))
     }
 
     fn sealed(&self) -> bool {
@@ -188,51 +196,103 @@ impl Mac {
         let key = |at: usize| u16::from_be_bytes([stored[at], stored[at + 1]]);
         let keys = [[key(0), key(2)], [key(4), key(6)]];
         // The first word ends the silence, the second follows it.
-        let listening = device.hears_keys(self.ram.seal.level);
+        let listening = device.hears_keys(&self.ram.seal);
+        let before = self.ram.seal;
         if self.ram.seal.word(word, &keys, listening, device.now) {
-            return;
-        }
-        let open = !self.sealed();
-        if let Some(at) = self.locate(word) {
-            if open {
-                let bytes = device.flash.bytes_at(DATA_FLASH, at, BLOCK.min(SIZE - at));
-                self.answer(device, word, bytes);
+            if device.loses(Lost::Key) {
+                self.ram.seal = before.after_refusal();
             }
             return;
         }
+        // The second word was another one.
+        self.ram.seal.refused |= before.is_half() && !self.ram.seal.is_half();
+        let open = !self.sealed();
+        if let Some(at) = self.locate(word) {
+            if open {
+                let flash = device.loadable();
+                let bytes = flash.bytes_at(DATA_FLASH, at, BLOCK.min(SIZE - at));
+                self.answer(device, word, bytes, device.envelope.delay(DATA_FLASH, at / BLOCK));
+            }
+            return;
+        }
+        // What shows the level shows it late.
+        let level = if word == OPERATION_STATUS { self.shown_level(device) } else { self.ram.seal.level };
         self.ram.elsewhere |= self.part.answers_elsewhere && matches!(word, 0x0001 | 0x0002);
         match word {
             0x0000 => {}
-            0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes()),
+            0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes(), Duration::ZERO),
+            0x0041 if open && device.loses(Lost::Reset) => {}
             0x0041 if open => {
                 device.reset(self);
                 return;
             }
             0x0F00 if open => self.ram.rom = true,
             _ if word == self.part.seal => {
-                if open {
-                    self.ram.seal = Seal::new(Level::Sealed);
+                if open && !device.loses(Lost::Seal) {
+                    self.ram.seal.change(Level::Sealed, device.now);
                     self.ram.buffer = Buffer::default();
                 }
             }
-            _ => match self.model.subcommand(word, self.ram.seal.level, &device.flash) {
-                Some(Reply::Answer(bytes)) => self.answer(device, word, &bytes),
+            _ => match self.model.subcommand(word, level, &device.flash) {
+                Some(Reply::Answer(mut bytes)) => {
+                    if let Some(version) = device.envelope.version(word) {
+                        set_version(word, &mut bytes, version);
+                    }
+                    self.answer(device, word, &bytes, Duration::ZERO);
+                }
                 Some(Reply::Keep(kept)) => device.keep(self, kept),
-                Some(Reply::Done) | None => {}
+                Some(Reply::Done) => {}
+                // All subcommands but a few are lower, so that this was a key.
+                None => self.ram.seal.refused |= word > LAST_SUBCOMMAND,
             },
         }
         self.ram.previous = word;
         self.ram.registers = None;
     }
 
-    fn answer(&mut self, device: &Device, word: u16, bytes: &[u8]) {
-        self.ram.buffer.coming = Some((Answer::new(word, bytes), device.now + device.timing.load));
+    /// Fetches an answer, which takes `late` longer than others.
+    fn answer(&mut self, device: &Device, word: u16, bytes: &[u8], late: Duration) {
+        let ready = device.now + device.timing.load + late;
+        self.ram.buffer.coming = Some((Answer::new(word, bytes), ready));
+        if device.envelope.early == Early::Blank {
+            self.ram.buffer.shown = Answer::new(word, &[0; BLOCK]);
+        }
         self.ram.buffer.settle(device.now);
     }
 
     /// CONTROL_STATUS.
-    fn control_status(&self) -> u16 {
-        self.model.control_status(self.ram.seal.level)
+    fn control_status(&self, device: &Device) -> u16 {
+        let hidden = if device.unmeasured() { self.part.initialized } else { 0 };
+        self.model.control_status(self.shown_level(device)) & !hidden
+    }
+
+    /// The level that the status words show.
+    fn shown_level(&self, device: &Device) -> Level {
+        self.ram.seal.shown(device.envelope.status, device.now)
+    }
+
+    /// The registers, some of which are not right before the first measurement.
+    fn measure(&self, device: &Device) -> Registers {
+        let unmeasured = device.unmeasured();
+        let voltage_mv = if unmeasured { 0 } else { self.voltage_mv(&device.flash) };
+        let mut registers = self.model.registers(self.shown_level(device), voltage_mv);
+        for &first in self.part.predicted.iter().filter(|_| unmeasured) {
+            for at in [first, first + 1] {
+                registers[usize::from(at)] = match device.envelope.first_values {
+                    First::Old => self.before[usize::from(at)],
+                    First::Nonsense => device.envelope.nonsense(at),
+                };
+            }
+        }
+        registers
+    }
+}
+
+/// Puts a version in an answer: FW_VERSION has the device, the version and the build, HW_VERSION is one word.
+fn set_version(word: u16, bytes: &mut [u8], version: u16) {
+    match word {
+        0x0002 => bytes[2..4].copy_from_slice(&version.to_be_bytes()),
+        _ => bytes[..2].copy_from_slice(&version.to_le_bytes()),
     }
 }
 
@@ -297,7 +357,7 @@ impl Wire for Mac {
         match register {
             0x00 | 0x01 => {
                 self.ram.elsewhere_seen |= self.ram.elsewhere;
-                let word = if self.ram.elsewhere { ANSWERED_ELSEWHERE } else { self.control_status() };
+                let word = if self.ram.elsewhere { ANSWERED_ELSEWHERE } else { self.control_status(device) };
                 word.to_le_bytes()[usize::from(register)]
             }
             0x3E | 0x3F => self.ram.echo.to_le_bytes()[usize::from(register - 0x3E)],
@@ -305,9 +365,8 @@ impl Wire for Mac {
             0x60 => shown.sum,
             0x61 => shown.length,
             _ => {
-                let (model, level, voltage_mv) =
-                    (&self.model, self.ram.seal.level, self.voltage_mv(&device.flash));
-                let registers = self.ram.registers.get_or_insert_with(|| model.registers(level, voltage_mv));
+                let registers = self.ram.registers.unwrap_or_else(|| self.measure(device));
+                self.ram.registers = Some(registers);
                 let byte = registers.get(usize::from(register)).copied().unwrap_or(0);
                 self.model.seen(register);
                 byte
@@ -321,7 +380,24 @@ impl Wire for Mac {
         self.ram.elsewhere_seen = false;
     }
 
+    fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2] {
+        let mut answer = |word| match self.model.subcommand(word, Level::Sealed, flash) {
+            Some(Reply::Answer(bytes)) => Some(bytes),
+            _ => None,
+        };
+        let firmware =
+            answer(0x0002).and_then(|bytes| Some(u16::from_be_bytes(bytes.get(2..4)?.try_into().ok()?)));
+        let hardware =
+            answer(0x0003).and_then(|bytes| Some(u16::from_le_bytes(bytes.get(..2)?.try_into().ok()?)));
+        [firmware, hardware]
+    }
+
+    fn gauges(&self) -> bool {
+        !self.ram.rom
+    }
+
     fn reset(&mut self, _: &mut Device) {
+        self.before = self.model.registers(self.ram.seal.level, self.voltage_mv(&device.flash));
         self.ram = Ram::default();
     }
 

@@ -13,6 +13,15 @@ pub(super) struct Part {
     pub(super) image: Image,
     pub(super) timing: Timing,
     pub(super) scheme: Scheme,
+    /// Values that the gauge itself rewrites: area, offset and length, which is 1 or 2.
+    pub(super) rewrites: &'static [(u16, usize, usize)],
+}
+
+impl Part {
+    /// Whether what a host commits is programmed into flash, and not into RAM.
+    pub(super) fn has_flash(&self) -> bool {
+        !matches!(self.scheme, Scheme::Block(BlockPart { data_memory: Some(_), .. }))
+    }
 }
 
 /// How a part is accessed.
@@ -188,6 +197,7 @@ pub(super) enum Status {
     OcvDone,
     ShutdownArmed,
     Snooze,
+    WatchdogReset,
 }
 
 /// A part with ManufacturerAccessControl().
@@ -202,5 +212,8 @@ pub(super) struct MacPart {
     pub(super) seal: u16,
     /// Control() reads 0xFFA5 once after DEVICE_TYPE or FW_VERSION.
     pub(super) answers_elsewhere: bool,
+    /// Registers of one word that are predicted, and the bit of CONTROL_STATUS that says so.
+    pub(super) predicted: &'static [u8],
+    pub(super) initialized: u16,
     pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
 }

@@ -2,7 +2,7 @@
 
 // A part's file names them as `super::part` and so on.
 use super::part::Part;
-use super::{battery, flash, flat, gauging, model, part, seal, timing, update};
+use super::{battery, envelope, flash, flat, gauging, model, part, seal, timing, update};
 
 mod bq27427;
 mod bq27441_g1;
@@ -28,5 +28,25 @@ fn check_sums(image: flash::Image, sums: &[(u16, usize, u8)]) {
         let (_, bytes) = image.iter().find(|(area, _)| *area == id).unwrap();
         let bytes = bytes.chunks(flash::BLOCK).nth(block).unwrap();
         assert_eq!(super::window::checksum(bytes), sum, "{id}/{block}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_values_that_a_gauge_rewrites_are_in_its_flash() {
+        for part in PARTS {
+            let flash = flash::Flash::new(part.image);
+            for &(area, offset, length) in part.rewrites {
+                assert_eq!(
+                    flash.bytes_at(area, offset, length).len(),
+                    length,
+                    "{} {area}/{offset}",
+                    part.name
+                );
+            }
+        }
     }
 }

@@ -28,16 +28,40 @@ impl Level {
 }
 
 /// The level of a gauge, and whether the first half of a key has come.
-#[derive(Debug, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Seal {
     pub(super) level: Level,
     first: Option<Duration>,
+    /// The level before the last change, and when that was.
+    before: Option<(Level, Duration)>,
+    /// The last key was refused.
+    pub(super) refused: bool,
 }
 
 impl Seal {
     /// A level, and no half of a key.
     pub(super) fn new(level: Level) -> Self {
-        Self { level, first: None }
+        Self { level, ..Self::default() }
+    }
+
+    /// To another level.
+    pub(super) fn change(&mut self, level: Level, now: Duration) {
+        *self = Self { level, before: Some((self.level, now)), ..Self::default() };
+    }
+
+    /// The level that is shown if a change is shown `late`.
+    pub(super) fn shown(&self, late: Duration, now: Duration) -> Level {
+        self.before.filter(|(_, at)| now < *at + late).map_or(self.level, |(before, _)| before)
+    }
+
+    /// The first half of a key has come.
+    pub(super) fn is_half(&self) -> bool {
+        self.first.is_some()
+    }
+
+    /// The same level after a key was wrong, incomplete or not taken.
+    pub(super) fn after_refusal(self) -> Self {
+        Self { first: None, refused: true, ..self }
     }
 
     /// Takes a word written to Control(). `keys` are the one to UNSEALED and, if there is such a level, the
@@ -51,7 +75,7 @@ impl Seal {
             _ => return false,
         };
         if word == key[1] && first.is_some_and(|then| now.saturating_sub(then) <= WINDOW) {
-            self.level = next;
+            self.change(next, now);
             return true;
         }
         if word == key[0] && listening {

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use super::envelope::Busy;
+
 /// The timing of one gauge.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Timing {
@@ -9,14 +11,16 @@ pub(super) struct Timing {
     pub(super) power_up: Duration,
     /// From a reset to the first answer.
     pub(super) reset: Duration,
-    /// The gauge holds the clock during a reset. Otherwise it does not acknowledge its address.
-    pub(super) reset_stretches: bool,
-    /// The same choice applies after power has come. Otherwise the gauge is silent then.
+    /// What the gauge does during a reset. One that answers as before resets at the end of that time.
+    pub(super) reset_busy: Busy,
+    /// It holds the clock after power has come too, if it does so during a reset. Otherwise it is silent then.
     pub(super) power_up_stretches: bool,
     /// From power to the first Voltage().
     pub(super) first_voltage: Duration,
     /// Programming a 16-bit word of flash.
     pub(super) word: Duration,
+    /// What a commit takes before that, to erase the row.
+    pub(super) commit: Duration,
     /// From selecting a block or an address until it can be read.
     pub(super) load: Duration,
     /// The same for the blocks that a sealed gauge shows.
@@ -27,6 +31,8 @@ pub(super) struct Timing {
     pub(super) key_quiet: Duration,
     /// The same for the key to FULL ACCESS, if that takes longer.
     pub(super) full_access_quiet: Duration,
+    /// The same after a key was refused.
+    pub(super) refused_quiet: Duration,
     /// How long a gauge that has sealed itself refuses keys.
     pub(super) lock: Duration,
     /// From the first answer, or from the detection of a battery, to the first prediction.
@@ -47,17 +53,19 @@ impl Timing {
         power_up: Duration::from_millis(250),
         // Not documented. Authors of drivers found it by trial.
         reset: Duration::from_millis(175),
-        reset_stretches: false,
+        reset_busy: Busy::Nack,
         power_up_stretches: false,
         first_voltage: Duration::from_secs(1),
         // SLUSBZ5D 6.12.
         word: Duration::from_millis(2),
+        commit: Duration::ZERO,
         load: Duration::ZERO,
         // Not documented. Drivers of similar parts wait because the block is blank at first.
         sealed_load: Duration::from_millis(20),
         authentication: Duration::from_millis(20),
         key_quiet: Duration::ZERO,
         full_access_quiet: Duration::ZERO,
+        refused_quiet: Duration::ZERO,
         // SLUUAC9A 6.4.5.1.1.
         lock: Duration::from_secs(4),
         // Up to 10 s (SLUUAC9A 2.4.6).
@@ -88,7 +96,12 @@ impl Timing {
             "cfgexit_ms" => &mut self.update_leave,
             "auth_ms" => &mut self.authentication,
             "word_ms" => &mut self.word,
+            "commit_ms" => &mut self.commit,
+            "reset_ms" => &mut self.reset,
+            "lock_ms" => &mut self.lock,
             "key_quiet_ms" => &mut self.key_quiet,
+            "full_access_quiet_ms" => &mut self.full_access_quiet,
+            "refused_quiet_ms" => &mut self.refused_quiet,
             _ => return None,
         })
     }

@@ -17,6 +17,17 @@ pub(super) enum Source {
     Authentication,
 }
 
+/// What is read before a block is loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Before {
+    /// What was there, with its checksum.
+    Same,
+    /// Zeros, with their checksum.
+    Blank,
+    /// Zeros, and 0 as the checksum.
+    Zeros,
+}
+
 /// The window.
 #[derive(Debug, Default)]
 pub(super) struct Window {
@@ -42,10 +53,13 @@ impl Window {
         Self { source, length: BLOCK, sum: 0xFF, ..Self::default() }
     }
 
-    /// Shows `bytes` of `source` from `ready` on. Until then it reads as zeros if `blank`, else as it does
-    /// now, with the checksum that belongs to that.
-    pub(super) fn load(&mut self, source: Source, bytes: &[u8], blank: bool, ready: Duration) {
-        self.early = if blank { ([0; BLOCK], 0) } else { (self.data, self.sum) };
+    /// Shows `bytes` of `source` from `ready` on, and `before` until then.
+    pub(super) fn load(&mut self, source: Source, bytes: &[u8], before: Before, ready: Duration) {
+        self.early = match before {
+            Before::Same => (self.data, self.sum),
+            Before::Blank => ([0; BLOCK], checksum(&[0; BLOCK])),
+            Before::Zeros => ([0; BLOCK], 0),
+        };
         self.source = source;
         self.data = [0; BLOCK];
         self.length = match source {

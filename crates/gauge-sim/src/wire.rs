@@ -22,13 +22,19 @@ pub struct Options {
     pub unseal_key: Option<[u16; 2]>,
     /// Seed of the random faults and of the part's offsets.
     pub seed: u64,
+    /// Seed by which one gauge is drawn from everything that real ones do: late blocks, slow commits, resets that are
+    /// lost, values that the gauge itself rewrites, and more. Without it the gauge is friendly; each behaviour is also a
+    /// knob.
+    pub envelope: Option<u64>,
 }
 
 impl fmt::Debug for Options {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { state, unseal_key, seed } = self;
+        let Self { state, unseal_key, seed, envelope } = self;
         let key = unseal_key.map(|_| "hidden");
-        f.debug_struct("Options").field("state", state).field("unseal_key", &key).field("seed", seed).finish()
+        let mut out = f.debug_struct("Options");
+        out.field("state", state).field("unseal_key", &key).field("seed", seed).field("envelope", envelope);
+        out.finish()
     }
 }
 
@@ -51,6 +57,10 @@ pub(super) trait Wire: Send {
     fn read(&mut self, device: &Device, register: u8) -> u8;
     /// STOP.
     fn stop(&mut self) {}
+    /// The printed firmware and hardware versions.
+    fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
+    /// Whether the gauge gauges, so that it may rewrite its own values.
+    fn gauges(&self) -> bool;
 
     /// Builds all RAM anew, after a reset or when power has come.
     fn reset(&mut self, device: &mut Device);

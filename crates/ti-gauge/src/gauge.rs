@@ -47,7 +47,7 @@ const SEAL_POLL: Duration = Duration::from_millis(80);
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
 
-/// The least time between two transfers (SLUSBZ5D 6.13, t(BUF); the bq274xx above 100 kHz).
+/// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
 const BUS_FREE: Duration = Duration::from_micros(66);
 
 /// The seal state of a gauge.

@@ -17,8 +17,17 @@ use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 use super::update::Exit;
 
-pub(super) static PART: Part =
-    Part { name: "bq27427", image: IMAGE, timing: TIMING, scheme: Scheme::Block(&SCHEME) };
+pub(super) static PART: Part = Part {
+    name: "bq27427",
+    image: IMAGE,
+    timing: TIMING,
+    scheme: Scheme::Block(&SCHEME),
+    rewrites: REWRITES,
+};
+
+/// Qmax, Avg I Last Run, R_a, Board Offset and CC Offset.
+static REWRITES: &[(u16, usize, usize)] =
+    &[(82, 0, 2), (82, 25, 2), (89, 0, 2), (89, 8, 2), (104, 0, 1), (105, 0, 2)];
 
 /// A host must not look for `[CFGUPMODE]` before 1.1 s have passed (2.4.3).
 const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
@@ -71,6 +80,7 @@ static SUBCOMMANDS: &[(u16, Level, Action)] = &[
 #[rustfmt::skip]
 static STATUS: &[(Status, u16)] = &[
     (Status::ShutdownArmed,    0x8000),
+    (Status::WatchdogReset, 0x4000),
     (Status::Sealed,           0x2000),
     (Status::Initialized,      0x0080),
     (Status::Sleep,            0x0010),

@@ -16,8 +16,13 @@ use super::timing::Timing;
 use super::update::Exit;
 
 /// The bq27441-G1A.
-pub(super) static PART: Part =
-    Part { name: "bq27441-g1", image: IMAGE, timing: TIMING, scheme: Scheme::Block(&SCHEME) };
+pub(super) static PART: Part = Part {
+    name: "bq27441-g1",
+    image: IMAGE,
+    timing: TIMING,
+    scheme: Scheme::Block(&SCHEME),
+    rewrites: REWRITES,
+};
 
 /// The bq27421-G1A. It differs in DM_CODE only, whose value is not documented.
 pub(super) static BQ27421: Part = Part {
@@ -25,7 +30,12 @@ pub(super) static BQ27421: Part = Part {
     image: IMAGE,
     timing: TIMING,
     scheme: Scheme::Block(&BlockPart { code: 0x0001, ..SCHEME }),
+    rewrites: REWRITES,
 };
+
+/// Qmax, Avg I Last Run, R_a, Board Offset and CC Offset.
+static REWRITES: &[(u16, usize, usize)] =
+    &[(82, 0, 2), (82, 35, 2), (89, 0, 2), (89, 8, 2), (104, 0, 1), (105, 0, 2)];
 
 /// CONFIG UPDATE takes up to a second each way (3.1), and RAM is written at once.
 pub(super) const TIMING: Timing = Timing {
@@ -96,6 +106,7 @@ static SUBCOMMANDS: &[(u16, Level, Action)] = &[
 #[rustfmt::skip]
 pub(super) static STATUS: &[(Status, u16)] = &[
     (Status::ShutdownArmed, 0x8000),
+    (Status::WatchdogReset, 0x4000),
     (Status::Sealed,        0x2000),
     (Status::Initialized,   0x0080),
     (Status::Hibernate,     0x0040),

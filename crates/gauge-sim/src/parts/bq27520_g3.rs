@@ -12,8 +12,17 @@ use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status};
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
-pub(super) static PART: Part =
-    Part { name: "bq27520-g3", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(&SCHEME) };
+pub(super) static PART: Part = Part {
+    name: "bq27520-g3",
+    image: IMAGE,
+    timing: Timing::USUAL,
+    scheme: Scheme::Block(&SCHEME),
+    rewrites: REWRITES,
+};
+
+/// Qmax and cycle count, Pack0 Ra and Pack0 Rax, CC Offset and Board Offset.
+static REWRITES: &[(u16, usize, usize)] =
+    &[(82, 2, 2), (82, 4, 2), (91, 2, 2), (93, 2, 2), (104, 8, 2), (104, 10, 1)];
 
 static SCHEME: BlockPart = BlockPart {
     code: 0,

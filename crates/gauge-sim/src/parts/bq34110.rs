@@ -6,7 +6,7 @@
 
 use super::battery::Battery;
 use super::flash::{Flash, Image};
-use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, u8_at, u16_at};
+use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
     AVERAGE_S, Calibration, FREEZING, Kept, MacModel, Model, NO_TIME, Registers, Reply, bits, registers,
     signed, whole,
@@ -26,8 +26,16 @@ pub(super) static PART: Part = Part {
         keys: (PRIVATE, 0),
         seal: 0x0030,
         answers_elsewhere: true,
+        predicted: &[0x10, 0x12, 0x2C, 0x2E],
+        initialized: 0,
         model: |flash| Box::new(Cedv::new(flash)),
     }),
+    // CC Offset, Board Offset, Learned Full Charge Capacity.
+    rewrites: &[
+        (DATA_FLASH, offset(0x4008), 2),
+        (DATA_FLASH, offset(0x400C), 1),
+        (DATA_FLASH, offset(0x40C0), 2),
+    ],
 };
 
 static IMAGE: Image = &[(DATA_FLASH, &DATA), (PRIVATE, &KEYS)];

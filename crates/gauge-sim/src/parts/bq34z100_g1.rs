@@ -15,8 +15,20 @@ use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
-pub(super) static PART: Part =
-    Part { name: "bq34z100-g1", image: IMAGE, timing: Timing::USUAL, scheme: Scheme::Block(&SCHEME) };
+pub(super) static PART: Part = Part {
+    name: "bq34z100-g1",
+    image: IMAGE,
+    timing: Timing::USUAL,
+    scheme: Scheme::Block(&SCHEME),
+    rewrites: REWRITES,
+};
+
+/// Cycle Count, lifetime data and their samples, Qmax and Avg I Last Run, R_a0x, CC Offset and Board Offset.
+#[rustfmt::skip]
+static REWRITES: &[(u16, usize, usize)] = &[
+    (48, 6, 2), (59, 0, 2), (59, 4, 2), (59, 8, 2), (60, 0, 2), (82, 0, 2), (82, 7, 2), (89, 2, 2), (89, 16, 2),
+    (104, 8, 2), (104, 10, 1),
+];
 
 static SCHEME: BlockPart = BlockPart {
     code: 0,

@@ -6,6 +6,7 @@
 use std::time::Duration;
 
 use super::battery::Battery;
+use super::envelope::Busy;
 use super::flash::{Flash, Image};
 use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
@@ -18,15 +19,23 @@ use super::timing::Timing;
 pub(super) static PART: Part = Part {
     name: "bq35100",
     image: IMAGE,
-    timing: Timing { power_up: BOOT, reset: BOOT, reset_stretches: true, ..Timing::MAC },
+    timing: Timing { power_up: BOOT, reset: BOOT, reset_busy: Busy::Stretch, ..Timing::MAC },
     scheme: Scheme::Mac(&MacPart {
         gate: 0x41B6,
         divider: None,
         keys: (DATA_FLASH, offset(0x41CC)),
         seal: 0x0020,
         answers_elsewhere: false,
+        predicted: &[0x02, 0x04, 0x2E],
+        initialized: INITCOMP,
         model: |flash| Box::new(Primary::new(flash)),
     }),
+    // CC Offset, Board Offset, SOH.
+    rewrites: &[
+        (DATA_FLASH, offset(0x4008), 2),
+        (DATA_FLASH, offset(0x400C), 1),
+        (DATA_FLASH, offset(0x4209), 1),
+    ],
 };
 
 /// A part was observed to hold the clock for this long after power-up.

@@ -80,7 +80,7 @@ impl Bench {
 
     /// Selects a block, and returns its bytes and checksum.
     #[track_caller]
-    fn block(&self, class: u8, block: u8) -> ([u8; 32], u8) {
+    pub(crate) fn block(&self, class: u8, block: u8) -> ([u8; 32], u8) {
         let mut bus = self.sim.bus();
         for write in [[0x61, 0], [0x3E, class], [0x3F, block]] {
             bus.transfer(&write, &mut []).unwrap();
@@ -92,7 +92,7 @@ impl Bench {
 
     /// Writes bytes at an offset of a class with the right checksum.
     #[track_caller]
-    fn write(&self, class: u8, offset: u8, bytes: &[u8]) {
+    pub(crate) fn write(&self, class: u8, offset: u8, bytes: &[u8]) {
         let (mut block, _) = self.block(class, offset / 32);
         let at = usize::from(offset % 32);
         block[at..at + bytes.len()].copy_from_slice(bytes);
@@ -123,7 +123,7 @@ impl Bench {
         self.word(0x02) as u8
     }
 
-    fn status(&self) -> u16 {
+    pub(crate) fn status(&self) -> u16 {
         self.replay("W 00 00 00");
         self.word(0x00)
     }
@@ -133,7 +133,7 @@ impl Bench {
         self.sim.set(knob, text).unwrap();
     }
 
-    fn number(&self, knob: &str) -> f64 {
+    pub(crate) fn number(&self, knob: &str) -> f64 {
         self.sim.get(knob).unwrap().parse().unwrap()
     }
 
@@ -154,7 +154,7 @@ fn packed(text: &str) -> String {
     text.as_bytes().chunks(2).map(|pair| format!("{}{} ", pair[0] as char, pair[1] as char)).collect()
 }
 
-fn sum(bytes: &[u8]) -> u8 {
+pub(crate) fn sum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte))
 }
 

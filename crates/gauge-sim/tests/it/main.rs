@@ -2,5 +2,6 @@
 
 mod block;
 mod driver;
+mod envelope;
 mod mac;
 mod ram;
