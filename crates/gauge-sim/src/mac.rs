@@ -396,7 +396,7 @@ impl Wire for Mac {
         !self.ram.rom
     }
 
-    fn reset(&mut self, _: &mut Device) {
+    fn reset(&mut self, device: &mut Device) {
         self.before = self.model.registers(self.ram.seal.level, self.voltage_mv(&device.flash));
         self.ram = Ram::default();
     }
