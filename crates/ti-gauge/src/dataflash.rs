@@ -30,7 +30,7 @@ mod settle;
 mod wear;
 
 use blocks::{Dirty, blocks, gather};
-use checks::{integer, is_gate};
+use checks::integer;
 use io::{read_subclass, store, verify_written};
 use preflight::{Found, KnownPack};
 use schemes::sequence;
@@ -105,7 +105,7 @@ pub struct DataFlash {
     /// An earlier transaction may have left its mode on; the next write ends it.
     ours: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
-    gate: Option<(u16, u16)>,
+    gate: Option<(i16, u16)>,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: bool,
     /// Records each write before it starts.
@@ -133,7 +133,7 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
-        in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge| {
             let found = gauge.seal()?;
             let mut session = Session::new(found);
             let read = session
@@ -143,19 +143,26 @@ impl DataFlash {
                 })
                 .and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
             session.close(gauge, read)
-        })
+        });
+        self.noted(outcome)
+    }
+
+    /// Forgets the gate's values after any failure: the next write reads them again.
+    fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
+        outcome.inspect_err(|_| self.gate = None)
     }
 
     /// Changes the seal state on request.
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
-        in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge| {
             gauge.go_to(goal)?;
             if goal == Seal::Sealed {
                 return Ok(());
             }
             sequence(gauge).enable(gauge)?;
             self.learn_gate(gauge)
-        })
+        });
+        self.noted(outcome)
     }
 
     /// Makes all changes, or none, in one transaction.
@@ -167,6 +174,7 @@ impl DataFlash {
         let outcome = self.check_wear(gauge).and_then(|()| {
             self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, waited))
         });
+        let outcome = self.noted(outcome);
         self.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
@@ -209,21 +217,19 @@ impl DataFlash {
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
-            self.check_safe(gauge, change, &dirty, voltage_mv)?;
+            self.check_safe(change, &dirty)?;
         }
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
         }
+        let in_window = !self.check_gate_after(gauge, changes, &mut dirty, voltage_mv)? && in_window;
         match learning {
             Some(error) if !self.limits.allow_learning => return Err(error),
             Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
             None => {}
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        if changes.iter().any(|change| is_gate(gauge, change)) {
-            self.gate = None;
-        }
         if let Some(journal) = &mut session.journal {
             let plan = settle::plan(gauge, reset, &dirty);
             journal.plan(&plan)?;
@@ -327,6 +333,12 @@ impl Place {
     /// Where a parameter is.
     pub fn of((subclass, parameter): Row) -> Self {
         Self { subclass: subclass.id, offset: parameter.offset }
+    }
+}
+
+impl From<(u8, u16)> for Place {
+    fn from((subclass, offset): (u8, u16)) -> Self {
+        Self { subclass, offset }
     }
 }
 

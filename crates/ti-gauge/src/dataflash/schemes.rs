@@ -23,6 +23,11 @@ pub(super) trait Sequence {
     fn reload(&self, gauge: &mut Gauge, place: Window, known: &[u8; WINDOW]) -> Result<()>;
     /// Loads a block into the window and reads some of its bytes.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
+    /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
+    fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
+        let window = self.load(gauge, place)?;
+        Ok(u16::from_be_bytes([window[at], window[at + 1]]))
+    }
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
     /// with their address and the checksum covers both.
     fn fills_window(&self) -> bool;

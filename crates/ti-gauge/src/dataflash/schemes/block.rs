@@ -23,6 +23,8 @@ const MANUFACTURER_BLOCKS: u8 = 1;
 /// Time between two reads of the window that must agree. A window that is not ready yet still shows the
 /// previous block, or a blank one, with a valid checksum.
 const READ_INTERVAL: Duration = Duration::from_millis(20);
+/// Time between two reads of a word, the last of which is at least 55 ms after the selection.
+const WORD_INTERVAL: Duration = Duration::from_millis(25);
 /// Reads after one selection before giving up.
 const READINGS: u32 = 4;
 
@@ -68,6 +70,28 @@ impl Sequence for Block {
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
         select(gauge, place)?;
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))
+    }
+
+    fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
+        for _ in 0..2 {
+            select(gauge, place)?;
+            let mut before = None;
+            for _ in 0..READINGS {
+                let mut bytes = [0; 2 + WINDOW];
+                let wanted = &mut bytes[..2 + at + 2];
+                gauge.read(DATA_FLASH_CLASS, wanted).map_err(|error| error.at(Step::ReadBlock))?;
+                let echoed = wanted[..2] == [place.subclass, block_of(place)];
+                let now = echoed.then(|| u16::from_be_bytes([wanted[2 + at], wanted[3 + at]]));
+                match now {
+                    Some(word) if now == before => return Ok(word),
+                    _ => before = now,
+                }
+                gauge.wait(WORD_INTERVAL);
+            }
+            Statistics::count(&gauge.statistics.retries);
+        }
+        let why = format!("{}: the word reads differently each time", place.name(at));
+        Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
     fn fills_window(&self) -> bool {
