@@ -203,28 +203,19 @@ impl Setting {
     /// Why the gate is shut at a Voltage(). Every way in which the documents let the gauge compare must open it,
     /// and no division rounds.
     fn shut(&self, gate: &Gate, voltage_mv: i64) -> Option<String> {
-        let Self { limit, divider, cells, .. } = *self;
-        let (subclass, offset) = gate.limit;
-        let says = |measured: String| {
-            let place = Place { subclass, offset };
-            format!("the gauge measures {measured} and stores nothing below {limit} mV ({place})")
+        let Self { limit, divider, .. } = *self;
+        let cells = self.cells.max(1);
+        let scaled = gate.cell_divider.map(i64::from).filter(|cell| voltage_mv * cell < limit * divider);
+        let compared = match scaled {
+            _ if voltage_mv < limit * cells && cells > 1 => format!(", {} mV per cell,", voltage_mv / cells),
+            _ if voltage_mv < limit * cells => String::new(),
+            Some(cell) => format!(", {} mV at a Voltage Divider of {cell},", voltage_mv * cell / divider),
+            None => return None,
         };
-        if limit <= 0 {
-            return None;
-        }
-        if voltage_mv < limit {
-            return Some(says(format!("{voltage_mv} mV")));
-        }
-        if let Some(cell) = gate.cell_divider.map(i64::from)
-            && voltage_mv * cell < limit * divider
-        {
-            let scaled = voltage_mv * cell / divider;
-            return Some(says(format!("{voltage_mv} mV, {scaled} mV at a Voltage Divider of {cell},")));
-        }
-        if voltage_mv < limit * cells {
-            return Some(says(format!("{voltage_mv} mV, {} mV per cell,", voltage_mv / cells)));
-        }
-        None
+        let place = Place::from(gate.limit);
+        Some(format!(
+            "the gauge measures {voltage_mv} mV{compared} and stores nothing below {limit} mV ({place})"
+        ))
     }
 
     /// Why the gate is shut with the values `after`, from the lowest and the highest Voltage() with these.

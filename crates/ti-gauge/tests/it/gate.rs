@@ -134,7 +134,7 @@ fn voltsel_without_an_external_divider_is_refused() {
     let mut rig = new_pack();
     written(&mut rig, &[(PACK_CONFIG, EXTERNAL), (LIMIT, "2800")]);
     // And without [VOLTSEL] the converter would get a fifth.
-    refused(&mut finished_pack(), &[(PACK_CONFIG, INTERNAL)], "OutOfRange", &["849 mV at"]);
+    refused(&mut finished_pack(), &[(PACK_CONFIG, INTERNAL)], "OutOfRange", &["849 mV per cell"]);
 }
 
 /// The limit applies to Voltage() scaled back to the internal divider, too (SLUSBZ5D 8.2.2.1.3).
@@ -251,6 +251,22 @@ fn the_gate_is_open_after_each_block() {
     assert_eq!(rig.sim.get("dropped").as_deref(), Some("0"));
 }
 
+/// The blocks of a flat part are written in the order of their addresses.
+#[test]
+fn values_that_would_shut_flash_half_way_are_refused() {
+    let (divider, limit, other) = ((FLAT, 0x4010), (FLAT, 0x4157), ((FLAT, 0x41F5), "6000"));
+    let says = ["before the last block", "set the limit to 0"];
+    // The divider comes first, and Voltage() would be 2099 mV.
+    let mut rig = at("bq34110", "3500");
+    refused(&mut rig, &[(divider, "3000"), (limit, "2000")], "OutOfRange", &says);
+    written(&mut rig, &[(limit, "2000")]);
+    written(&mut rig, &[(divider, "3000")]);
+    // Voltage() would be 4199 mV, if the gauge measured it before the block behind the limit.
+    let mut rig = at("bq34110", "3500");
+    refused(&mut rig, &[(divider, "6000"), (limit, "3900"), other], "OutOfRange", &says);
+    written(&mut rig, &[(divider, "6000"), (limit, "3900")]);
+}
+
 /// Swallows one write to the checksum: that block is not stored.
 struct Drops(Box<dyn Bus>, usize);
 
@@ -270,10 +286,10 @@ impl Bus for Drops {
 #[test]
 fn a_failed_configuration_is_undone() {
     let up: Values<'_> = &[(PACK_CONFIG, EXTERNAL), (DIVIDER, "20000"), (LIMIT, "2800")];
-    let down: Values<'_> = &[((80, 53), "3100"), (DIVIDER, "3000"), (LIMIT, "600")];
+    let down: Values<'_> = &[((80, 53), "3100"), (DIVIDER, "3000"), (LIMIT, "600"), ((107, 1), "6")];
     type Pack = fn() -> Rig;
     for (pack, values) in [(new_pack as Pack, up), (finished_pack, down)] {
-        for block in 0..3 {
+        for block in 0..values.len() {
             let mut rig = pack();
             let before = rig.sim.flash();
             let bus = Box::new(Drops(Box::new(rig.sim.bus()), block));
@@ -382,6 +398,27 @@ fn a_flipped_bit_does_not_open_the_gate() {
         rig.flips((0x00, 10, which, 9, 0x04));
         refused(&mut rig, &[(LIMIT, "3000")], "OutOfRange", &["2900 mV"]);
     }
+}
+
+/// Flips a bit of the first selection of Power, which makes it Registers: Pack Configuration as a limit is 353.
+struct Misselects(Box<dyn Bus>, bool);
+
+impl Bus for Misselects {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if write == [0x3E, 68, 0] && !std::mem::replace(&mut self.1, true) {
+            return self.0.transfer(&[0x3E, 64, 0], read);
+        }
+        self.0.transfer(write, read)
+    }
+}
+
+#[test]
+fn another_block_is_not_taken_for_the_limit() {
+    let mut rig = at("bq34z100-g1", "2700");
+    let bus = Box::new(Misselects(Box::new(rig.sim.bus()), false));
+    rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false);
+    rig.gauge.seal().expect("the gauge answers");
+    refused(&mut rig, &[((80, 53), "3100")], "NotNow", &["2800 mV (68/0)"]);
 }
 
 #[test]
