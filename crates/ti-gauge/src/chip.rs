@@ -357,11 +357,32 @@ pub struct Authentication {
 /// The voltage below which the gauge acknowledges a flash write but stores nothing.
 #[derive(Debug)]
 pub struct Gate {
-    /// Parameter that holds the limit in mV a cell: subclass and offset.
+    /// Parameter that holds the limit in mV, two bytes and signed: subclass and offset. 0 opens the gate.
     pub limit: (u8, u16),
-    /// Parameter that holds the voltage divider, and the divider at which Voltage() is a cell's;
-    /// `None` where the limit is compared with Voltage() itself.
-    pub divider: Option<(u8, u16, u32)>,
+    /// Parameter of two bytes to which Voltage() is proportional: the voltage at the full scale of the converter.
+    pub divider: Option<(u8, u16)>,
+    /// The divider at which Voltage() is a cell's, if the limit applies to Voltage() scaled back to it as well;
+    /// `None` where it applies to Voltage() only.
+    pub cell_divider: Option<u32>,
+    /// The bit that switches off the internal divider.
+    pub external: Option<External>,
+    /// Parameter of one byte that holds the number of cells in series, where the limit is a cell's by its name.
+    pub cells: Option<(u8, u16)>,
+    /// Register of two bytes and its bit that is set while calibration is enabled. The gate is open then.
+    pub calibration: Option<(u8, u16)>,
+}
+
+/// A bit of data flash that selects the divider by which the pack's voltage reaches the converter.
+#[derive(Debug)]
+pub struct External {
+    /// The byte: subclass and offset.
+    pub byte: (u8, u16),
+    /// Set for the external divider.
+    pub mask: u8,
+    /// TI's name of the bit.
+    pub name: &'static str,
+    /// By how much Voltage() is multiplied while the bit is set; `None` where no source gives it.
+    pub factor: Option<u32>,
 }
 
 impl Register {

@@ -37,7 +37,7 @@ mod wear;
 
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
-use checks::{integer, is_gate};
+use checks::integer;
 use io::{read_subclass, reload, store, verify_written};
 use pack::Known;
 use preflight::{Found, KnownPack};
@@ -117,7 +117,7 @@ pub struct DataFlash {
     /// An earlier transaction may have left its mode on; the next write ends it.
     ours: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
-    gate: Option<(u16, u16)>,
+    gate: Option<(i16, u16)>,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: bool,
     /// Records each write before it starts.
@@ -152,7 +152,7 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
-        in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge| {
             let found = gauge.seal()?;
             let mut session = Session::new(gauge, found, waited);
             // While something is pending its own entry owes the seal.
@@ -175,19 +175,26 @@ impl DataFlash {
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
             self.end(session, gauge, read)
-        })
+        });
+        self.noted(outcome)
+    }
+
+    /// Forgets the gate's values after any failure: the next write reads them again.
+    fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
+        outcome.inspect_err(|_| self.gate = None)
     }
 
     /// Changes the seal state on request.
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
-        in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge| {
             gauge.go_to(goal)?;
             if goal == Seal::Sealed {
                 return Ok(());
             }
             sequence(gauge).enable(gauge)?;
             self.learn_gate(gauge)
-        })
+        });
+        self.noted(outcome)
     }
 
     /// Makes all changes, or none, in one transaction.
@@ -199,6 +206,7 @@ impl DataFlash {
         let outcome = self.check_wear(gauge).and_then(|()| {
             self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, waited))
         });
+        let outcome = self.noted(outcome);
         self.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
@@ -264,26 +272,24 @@ impl DataFlash {
         let learning = self.learning(gauge, found.status, changes)?;
         self.learn_marks(gauge)?;
         let mut dirty = gather(gauge, changes)?;
-        self.compare_with_known(gauge, &dirty)?;
+        dirty.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
-            self.check_safe(gauge, change, &dirty, voltage_mv)?;
+            self.check_safe(change, &dirty)?;
         }
         let old = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
         }
+        let in_window = !self.check_gate_after(gauge, changes, &mut dirty, voltage_mv)? && in_window;
         match learning {
             Some(error) if !self.limits.allow_learning => return Err(error),
             Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
             None => {}
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        if changes.iter().any(|change| is_gate(gauge, change)) {
-            self.gate = None;
-        }
         let neighbours = self.neighbours(gauge, &dirty);
         let plan = settle::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
         if let Some(journal) = &mut session.journal {
@@ -315,23 +321,21 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Makes sure that the blocks are of the pack whose values are known.
-    fn compare_with_known(&mut self, gauge: &Gauge, dirty: &[Dirty]) -> Result<()> {
-        for block in dirty {
-            if let Some(row) = self.known.contradicts(gauge.chip, block.place, &block.old) {
-                let why = format!(
-                    "{} ({}) is not what it was when it was read: another pack answers, or another program has \
-                     written to it; check its values before you write",
-                    row.1.name,
-                    Place::of(row)
-                );
-                self.known.clear();
-                self.doubts = true;
-                return Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify));
-            }
-            self.known.note(block.place, block.old);
-        }
-        Ok(())
+    /// Makes sure that a block just read is of the pack whose values are known, and notes it.
+    fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
+        let Some(row) = self.known.contradicts(gauge.chip, place, content) else {
+            self.known.note(place, *content);
+            return Ok(());
+        };
+        let why = format!(
+            "{} ({}) is not what it was when it was read: another pack answers, or another program has written to \
+             it; check its values before you write",
+            row.1.name,
+            Place::of(row)
+        );
+        self.known.clear();
+        self.doubts = true;
+        Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify))
     }
 
     /// The blocks next to those that change, where they are known.
@@ -452,6 +456,12 @@ impl Place {
     /// Where a parameter is.
     pub fn of((subclass, parameter): Row) -> Self {
         Self { subclass: subclass.id, offset: parameter.offset }
+    }
+}
+
+impl From<(u8, u16)> for Place {
+    fn from((subclass, offset): (u8, u16)) -> Self {
+        Self { subclass, offset }
     }
 }
 

@@ -83,7 +83,14 @@ pub static CHIP: Chip = Chip {
         reset: Duration::from_millis(300),
         reset_limit: Duration::from_secs(2),
     },
-    gate: Some(Gate { limit: (68, 0), divider: None }),
+    gate: Some(Gate {
+        limit: (68, 0),
+        divider: None,
+        cell_divider: None,
+        external: None,
+        cells: None,
+        calibration: None,
+    }),
     // Known of the relative with firmware 1.30 only (SLUS914A 4.1.2.3).
     authentication: None,
     subclasses: SUBCLASSES,
@@ -296,7 +303,7 @@ static OP_CONFIG_D: &[Bit] = &[
 ];
 
 /// Above the present voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowPresentVoltage("above it the gauge would store no further data-flash write");
+const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// StateOfHealth() and the depth of discharge are fractions of it.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");

@@ -18,7 +18,7 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
+    Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
     Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -78,7 +78,14 @@ pub static CHIP: Chip = Chip {
     },
     // No divider: owners whose writes were dropped had not set theirs yet, so that Voltage() itself was low
     // (E2E 834655, 797502, 846947).
-    gate: Some(Gate { limit: (FLAT, 0x4157), divider: None }),
+    gate: Some(Gate {
+        limit: (FLAT, 0x4157),
+        divider: Some((FLAT, 0x4010)),
+        cell_divider: None,
+        external: Some(External { byte: (FLAT, 0x413D), mask: 0x10, name: "[VEN_EN]", factor: None }),
+        cells: None,
+        calibration: None,
+    }),
     authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
@@ -302,8 +309,8 @@ static EOS_CONFIG: &[Bit] =
 /// The factor of every voltage, the flash gate's included.
 const DIVIDER: Safe = Safe::AtLeast(1, "with 0 every voltage reads 0 and flash stays shut");
 
-/// Above the present voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowPresentVoltage("above it the gauge would store no further data-flash write");
+/// Above the voltage the gauge would take no further write, this one's repair included.
+const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// Charge is told as a fraction of it.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");

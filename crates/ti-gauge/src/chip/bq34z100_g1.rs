@@ -10,9 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
-    Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security,
-    Subclass, Subcommand, Word,
+    Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus,
+    Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -83,7 +83,17 @@ pub static CHIP: Chip = Chip {
         reset_limit: Duration::from_secs(2),
     },
     // 7.3.16.3 and 8.2.2.1.3: cell voltages are compared at the internal divider's full scale of 5000.
-    gate: Some(Gate { limit: (68, 0), divider: Some((104, 14, 5000)) }),
+    // 7.3.16.3 compares the limit with Voltage(); 8.2.2.1.3, where seven cells have a limit of 2800 x 7 x 5000 /
+    // Voltage Divider, implies that Voltage() is scaled back to a cell's; the parameter's name says a cell's. All
+    // three must hold. Without the internal 5:1 divider (7.3.8) the converter gets 5 times the voltage.
+    gate: Some(Gate {
+        limit: (68, 0),
+        divider: Some((104, 14)),
+        cell_divider: Some(5000),
+        external: Some(External { byte: (64, 0), mask: 0x08, name: "[VOLTSEL]", factor: Some(5) }),
+        cells: Some((64, 7)),
+        calibration: Some((0x3A, 0x4000)),
+    }),
     // 7.3.15.3 gives the sequence and no times: these are a shipped driver's for the bq27541, which has the
     // same commands.
     authentication: Some(Authentication {
@@ -333,8 +343,8 @@ const DIVIDER: Safe = Safe::AtLeast(1, "with 0 every voltage reads 0 and flash s
 /// Voltages of a cell are the pack's divided by this.
 const CELLS: Safe = Safe::AtLeast(1, "a pack has one cell at least");
 
-/// 7.3.16.3: above the present voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowPresentVoltage("above it the gauge would store no further data-flash write");
+/// 7.3.16.3: above the voltage the gauge would take no further write, this one's repair included.
+const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// StateOfHealth() and the depth of discharge are fractions of these.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");

@@ -17,9 +17,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
-    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature, Subclass,
-    Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
+    Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature,
+    Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
@@ -89,7 +89,14 @@ pub static CHIP: Chip = Chip {
         reset_limit: Duration::from_secs(2),
     },
     // The rule is that of the siblings; no scale between Voltage() and the limit is known.
-    gate: Some(Gate { limit: (FLAT, 0x41B6), divider: None }),
+    gate: Some(Gate {
+        limit: (FLAT, 0x41B6),
+        divider: None,
+        cell_divider: None,
+        external: Some(External { byte: (FLAT, 0x41B1), mask: 0x40, name: "[EXTVCELL]", factor: None }),
+        cells: None,
+        calibration: None,
+    }),
     // It has AuthenticateData() at 0x40, but how it is selected is in no source at hand.
     authentication: None,
     subclasses: SUBCLASSES,
@@ -239,7 +246,7 @@ static OPERATION_CONFIG_A: &[Bit] = &[
 ];
 
 /// Above the present voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowPresentVoltage("above it the gauge would store no further data-flash write");
+const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// What was used and what is left are fractions of it.
 const CAPACITY: Safe = Safe::AtLeast(1, "a cell has a capacity");

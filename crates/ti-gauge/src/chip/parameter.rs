@@ -213,8 +213,9 @@ pub enum Range {
 pub enum Safe {
     /// A minimum.
     AtLeast(i64, &'static str),
-    /// Not above the voltage that the gauge measures now, scaled as its flash gate scales it.
-    BelowPresentVoltage(&'static str),
+    /// Not above the voltage that the gauge will measure with all values of the transaction, as its flash gate
+    /// compares it.
+    BelowVoltage(&'static str),
     /// The bits of this mask must keep the value they have.
     Keep(u32, &'static str),
 }

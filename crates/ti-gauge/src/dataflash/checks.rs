@@ -1,12 +1,11 @@
 //! Checks that need the unsealed gauge: whether the table's addresses are this firmware's, whether the
-//! voltage lets the gauge program flash, and whether the values are safe.
+//! voltage lets the gauge program flash and will let it, and whether the values are safe.
 
-use super::blocks::{Dirty, locate, old_bytes};
-use super::io::read_word;
+use super::blocks::{Dirty, Window, locate, old_bytes};
 use super::schemes::sequence;
-use super::{Change, DataFlash};
-use crate::chip::{FLAT, Parameter, Safe};
-use crate::codec;
+use super::{Change, DataFlash, Place, preflight};
+use crate::chip::{FLAT, Gate, Parameter, Role, Safe, Scheme, Word};
+use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
 use crate::value::Value;
@@ -41,65 +40,122 @@ impl DataFlash {
     pub(super) fn learn_gate(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(gate) = &gauge.chip.gate else { return Ok(()) };
         if self.gate.is_none() {
-            let limit_mv = read_word(gauge, gate.limit)?;
-            let divider = match gate.divider {
-                Some((subclass, offset, _)) => read_word(gauge, (subclass, offset))?,
-                None => 0,
+            let divider = gate.divider.map(|row| self.word(gauge, row)).transpose()?;
+            let limit = match divider {
+                // Loading the divider's block has shown that the window shows data flash.
+                Some(_) => short_word(gauge, gate.limit)?,
+                None => self.word(gauge, gate.limit)?,
             };
-            self.gate = Some((limit_mv, divider));
+            self.gate = Some((limit as i16, divider.unwrap_or(1)));
         }
         Ok(())
     }
 
-    /// Voltage() as the gate compares it, per cell if the part has a divider, and the limit.
-    fn gate_voltage(&self, gauge: &Gauge, voltage_mv: u16) -> Option<(u32, u16)> {
-        let (limit_mv, divider) = self.gate?;
-        let scaled_mv = match gauge.chip.gate.as_ref()?.divider {
-            Some((_, _, full)) if divider != 0 => u32::from(voltage_mv) * full / u32::from(divider),
-            Some(_) | None => u32::from(voltage_mv),
-        };
-        Some((scaled_mv, limit_mv))
+    /// A word of a block whose checksum was verified.
+    fn word(&mut self, gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
+        let (place, at) = place_of(row);
+        let window = sequence(gauge).load(gauge, place)?;
+        self.recognise(gauge, place, &window)?;
+        Ok(u16::from_be_bytes([window[at], window[at + 1]]))
     }
 
+    /// Checks that the gate is open now.
     pub(super) fn check_gate(&mut self, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
         self.learn_gate(gauge)?;
-        let (Some(gate), Some((scaled_mv, limit_mv))) =
-            (&gauge.chip.gate, self.gate_voltage(gauge, voltage_mv))
-        else {
-            return Ok(());
-        };
-        if scaled_mv >= u32::from(limit_mv) {
+        let (Some(gate), Some((limit, divider))) = (&gauge.chip.gate, self.gate) else { return Ok(()) };
+        // The number of cells is left out: should it count, the gauge stores nothing and the write fails.
+        let now = Setting { limit: limit.into(), divider: divider.into(), external: false, cells: 1 };
+        let Some(shut) = now.shut(gate, voltage_mv.into()) else { return Ok(()) };
+        if calibration_enabled(gauge)? {
             return Ok(());
         }
-        let (subclass, offset) = gate.limit;
-        let why = format!(
-            "the gauge measures {scaled_mv} mV per cell and stores nothing below {limit_mv} mV ({subclass}/{offset}): \
-             charge the pack, or check Voltage Divider"
-        );
+        // It is read again before the next write.
+        self.gate = None;
+        let why = format!("{shut}: charge the pack{}", remedy(gate));
         Err(Error::new("", Cause::NotNow(why)).at(Step::Check))
     }
 
-    /// Checks the safety limits, which are narrower than the manual's.
-    pub(super) fn check_safe(
-        &self,
-        gauge: &Gauge,
-        change: &Change,
-        dirty: &[Dirty],
+    /// Checks that the gate stays open with all changes of the transaction, and after each of their blocks, and
+    /// puts these in the order in which it does. Returns whether another block was loaded into the window.
+    pub(super) fn check_gate_after(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        dirty: &mut [Dirty],
         voltage_mv: u16,
-    ) -> Result<()> {
+    ) -> Result<bool> {
+        let (Some(gate), Some(known)) = (&gauge.chip.gate, self.gate) else { return Ok(false) };
+        let mut cells = 1;
+        let (before, after) =
+            (Setting::of(gate, known, cells, dirty, 0), Setting::of(gate, known, cells, dirty, dirty.len()));
+        if before == after {
+            return Ok(false);
+        }
+        // From here on the values that were read before the write no longer count.
+        self.gate = None;
+        let mut loaded = false;
+        if let Some(row) = gate.cells.filter(|row| !dirty.iter().any(|block| block.at(*row).is_some())) {
+            let (place, at) = place_of(row);
+            cells = sequence(gauge).load(gauge, place)?[at];
+            loaded = true;
+        }
+        // A limit is lowered first and raised last.
+        if gauge.chip.access.scheme == Scheme::Block {
+            let raised = after.limit > before.limit;
+            let [high, low] = both(gate.limit);
+            let holds = |block: &Dirty| block.changes(high) || block.changes(low);
+            dirty.sort_by_key(|block| after.limit != before.limit && holds(block) == raised);
+        }
+        let setting = |stored: usize| Setting::of(gate, known, cells, dirty, stored);
+        let before = setting(0);
+        // One reading may have a wrong bit.
+        let (mut low, mut high) = (voltage_mv, voltage_mv);
+        let code = gauge.chip.register(Role::VoltageNow).map(|register| Word::Register(register.code));
+        for _ in 0..2 {
+            let Some(word) = code else { break };
+            let again = preflight::read_word(gauge, word)?;
+            (low, high) = (low.min(again), high.max(again));
+        }
+        let refuse = |why: String| {
+            let of_gate = |change: &&Change| gate.rows().any(|row| change.covers(row));
+            let subject = changes.iter().find(of_gate).map_or_else(String::new, Change::subject);
+            Err(Error::new(subject, Cause::OutOfRange(why)).at(Step::Check))
+        };
+        let after = setting(dirty.len());
+        if let Some(shut) = before.shut_after(&after, gate, low, high) {
+            let why = format!(
+                "with this write {shut}, so flash would be shut for good: write all values of the divider together, \
+                 or set the limit to 0 until they are right"
+            );
+            return refuse(why);
+        }
+        // The gauge may measure anew after each block, or not before the reset.
+        let shut = |stored: usize| {
+            let next = setting(stored);
+            before.shut_after(&next, gate, low, high).or_else(|| next.shut(gate, low.into()))
+        };
+        let shut = (1..dirty.len()).find_map(shut);
+        if let Some(shut) = shut
+            && !calibration_enabled(gauge)?
+        {
+            let why = format!(
+                "before the last block is stored {shut}, so the rest would not be stored: set the limit to 0, then \
+                 write the other values, then the limit"
+            );
+            return refuse(why);
+        }
+        Ok(loaded)
+    }
+
+    /// Checks the safety limits of one value, which are narrower than the manual's.
+    pub(super) fn check_safe(&self, change: &Change, dirty: &[Dirty]) -> Result<()> {
         let refuse = |why: String| Err(Error::new(change.subject(), Cause::OutOfRange(why)).at(Step::Check));
         let Some((_, parameter)) = change.row else { return Ok(()) };
         let number = integer(parameter, &change.bytes);
         match &parameter.safe {
             Some(Safe::AtLeast(..)) => change.check_least(),
-            Some(Safe::BelowPresentVoltage(why)) => {
-                let present_mv =
-                    i64::from(self.gate_voltage(gauge, voltage_mv).map_or(0, |(scaled_mv, _)| scaled_mv));
-                if number <= present_mv {
-                    return Ok(());
-                }
-                refuse(format!("{number} is above the present {present_mv} mV per cell: {why}"))
-            }
+            // `check_gate_after` judges it together with the other values.
+            Some(Safe::BelowVoltage(_)) | None => Ok(()),
             Some(Safe::Keep(..)) if change.saved => Ok(()),
             Some(Safe::Keep(mask, why)) => {
                 let old = integer(parameter, &old_bytes(change, dirty));
@@ -109,16 +165,171 @@ impl DataFlash {
                 }
                 refuse(format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}"))
             }
-            None => Ok(()),
         }
     }
 }
 
-pub(super) fn is_gate(gauge: &Gauge, change: &Change) -> bool {
-    let at = (change.place.subclass, change.place.offset);
-    gauge.chip.gate.as_ref().is_some_and(|gate| {
-        at == gate.limit || gate.divider.is_some_and(|(subclass, offset, _)| at == (subclass, offset))
-    })
+/// The values that decide whether the gauge programs flash.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Setting {
+    limit: i64,
+    /// 1 if the part has none.
+    divider: i64,
+    external: bool,
+    cells: i64,
+}
+
+impl Setting {
+    /// The values after the first `stored` of the blocks. What no block holds is as `known` and `cells` say.
+    fn of(gate: &Gate, known: (i16, u16), cells: u8, dirty: &[Dirty], stored: usize) -> Self {
+        let byte = |row, otherwise| {
+            let changed = dirty[..stored].iter().rev().filter(|block| block.changes(row));
+            let new = changed.filter_map(|block| block.at(row).map(|at| block.new[at])).next();
+            let old = || dirty.iter().find_map(|block| block.at(row).map(|at| block.old[at]));
+            new.or_else(old).unwrap_or(otherwise)
+        };
+        let word = |row, otherwise: u16| {
+            let ([first, second], [high, low]) = (both(row), otherwise.to_be_bytes());
+            u16::from_be_bytes([byte(first, high), byte(second, low)])
+        };
+        let external = gate.external.as_ref();
+        Self {
+            limit: (word(gate.limit, known.0 as u16) as i16).into(),
+            divider: gate.divider.map_or(known.1, |row| word(row, known.1)).into(),
+            external: external.is_some_and(|external| byte(external.byte, 0) & external.mask != 0),
+            cells: gate.cells.map_or(1, |row| byte(row, cells)).into(),
+        }
+    }
+
+    /// By how much the voltage at the pin is multiplied; `None` where no source says.
+    fn factor(&self, gate: &Gate) -> Option<i64> {
+        let external = gate.external.as_ref().filter(|_| self.external);
+        let factor = external.map_or(Some(1), |external| external.factor)?;
+        Some(self.divider * i64::from(factor))
+    }
+
+    /// Why the gate is shut at a Voltage(). Every way in which the documents let the gauge compare must open it,
+    /// and no division rounds.
+    fn shut(&self, gate: &Gate, voltage_mv: i64) -> Option<String> {
+        let Self { limit, divider, .. } = *self;
+        let cells = self.cells.max(1);
+        let scaled = gate.cell_divider.map(i64::from).filter(|cell| voltage_mv * cell < limit * divider);
+        let compared = match scaled {
+            _ if voltage_mv < limit * cells && cells > 1 => format!(", {} mV per cell,", voltage_mv / cells),
+            _ if voltage_mv < limit * cells => String::new(),
+            Some(cell) => format!(", {} mV at a Voltage Divider of {cell},", voltage_mv * cell / divider),
+            None => return None,
+        };
+        let place = Place::from(gate.limit);
+        Some(format!(
+            "the gauge measures {voltage_mv} mV{compared} and stores nothing below {limit} mV ({place})"
+        ))
+    }
+
+    /// Why the gate is shut with the values `after`, from the lowest and the highest Voltage() with these.
+    fn shut_after(&self, after: &Self, gate: &Gate, low_mv: u16, high_mv: u16) -> Option<String> {
+        let (mut low, mut high) = (i64::from(low_mv), i64::from(high_mv));
+        if after.limit <= 0 {
+            return None;
+        }
+        if (self.divider, self.external) != (after.divider, after.external) {
+            let switched = self.external != after.external;
+            let factors = self.factor(gate).filter(|factor| *factor > 0).zip(after.factor(gate));
+            let factors =
+                factors.or((!switched && self.divider > 0).then_some((self.divider, after.divider)));
+            let name = gate.external.as_ref().map_or("the divider", |external| external.name);
+            let Some((old, new)) = factors else {
+                return Some(format!("nothing tells what Voltage() will read ({name})"));
+            };
+            // Voltage() is rounded, by half a millivolt at most.
+            low = (2 * low - 1).max(0) * new / (2 * old);
+            high = ((2 * high + 1) * new + 2 * old - 1) / (2 * old);
+            if after.external && switched && high > after.divider {
+                return Some(format!(
+                    "Voltage() would be {high} mV and the converter ends at {} mV (is there an external divider for \
+                     {name}?)",
+                    after.divider
+                ));
+            }
+            if high > u16::MAX.into() {
+                return Some(format!("Voltage() would be {high} mV, which it cannot show"));
+            }
+        }
+        after.shut(gate, low)
+    }
+}
+
+impl Gate {
+    /// Every byte that decides whether it is open.
+    fn rows(&self) -> impl Iterator<Item = (u8, u16)> {
+        let words = [Some(self.limit), self.divider].into_iter().flatten().flat_map(both);
+        words.chain(self.external.as_ref().map(|external| external.byte)).chain(self.cells)
+    }
+}
+
+impl Change {
+    fn covers(&self, (subclass, offset): (u8, u16)) -> bool {
+        let start = usize::from(self.place.offset);
+        self.place.subclass == subclass && (start..start + self.bytes.len()).contains(&offset.into())
+    }
+}
+
+impl Dirty {
+    /// The position of a byte in this block, if it is there.
+    fn at(&self, (subclass, offset): (u8, u16)) -> Option<usize> {
+        let at = usize::from(offset.checked_sub(self.place.base)?);
+        (self.place.subclass == subclass && at < WINDOW).then_some(at)
+    }
+
+    /// Whether it changes a byte.
+    fn changes(&self, row: (u8, u16)) -> bool {
+        self.at(row).is_some_and(|at| self.old[at] != self.new[at])
+    }
+}
+
+/// The two bytes of a word.
+fn both((subclass, offset): (u8, u16)) -> [(u8, u16); 2] {
+    [(subclass, offset), (subclass, offset + 1)]
+}
+
+fn place_of((subclass, offset): (u8, u16)) -> (Window, usize) {
+    locate(subclass, if subclass == FLAT { offset } else { 0 }, offset)
+}
+
+/// A word that is read twice.
+fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
+    let (place, at) = place_of(row);
+    sequence(gauge).word(gauge, place, at)
+}
+
+/// Whether calibration is enabled, in which the gauge ignores its gate. Two readings must agree.
+fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
+    let Some((code, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
+        return Ok(false);
+    };
+    for _ in 0..2 {
+        if preflight::read_word(gauge, Word::Register(code))? & mask == 0 {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// How flash is opened where Voltage() is low because the divider is not set.
+fn remedy(gate: &Gate) -> String {
+    let Some(divider) = gate.divider else { return String::new() };
+    let (limit, divider) = (Place::from(gate.limit), Place::from(divider));
+    let external = gate.external.as_ref().map_or("", |external| external.name);
+    let enabled = match gate.calibration {
+        Some(_) => {
+            ", or enable calibration with another tool (CAL_ENABLE, 0x002d), which opens flash until the next reset"
+        }
+        None => "",
+    };
+    format!(
+        "; if Voltage() is low because the divider is not set, raise the voltage at the gauge until {limit} is \
+         lowered{enabled}, and then write {divider}, {external} and {limit} in one transaction"
+    )
 }
 
 /// The number that a parameter's bytes encode; all safety limits are on integers.

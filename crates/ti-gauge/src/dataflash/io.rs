@@ -15,14 +15,6 @@ use crate::gauge::{Gauge, Statistics};
 const VERIFIES: u32 = 5;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
 
-pub(super) fn read_word(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u16> {
-    let start = if subclass == FLAT { offset } else { 0 };
-    let (place, at) = locate(subclass, start, offset);
-    let mut word = [0; 2];
-    sequence(gauge).read_part(gauge, place, at, &mut word)?;
-    Ok(u16::from_be_bytes(word))
-}
-
 pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u8> {
     let start = if subclass == FLAT { offset } else { 0 };
     let (place, at) = locate(subclass, start, offset);

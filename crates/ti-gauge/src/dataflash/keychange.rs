@@ -85,7 +85,7 @@ impl DataFlash {
             .counted(gauge, |dataflash, gauge| dataflash.change_key_unnamed(gauge, change, order, waited));
         gauge.limit(None);
         wipe_stack();
-        outcome.map_err(|error| error.within(&format!("{name} key")))
+        self.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
     }
 
     fn change_key_unnamed(

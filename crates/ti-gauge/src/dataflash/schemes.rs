@@ -35,6 +35,11 @@ pub(super) trait Sequence {
     /// Loads a block into the window and reads some of its bytes, unchecked: a content that is not the expected
     /// one has to be confirmed by `load`.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
+    /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
+    fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
+        let window = self.load(gauge, place)?;
+        Ok(u16::from_be_bytes([window[at], window[at + 1]]))
+    }
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
     /// with their address and the checksum covers both.
     fn fills_window(&self) -> bool;

@@ -111,13 +111,14 @@ impl Session {
         self.journal.as_mut().map_or(Ok(()), OpenJournal::reset_sent)
     }
 
-    /// Restores the old bytes. Once the gauge uses the new values (`finished`) only the written bytes are
+    /// Restores the old bytes, the last block first: flash is then open after each of them as it was on the way
+    /// here. Once the gauge uses the new values (`finished`) only the written bytes are
     /// restored, which keeps what it has learned since. Before that the whole block is: a bit error in a
     /// register address puts a byte in the wrong place, and the checksum, a plain sum, does not detect it.
     pub(super) fn restore<'a>(
         &mut self,
         gauge: &mut Gauge,
-        blocks: impl Iterator<Item = &'a Dirty> + Clone,
+        blocks: impl DoubleEndedIterator<Item = &'a Dirty> + Clone,
         finished: bool,
     ) -> Result<()> {
         let mut outcome = Ok(());
@@ -127,7 +128,7 @@ impl Session {
                 .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
                 .and_then(|()| sequence(gauge).enable(gauge))
                 .and_then(|()| {
-                    blocks.clone().try_for_each(|block| self.restore_block(gauge, block, finished))
+                    blocks.clone().rev().try_for_each(|block| self.restore_block(gauge, block, finished))
                 });
             if outcome.is_ok() {
                 break;

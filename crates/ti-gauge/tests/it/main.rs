@@ -2,6 +2,7 @@
 
 mod defaults;
 mod faults;
+mod gate;
 mod gauge;
 mod journal;
 mod keychange;

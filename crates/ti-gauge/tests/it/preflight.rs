@@ -510,7 +510,7 @@ fn writes_over_the_hourly_limit_are_refused_before_any_transfer() {
     for says in [
         "Cell Terminate Voltage (80/53)",
         "3 blocks",
-        "the next write may come in 50 min 0 s",
+        "the next write may come in 49 min 59 s",
         "--writes-per-hour",
     ] {
         assert!(error.to_string().contains(says), "`{error}` does not say `{says}`");

@@ -386,7 +386,7 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
                 assert!(default.is_none_or(|default| default >= *least), "{at}: unsafe default");
                 why
             }
-            Safe::BelowPresentVoltage(why) => why,
+            Safe::BelowVoltage(why) => why,
             Safe::Keep(mask, why) => {
                 assert!(
                     *mask != 0 && u64::from(*mask) < 1 << (8 * parameter.kind.size()),
@@ -418,11 +418,32 @@ fn the_flash_voltage_check_refers_to_existing_parameters() {
     for chip in CHIPS {
         let Some(gate) = &chip.gate else { continue };
         let limit = chip.parameter(gate.limit.0, gate.limit.1).expect(chip.name);
-        assert!(matches!(limit.safe, Some(Safe::BelowPresentVoltage(_))), "{} {}", chip.name, limit.name);
-        if let Some((id, offset, scale)) = gate.divider {
+        assert!(matches!(limit.safe, Some(Safe::BelowVoltage(_))), "{} {}", chip.name, limit.name);
+        assert_eq!(limit.kind, Type::I(2), "{}", chip.name);
+        if let Some((id, offset)) = gate.divider {
             let divider = chip.parameter(id, offset).expect(chip.name);
             assert!(matches!(divider.safe, Some(Safe::AtLeast(1, _))), "{} {}", chip.name, divider.name);
-            assert!(scale > 0);
+            assert_eq!(divider.kind, Type::U(2), "{}", chip.name);
+        }
+        assert!(gate.cell_divider.is_none() || gate.divider.is_some(), "{}", chip.name);
+        if let Some(external) = &gate.external {
+            let word = chip.parameter(external.byte.0, external.byte.1).expect(chip.name);
+            let mask = u16::from(external.mask) << (8 * (word.kind.size() - 1));
+            let bit = word.bits.iter().find(|bit| bit.mask == mask);
+            // Two of these words have no list of bits.
+            let name = bit.map_or(external.name.to_string(), |bit| format!("[{}]", bit.name));
+            assert_eq!(name, external.name, "{}", chip.name);
+        }
+        if let Some((id, offset)) = gate.cells {
+            assert_eq!(chip.parameter(id, offset).expect(chip.name).kind, Type::U(1), "{}", chip.name);
+        }
+        if let Some((code, mask)) = gate.calibration {
+            let register = chip.registers.iter().find(|register| register.code == code).expect(chip.name);
+            assert!(
+                register.bits.iter().any(|bit| (bit.mask, bit.name) == (mask, "CAL_EN")),
+                "{}",
+                chip.name
+            );
         }
     }
 }
@@ -557,7 +578,7 @@ fn limits(chip: &'static Chip) -> Vec<String> {
         .filter_map(|(class, parameter, _)| {
             let limit = match parameter.safe.as_ref()? {
                 Safe::AtLeast(least, _) => format!("at least {least}"),
-                Safe::BelowPresentVoltage(_) => "below the voltage".to_string(),
+                Safe::BelowVoltage(_) => "below the voltage".to_string(),
                 Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
             };
             Some(format!("{}/{} {limit}", class.id, parameter.offset))

@@ -40,6 +40,9 @@ fn a_value_is_stored_and_the_gauge_is_sealed_again() {
 #[test]
 fn the_bytes_on_the_wire_match_the_manuals_example() {
     let mut rig = Rig::with("bq34z100-g1", Keys::default(), true);
+    // The pin of an external divider, and a limit with which the bit leaves flash open.
+    assert_eq!(rig.write(68, 0, "0"), Ok(WRITTEN));
+    rig.sim.set("voltage_mv", "850").expect("a knob");
     rig.read(104, 0).expect("the gate and the calibration are known from here on");
     rig.sim.clear_log();
     assert_eq!(rig.write(64, 0, "0x0961"), Ok(WRITTEN));

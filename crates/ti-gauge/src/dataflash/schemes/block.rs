@@ -1,7 +1,7 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
-use super::{Sequence, look_twice, settle};
+use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_twice, settle, wait_until};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
@@ -64,6 +64,29 @@ impl Sequence for Block {
         select(gauge, place)?;
         settle(gauge);
         gauge.read(BLOCK_DATA + at as u8, into).map_err(|error| error.at(Step::ReadBlock))
+    }
+
+    fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
+        for _ in 0..2 {
+            select(gauge, place)?;
+            let selected = gauge.clock.now();
+            let mut before = None;
+            for look in [FIRST_LOOK, SECOND_LOOK, SECOND_LOOK + NEXT_LOOK, SECOND_LOOK + NEXT_LOOK * 2] {
+                wait_until(gauge, selected, look.max(gauge.chip.access.select));
+                let mut bytes = [0; 2 + WINDOW];
+                let wanted = &mut bytes[..2 + at + 2];
+                gauge.read(DATA_FLASH_CLASS, wanted).map_err(|error| error.at(Step::ReadBlock))?;
+                let echoed = wanted[..2] == [place.subclass, block_of(place)];
+                let now = echoed.then(|| u16::from_be_bytes([wanted[2 + at], wanted[3 + at]]));
+                match now {
+                    Some(word) if now == before => return Ok(word),
+                    _ => before = now,
+                }
+            }
+            Statistics::count(&gauge.statistics.retries);
+        }
+        let why = format!("{}: the word reads differently each time", place.name(at));
+        Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
     }
 
     fn fills_window(&self) -> bool {
