@@ -32,6 +32,7 @@ mod request;
 #[cfg(test)]
 mod rig;
 
+use arrival::Loss;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
@@ -139,9 +140,8 @@ struct Owner {
     control_status: u16,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
-    /// The configuration has been restored, or that has failed, since the gauge reported the loss of its
-    /// power. It is tried once.
-    restore_tried: bool,
+    /// What is known of the gauge's loss of its configuration.
+    loss: Loss,
     /// See [`Startup::unverified`].
     unverified: bool,
     /// See [`Startup::missing`].
@@ -170,7 +170,7 @@ impl Owner {
             statics_are_current: false,
             control_status: 0,
             restore: settings.restore,
-            restore_tried: false,
+            loss: Loss::None,
             unverified: startup.unverified,
             missing: startup.missing,
         };
