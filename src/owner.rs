@@ -5,7 +5,7 @@
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do,
-//! `arrival` identifies a gauge that comes or comes back, and `poll` reads its registers.
+//! `backup` saves a gauge's configuration before the first write, `arrival` identifies a gauge that comes or comes back, and `poll` reads its registers.
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
@@ -26,6 +26,7 @@ use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 mod arrival;
+mod backup;
 mod handle;
 mod poll;
 mod request;
@@ -33,6 +34,7 @@ mod request;
 mod rig;
 
 use arrival::Loss;
+pub use backup::Backup;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
@@ -57,6 +59,8 @@ pub struct Settings {
     pub restore: Vec<Change>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
+    /// Where the configuration is saved before the first write; `None` for not at all.
+    pub backup: Option<Backup>,
 }
 
 impl Default for Settings {
@@ -70,6 +74,7 @@ impl Default for Settings {
             auth_order: Order::default(),
             restore: Vec::new(),
             journal: None,
+            backup: None,
         }
     }
 }
@@ -142,6 +147,10 @@ struct Owner {
     restore: Vec<Change>,
     /// What is known of the gauge's loss of its configuration.
     loss: Loss,
+    /// See [`Settings::backup`].
+    backup: Option<Backup>,
+    /// The configuration of this gauge is saved.
+    backed_up: bool,
     /// See [`Startup::unverified`].
     unverified: bool,
     /// See [`Startup::missing`].
@@ -171,6 +180,8 @@ impl Owner {
             control_status: 0,
             restore: settings.restore,
             loss: Loss::None,
+            backup: settings.backup,
+            backed_up: false,
             unverified: startup.unverified,
             missing: startup.missing,
         };

@@ -66,6 +66,7 @@ impl Owner {
         self.forget_dataflash();
         self.rare = Registers::UNREAD;
         self.schedule.begin_anew();
+        self.backed_up = false;
         if matches!(std::mem::take(&mut self.loss), Loss::Owed { .. }) {
             let why = "the gauge was gone or exchanged while --restore was still to be written; it is written if this \
                        gauge reports a power loss, otherwise check with `gaugefs diff`";

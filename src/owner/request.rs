@@ -186,6 +186,9 @@ impl Owner {
         if changes.is_empty() {
             return Ok(());
         }
+        let begun = self.gauge.clock.now();
+        self.back_up(waited)?;
+        let waited = waited + self.gauge.clock.now().saturating_sub(begun);
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
         match &outcome {
             Ok(Outcome::Unchanged) => {}
