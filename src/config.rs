@@ -175,10 +175,13 @@ pub(crate) struct MountOptions {
     /// Log to this file [default: syslog, in the foreground standard error]
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     pub(crate) log: Option<PathBuf>,
-    /// Folder for journals, with which a write survives a power cut [default: /var/lib/gaugefs; without
-    /// root, ~/.local/state/gaugefs]
+    /// Folder for backups, and for journals, with which a write survives a power cut [default:
+    /// /var/lib/gaugefs; without root, ~/.local/state/gaugefs]
     #[arg(long, value_name = "DIR", help_heading = "Running")]
     pub(crate) state_dir: Option<PathBuf>,
+    /// Do not save a gauge's configuration before the first write to it
+    #[arg(long, help_heading = "Running")]
+    pub(crate) no_backup: bool,
 }
 
 impl MountOptions {
@@ -192,6 +195,7 @@ impl MountOptions {
             group: self.group.or(others.group),
             log: self.log.or(others.log),
             state_dir: self.state_dir.or(others.state_dir),
+            no_backup: self.no_backup || others.no_backup,
         }
     }
 

@@ -64,6 +64,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         clock: clock.clone(),
         signal: signal.clone(),
         read_only: mount.read_only,
+        no_backup: mount.no_backup,
         state_dir: mount.state_dir.clone(),
     };
     let named = names.into_iter().zip(gauges);

@@ -5,8 +5,9 @@
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do,
-//! `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a
-//! failed access has left: a seal, or a write that is neither done nor undone.
+//! `backup` saves a gauge's configuration before the first write, `arrival` identifies a gauge that comes or comes
+//! back, `poll` reads its registers, and `debt` pays what a failed access has left: a seal, or a write that is
+//! neither done nor undone.
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
@@ -27,6 +28,7 @@ use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 mod arrival;
+mod backup;
 mod debt;
 mod handle;
 mod poll;
@@ -34,6 +36,8 @@ mod request;
 #[cfg(test)]
 mod rig;
 
+use arrival::Loss;
+pub use backup::Backup;
 use debt::Debt;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
@@ -59,6 +63,8 @@ pub struct Settings {
     pub restore: Vec<Change>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
+    /// Where the configuration is saved before the first write; `None` for not at all.
+    pub backup: Option<Backup>,
 }
 
 impl Default for Settings {
@@ -72,6 +78,7 @@ impl Default for Settings {
             auth_order: Order::default(),
             restore: Vec::new(),
             journal: None,
+            backup: None,
         }
     }
 }
@@ -143,9 +150,12 @@ struct Owner {
     control_status: u16,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
-    /// The configuration has been restored, or that has failed, since the gauge reported the loss of its
-    /// power. It is tried once.
-    restore_tried: bool,
+    /// What is known of the gauge's loss of its configuration.
+    loss: Loss,
+    /// See [`Settings::backup`].
+    backup: Option<Backup>,
+    /// The configuration of this gauge is saved.
+    backed_up: bool,
     /// See [`Startup::unverified`].
     unverified: bool,
     /// See [`Startup::missing`].
@@ -175,7 +185,9 @@ impl Owner {
             statics_are_current: false,
             control_status: 0,
             restore: settings.restore,
-            restore_tried: false,
+            loss: Loss::None,
+            backup: settings.backup,
+            backed_up: false,
             unverified: startup.unverified,
             missing: startup.missing,
         };

@@ -8,19 +8,20 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::journal_dir::journal;
+use super::journal_dir;
 use super::source::{Opened, SimKnobs, Source};
 use crate::config::GaugeOptions;
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Knobs, MountedGauge};
 use crate::key_file;
 use crate::lock::Lock;
-use crate::owner::{self, Settings, Signal, Startup};
+use crate::owner::{self, Backup, Settings, Signal, Startup};
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Trace;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
 use ti_gauge::image::Image;
+use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
 
 /// How long a mount of many gauges waits for those that do not answer.
@@ -32,9 +33,11 @@ pub(super) struct Opening {
     pub(super) mountpoint: PathBuf,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) signal: Arc<Signal>,
-    /// Nothing is written, so there is no journal.
+    /// Nothing is written, so there is neither journal nor backup.
     pub(super) read_only: bool,
-    /// Folder for journals, if one was given.
+    /// Configurations are not saved before the first write.
+    pub(super) no_backup: bool,
+    /// Folder for journals and backups, if one was given.
     pub(super) state_dir: Option<PathBuf>,
 }
 
@@ -136,6 +139,10 @@ impl Opening {
             let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
             bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head)?);
         }
+        let place = match self.read_only {
+            true => None,
+            false => journal_dir::place(self.state_dir.as_deref(), opened.journal_key)?,
+        };
         let settings = Settings {
             keys,
             interval: gauge.interval(),
@@ -144,10 +151,8 @@ impl Opening {
             limits: gauge.limits(),
             auth_order: gauge.auth_order.unwrap_or_default(),
             restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
-            journal: match self.read_only {
-                true => None,
-                false => journal(self.state_dir.as_deref(), opened.journal_key, &subject)?,
-            },
+            journal: place.clone().map(|(folder, key)| Journal::new(folder, key, subject.clone())),
+            backup: place.filter(|_| !self.no_backup).map(|(folder, key)| Backup::new(folder, key)),
         };
         let startup = Startup { unverified: opened.unverified, missing: opened.missing, ..startup };
         let (handle, begun) =

@@ -1,4 +1,4 @@
-//! The folder of the journals.
+//! The folder of the journals and backups.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -7,11 +7,10 @@ use nix::errno::Errno;
 use nix::unistd::{User, geteuid};
 
 use crate::error::{Error, Result};
-use ti_gauge::journal::Journal;
 
-/// The journal of the gauge of that name. A gauge that ends with this process has no name, since there is
-/// nothing to settle later; it has a journal only if a folder was given.
-pub(super) fn journal(folder: Option<&Path>, key: Option<String>, subject: &str) -> Result<Option<Journal>> {
+/// The folder, and the name of the gauge in it. A gauge that ends with this process has no name, since there is
+/// nothing to settle later; it has one only if a folder was given.
+pub(super) fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
     let key = match (key, folder) {
         (Some(key), _) => key,
         (None, Some(_)) => {
@@ -21,10 +20,10 @@ pub(super) fn journal(folder: Option<&Path>, key: Option<String>, subject: &str)
         (None, None) => return Ok(None),
     };
     let folder = folder.map_or_else(state_dir, |path| Ok(path.to_path_buf()))?;
-    Ok(Some(Journal::new(folder, key, subject.into())))
+    Ok(Some((folder, key)))
 }
 
-/// The system's folder for state, or the user's own. It is created when a journal is written to it.
+/// The system's folder for state, or the user's own. It is created when something is written to it.
 fn state_dir() -> Result<PathBuf> {
     if geteuid().is_root() {
         return Ok(PathBuf::from("/var/lib/gaugefs"));

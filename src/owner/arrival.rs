@@ -13,6 +13,18 @@ use ti_gauge::registers::Registers;
 /// A gauge's watchdog allows each command twice a second.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 
+/// The loss of the configuration of a gauge whose data memory is RAM.
+#[derive(Debug, Default)]
+pub(super) enum Loss {
+    /// None that is known of.
+    #[default]
+    None,
+    /// The saved configuration is to be written. That has failed `attempts` times, and `failure` is the last one.
+    Owed { attempts: u32, failure: String },
+    /// The configuration was verified, or there is none to write; the flag may still be set.
+    Settled,
+}
+
 impl Owner {
     /// Identifies the gauge and polls it for the first time.
     pub(super) fn open(&mut self) -> Result<()> {
@@ -54,7 +66,12 @@ impl Owner {
         self.forget_dataflash();
         self.rare = Registers::UNREAD;
         self.schedule.begin_anew();
-        self.restore_tried = false;
+        self.backed_up = false;
+        if matches!(std::mem::take(&mut self.loss), Loss::Owed { .. }) {
+            let why = "the gauge was gone or exchanged while --restore was still to be written; it is written if this \
+                       gauge reports a power loss, otherwise check with `gaugefs diff`";
+            log::warn!("{}: {why}", self.shared.name());
+        }
         self.shared.publish(|published| {
             (published.answers, published.limited, published.digest) = (answers, limited, None);
         });
@@ -96,34 +113,68 @@ impl Owner {
         let chip = self.gauge.chip;
         let (Some(lost), Some(flags)) = (chip.volatile, chip.register(Role::Flags)) else { return };
         let published = self.shared.published();
+        if published.limited.is_some() {
+            return;
+        }
         let word = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(flags));
-        if word.is_none_or(|word| word & i64::from(lost) == 0) {
-            self.restore_tried = false;
-            return;
-        }
-        if self.restore_tried || published.limited.is_some() {
-            return;
-        }
-        self.restore_tried = true;
+        let is_reported = word.is_some_and(|word| word & i64::from(lost) != 0);
+        let attempts = match (&self.loss, is_reported) {
+            // The end of CONFIG UPDATE clears the flag also after a write that failed.
+            (Loss::Owed { attempts, .. }, _) => *attempts,
+            (Loss::None, true) => 0,
+            (Loss::None, false) | (Loss::Settled, true) => return,
+            (Loss::Settled, false) => {
+                self.loss = Loss::None;
+                return;
+            }
+        };
         // If the power was lost between two polls, what was read of data memory is out of date, and the seal
         // may be open.
         self.forget_dataflash();
         self.publish_seal();
-        self.schedule.hurry();
         if self.restore.is_empty() {
             let why = "lost its configuration with its power; mount with --restore to write it again";
             log::warn!("{}: {why}", self.shared.name());
+            self.loss = Loss::Settled;
+            self.schedule.hurry();
             return;
         }
         let outcome = self.dataflash.write(&mut self.gauge, &self.restore, Duration::ZERO);
         self.note_debt();
         self.forget_dataflash();
-        match self.logged(outcome.map_err(|error| error.within("--restore"))) {
-            Ok(Outcome::Written { .. }) => log::info!("{}: configuration restored", self.shared.name()),
-            Ok(Outcome::Unchanged) => log::info!("{}: configuration is as saved", self.shared.name()),
-            // It is not tried again: after a failed write somebody has to check the bus.
-            Err(_) => {}
+        match outcome {
+            Ok(outcome) => {
+                self.log_written(&self.restore, &outcome);
+                let done = match outcome {
+                    Outcome::Written { .. } => "configuration restored",
+                    Outcome::Unchanged => "configuration is as saved",
+                };
+                log::info!("{}: {done}", self.shared.name());
+                self.loss = Loss::Settled;
+                self.schedule.hurry();
+            }
+            Err(error) => self.still_owed(&error, attempts, is_reported),
         }
+    }
+
+    /// The saved configuration could not be written; it is tried again.
+    fn still_owed(&mut self, error: &ti_gauge::error::Error, attempts: u32, is_reported: bool) {
+        let what = if is_reported {
+            "tried again with the next poll"
+        } else {
+            "tried again with the next poll, but the gauge no longer reports the loss: if gaugefs ends before it has \
+             succeeded, write the configuration with `gaugefs import`"
+        };
+        let error = Error::new("--restore", Cause::NotNow(format!("{error}; {what}")));
+        let line = error.to_string();
+        match &self.loss {
+            // In the log only once.
+            Loss::Owed { failure, .. } if *failure == line => self.shared.record(&error),
+            _ => self.shared.report(&error),
+        }
+        self.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
+        let interval = self.shared.published().interval;
+        self.schedule.try_again(self.gauge.clock.now(), attempts, interval);
     }
 
     /// Reports the flaws that the table describes, if the bytes that show them have been read.
@@ -178,8 +229,9 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
 #[cfg(test)]
 mod tests {
     use super::super::Startup;
-    use super::super::rig::Rig;
+    use super::super::rig::{INTERVAL, Rig};
     use super::*;
+    use gauge_bus::clock::Clock as _;
 
     /// What a part with these answers is taken for when it is to be mounted as that chip.
     fn identified(chip: &str, device_type: u16, firmware_version: u16, hardware_version: u16) -> String {
@@ -226,6 +278,70 @@ mod tests {
             assert!(says.starts_with(&found), "{says}");
             assert!(says.contains("only for firmware 0x0016, hardware 0x0008, so only standard"), "{says}");
             assert!(says.contains("gaugefs probe"), "{says}");
+        }
+    }
+
+    /// A bq27441-G1 with an image whose Design Capacity is to be restored.
+    fn with_image() -> Rig {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\n";
+        let image = ti_gauge::image::Image::parse(image, Some(chip)).expect("an image");
+        let restore = image.to_restore().expect("values in range");
+        let settings = super::super::Settings { restore, ..super::super::Settings::default() };
+        let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
+        rig.owner.open().expect("it answers");
+        rig
+    }
+
+    fn lose_power(rig: &Rig) {
+        rig.sim.set("power", "off").expect("a knob");
+        rig.sim.set("power", "on").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(3));
+    }
+
+    fn capacity(rig: &mut Rig) -> u16 {
+        let index = rig.index(82);
+        let read = rig.ask(|done| super::super::Request::Read(vec![index], done)).expect("it is read");
+        u16::from_be_bytes([read[0][10], read[0][11]])
+    }
+
+    /// The end of CONFIG UPDATE clears [ITPOR], also when what was written is wrong.
+    #[test]
+    fn a_failed_restoration_is_tried_again_until_it_succeeds() {
+        let mut rig = with_image();
+        assert_eq!(capacity(&mut rig), 1340);
+        lose_power(&rig);
+        rig.sim.set("fault", "corrupt-commit").expect("a fault");
+        let mut pauses = Vec::new();
+        for attempt in 1..=6 {
+            rig.owner.poll_on_time();
+            let failure = rig.handle.published().last_error.to_string();
+            assert!(failure.starts_with("--restore: ") && failure.contains("tried again"), "{failure}");
+            assert_eq!(failure.contains("gaugefs import"), attempt > 1, "{failure}");
+            pauses.push(rig.owner.schedule.due(INTERVAL) - rig.clock.now());
+            rig.clock.sleep(INTERVAL);
+            rig.sim.set("fault", "corrupt-commit").expect("a fault");
+        }
+        let expected = [500, 1000, 2000, 4000, 8000, 8000].map(Duration::from_millis);
+        assert_eq!(pauses, expected);
+        rig.sim.set("fault", "none").expect("a fault");
+        rig.owner.poll_on_time();
+        assert_eq!(capacity(&mut rig), 1234);
+        rig.clock.sleep(INTERVAL);
+        let transfers = rig.transfers();
+        rig.owner.poll_on_time();
+        assert!(rig.transfers() - transfers < 12, "nothing is owed any more");
+    }
+
+    #[test]
+    fn a_second_power_loss_is_restored_as_the_first() {
+        let mut rig = with_image();
+        for _ in 0..2 {
+            lose_power(&rig);
+            rig.owner.poll_on_time();
+            assert_eq!(capacity(&mut rig), 1234);
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
         }
     }
 

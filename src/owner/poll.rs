@@ -30,8 +30,9 @@ pub(super) struct Schedule {
     last: Duration,
     /// When the registers were read before that.
     before: Duration,
-    /// The next poll comes soon: it is the second one, or what the registers hold has changed.
-    soon: bool,
+    /// The next poll comes earlier than the interval: it is the second one, what the registers hold has changed, or
+    /// something that follows a poll is to be tried again.
+    soon: Option<Duration>,
     /// See [`super::Startup::phase`]; zero once it has been used.
     phase: Duration,
 }
@@ -39,7 +40,7 @@ pub(super) struct Schedule {
 impl Schedule {
     /// The schedule of a gauge whose registers may have been read just now, to identify it.
     pub(super) fn new(phase: Duration, now: Duration) -> Self {
-        Self { number: 0, failures: 0, last: now, before: Duration::ZERO, soon: false, phase }
+        Self { number: 0, failures: 0, last: now, before: Duration::ZERO, soon: None, phase }
     }
 
     /// When the next poll is due.
@@ -62,10 +63,10 @@ impl Schedule {
 
     /// Time from the last poll to the next one.
     fn pause(&self, interval: Duration) -> Duration {
-        match self.failures {
-            0 if self.soon => SHORTEST,
-            0 => interval.saturating_sub(self.phase).max(SHORTEST.min(interval)),
-            1 => interval.min(RETRY),
+        match (self.failures, self.soon) {
+            (0, Some(soon)) => soon,
+            (0, None) => interval.saturating_sub(self.phase).max(SHORTEST.min(interval)),
+            (1, _) => interval.min(RETRY),
             _ => interval,
         }
     }
@@ -102,7 +103,13 @@ impl Schedule {
 
     /// Polls again soon: what the registers hold has changed.
     pub(super) fn hurry(&mut self) {
-        self.soon = true;
+        self.soon = Some(SHORTEST);
+    }
+
+    /// Polls again after a pause from now on, which doubles with each attempt up to the interval.
+    pub(super) fn try_again(&mut self, now: Duration, attempts: u32, interval: Duration) {
+        let pause = SHORTEST.saturating_mul(1_u32.checked_shl(attempts).unwrap_or(u32::MAX));
+        self.soon = Some(now.saturating_sub(self.last) + pause.min(interval));
     }
 
     /// The next poll is the first of a gauge; the one after it reads the slow tier.
@@ -124,10 +131,10 @@ impl Schedule {
         self.number += 1;
         self.reads(begun);
         self.failures = 0;
-        if !self.soon && self.number > 1 {
+        if self.soon.is_none() && self.number > 1 {
             self.phase = Duration::ZERO;
         }
-        self.soon = false;
+        self.soon = None;
         self.number
     }
 

@@ -23,11 +23,16 @@ pub(super) struct Rig {
 impl Rig {
     /// The gauge answers, and nothing has been sent to it yet.
     pub(super) fn new(startup: Startup) -> Self {
+        Self::of("bq34z100-g1", Settings::default(), startup)
+    }
+
+    /// The same with another chip and with settings.
+    pub(super) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
         let clock = Arc::new(SimClock::new());
-        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("it is simulated");
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("it is simulated");
         clock.sleep(Duration::from_secs(1));
-        let settings = Settings { interval: INTERVAL, ..Settings::default() };
-        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        let settings = Settings { interval: INTERVAL, ..settings };
+        let chip = Chip::by_name(chip).expect("it has a table");
         let bus = Box::new(sim.bus());
         let (owner, shared) = Owner::new(chip, bus, clock.clone(), settings, startup, Arc::default());
         let (queue, requests) = mpsc::channel();

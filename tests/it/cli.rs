@@ -918,7 +918,10 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     let mut daemon = Foreground::new(&at, &kept);
     let parameter = Path::new(&at).join("BAT0/df/80/53");
     let write = std::thread::spawn(move || fs::write(parameter, "3100\n"));
-    let files = || fs::read_dir(&journal).into_iter().flatten().flatten().map(|entry| entry.path());
+    let files = || {
+        let files = fs::read_dir(&journal).into_iter().flatten().flatten().map(|entry| entry.path());
+        files.filter(|path| path.extension().is_some_and(|extension| extension == "journal"))
+    };
     let planned = |path: PathBuf| fs::read_to_string(path).is_ok_and(|text| text.contains("\nend "));
     within(Duration::from_secs(20), "planned", || files().any(planned));
     for path in files() {
@@ -941,6 +944,43 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
     fs::write(Path::new(&at).join("BAT0/df/80/53"), "3200\n").expect("writes work again");
     gaugefs(&["umount", &at]).done();
+}
+
+/// The file is what an export before the write would have been.
+#[test]
+fn the_first_write_leaves_a_backup_of_what_was_there() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, state, journal) = (folder.file("m"), folder.file("state"), folder.file("journal"));
+    let log = folder.file("log");
+    let kept = ["--sim-state", &state, "--state-dir", &journal, "--log", &log];
+    let backups = || -> Vec<_> {
+        let files = fs::read_dir(&journal).into_iter().flatten().flatten().map(|entry| entry.path());
+        files.filter(|path| path.to_string_lossy().ends_with(".backup.toml")).collect()
+    };
+    let daemon = Foreground::new(&at, &[&kept[..], &["--no-backup"]].concat());
+    let gauge = format!("{at}/BAT0");
+    fs::write(format!("{gauge}/df/48/11"), "3400\n").expect("a write");
+    assert_eq!(backups(), [""; 0].map(std::path::PathBuf::from));
+    gaugefs(&["umount", &at]).done();
+    drop(daemon);
+    let daemon = Foreground::new(&at, &kept);
+    let exported = gaugefs(&["export", &gauge]).done();
+    fs::write(format!("{gauge}/df/48/11"), "3500\n").expect("a write");
+    let [backup] = &backups()[..] else { panic!("{:?}", backups()) };
+    assert_eq!(fs::read_to_string(backup).expect("a file"), exported);
+    assert_eq!(fs::metadata(backup).expect("a file").permissions().mode() & 0o777, 0o600);
+    let log = fs::read_to_string(&log).expect("the log");
+    assert!(log.contains(&format!("configuration saved in {}", backup.display())), "{log}");
+    assert!(log.contains("Z Design Capacity: 3400 -> 3500 mAh, written and verified\n"), "{log}");
+    // It can be applied again.
+    let file = backup.display().to_string();
+    gaugefs(&["import", &gauge, &file]).done();
+    assert_eq!(read(&at, "BAT0/df/48/11"), "3400");
+    gaugefs(&["umount", &at]).done();
+    drop(daemon);
 }
 
 #[test]

@@ -1,0 +1,299 @@
+//! The configuration of a gauge, saved as an image before gaugefs writes to it for the first time.
+
+use std::fs::{self, DirBuilder, File};
+use std::io::{self, Write as _};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+use nix::libc;
+use nix::unistd::geteuid;
+
+use super::Owner;
+use crate::error::{Error, Result};
+use ti_gauge::chip::{CHIPS, Chip, Kind};
+use ti_gauge::codec;
+use ti_gauge::image::{Entry, Image, toml};
+
+/// Backups of one gauge's place that are kept.
+const KEPT: usize = 10;
+const SUFFIX: &str = ".backup.toml";
+
+/// Where the backups of the gauges in one place are kept.
+#[derive(Clone, Debug)]
+pub struct Backup {
+    folder: PathBuf,
+    /// Where the gauges are connected, as in the names of their journals.
+    key: String,
+}
+
+/// What was done to have a backup.
+#[derive(Debug, PartialEq, Eq)]
+enum Saved {
+    /// It was written to this file.
+    Written(PathBuf),
+    /// The newest file has the same values.
+    There(PathBuf),
+}
+
+impl Backup {
+    /// Backups in a folder, of the gauges that are connected at the place that `key` identifies.
+    pub fn new(folder: PathBuf, key: String) -> Self {
+        Self { folder, key }
+    }
+
+    /// Saves an image, unless the newest backup is the same. On return it is on disk.
+    fn save(&self, image: &Image, serial: u16, now: Timestamp) -> Result<Saved> {
+        let text = toml::write(image);
+        if let Some(newest) = self.files().pop()
+            && fs::read_to_string(&newest).is_ok_and(|found| found == text)
+        {
+            return Ok(Saved::There(newest));
+        }
+        let named = |second: i64| {
+            let time = (now + SignedDuration::from_secs(second)).strftime("%Y%m%dT%H%M%SZ");
+            let name = format!("{}-{}-{serial:04x}-{time}{SUFFIX}", self.key, image.chip.name);
+            self.folder.join(name)
+        };
+        // No backup replaces another.
+        let path = (0..).map(named).find(|path| !path.exists()).expect("there are enough seconds");
+        self.store(&path, &text).map_err(|error| {
+            let what = "cannot save the configuration before the first write, so nothing was written to the gauge \
+                        (choose another folder with --state-dir, or mount with --no-backup)";
+            Error::io(path.display().to_string(), what, &error)
+        })?;
+        // The clock may have been put back, so that this is not the newest by its name.
+        let mut others = self.files();
+        others.retain(|file| *file != path);
+        for old in &others[..others.len().saturating_sub(KEPT - 1)] {
+            if let Err(error) = fs::remove_file(old) {
+                log::warn!("{}: cannot remove this old backup: {error}", old.display());
+            }
+        }
+        Ok(Saved::Written(path))
+    }
+
+    fn store(&self, path: &Path, text: &str) -> io::Result<()> {
+        DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
+        let temporary = self.folder.join(format!("{}.backup.new", self.key));
+        let mut options = File::options();
+        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
+        let mut file = options.open(&temporary)?;
+        // If the folder belongs to a service, that service must be able to remove what root leaves there.
+        let owner = fs::metadata(&self.folder)?;
+        let owned =
+            if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
+        let stored = owned
+            .and_then(|()| file.write_all(text.as_bytes()))
+            .and_then(|()| file.sync_all())
+            .and_then(|()| fs::rename(&temporary, path));
+        if let Err(error) = stored {
+            // The rest would only take up space on a disk that may be full.
+            let _ = fs::remove_file(&temporary);
+            return Err(error);
+        }
+        File::open(&self.folder)?.sync_all()
+    }
+
+    /// The backups of this place, oldest first.
+    fn files(&self) -> Vec<PathBuf> {
+        let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        let mut files: Vec<(String, PathBuf)> = entries
+            .filter_map(|entry| {
+                let name = entry.file_name().into_string().ok()?;
+                let rest = name.strip_suffix(SUFFIX)?.strip_prefix(&self.key)?.strip_prefix('-')?;
+                // The name of another place may begin with the name of this one.
+                let rest = CHIPS.iter().find_map(|chip| rest.strip_prefix(chip.name)?.strip_prefix('-'))?;
+                let (_, time) = rest.split_once('-')?;
+                Some((time.to_string(), entry.path()))
+            })
+            .collect();
+        files.sort();
+        files.into_iter().map(|(_, path)| path).collect()
+    }
+}
+
+impl Owner {
+    /// Saves the gauge's configuration, if that has not been done since the gauge came.
+    pub(super) fn back_up(&mut self, waited: Duration) -> Result<()> {
+        let Some(backup) = self.backup.clone().filter(|_| !self.backed_up) else { return Ok(()) };
+        let chip = self.gauge.chip;
+        let rows = chip.subclasses.iter().enumerate();
+        let readable: Vec<_> =
+            rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect();
+        let read = self.read(&readable, waited).map_err(|error| error.within("backup"))?;
+        let published = self.shared.published();
+        let mut image = Image::new(chip, Some(published.answers.firmware_version));
+        for (&index, bytes) in readable.iter().zip(&read) {
+            let subclass = &chip.subclasses[index];
+            image.entries.extend(subclass.parameters.iter().map(|parameter| {
+                let at = usize::from(parameter.offset - subclass.start());
+                let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+                Entry { subclass, parameter, value, line: 0 }
+            }));
+        }
+        let snapshot = published.snapshot.as_ref();
+        let serial = snapshot.and_then(|snapshot| snapshot.value(serial_number(chip)?));
+        let prefix = &self.shared.prefix;
+        match backup.save(&image, serial.unwrap_or_default() as u16, Timestamp::now())? {
+            Saved::Written(path) => log::info!("{prefix}configuration saved in {}", path.display()),
+            Saved::There(path) => log::info!("{prefix}configuration is as saved in {}", path.display()),
+        }
+        self.backed_up = true;
+        Ok(())
+    }
+}
+
+/// The register with the pack's serial number, if the part has one.
+fn serial_number(chip: &Chip) -> Option<&ti_gauge::chip::Register> {
+    chip.registers.iter().find(|register| register.name == "SerialNumber")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use nix::errno::Errno;
+
+    use super::super::rig::Rig;
+    use super::super::{Request, Settings, Startup};
+    use super::*;
+    use gauge_bus::clock::Clock as _;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("gaugefs-backup-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        folder
+    }
+
+    fn image(capacity: i64) -> Image {
+        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        let (subclass, parameter) = chip.row("48", "11").expect("Design Capacity");
+        let mut image = Image::new(chip, Some(0x0016));
+        image.entries.push(Entry { subclass, parameter, value: Value::Int(capacity), line: 0 });
+        image
+    }
+
+    fn second(number: i64) -> Timestamp {
+        Timestamp::from_second(1_800_000_000 + number).expect("a time")
+    }
+
+    #[test]
+    fn a_backup_is_written_once_for_the_same_values() {
+        let folder = folder("once");
+        let backup = Backup::new(folder.clone(), "i2c-1-55".into());
+        let first = folder.join("i2c-1-55-bq34z100-g1-0007-20270115T080000Z.backup.toml");
+        assert_eq!(backup.save(&image(1000), 7, second(0)).expect("a folder"), Saved::Written(first.clone()));
+        assert_eq!(fs::metadata(&first).expect("a file").permissions().mode() & 0o777, 0o600);
+        assert_eq!(backup.save(&image(1000), 7, second(1)).expect("a folder"), Saved::There(first.clone()));
+        assert_eq!(Image::open(&first, None).expect("an image").entries.len(), 1);
+        assert!(matches!(backup.save(&image(2000), 7, second(2)), Ok(Saved::Written(_))));
+        // Only the newest one counts.
+        assert!(matches!(backup.save(&image(1000), 7, second(3)), Ok(Saved::Written(_))));
+        assert_eq!(backup.files().len(), 3);
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn the_newest_ten_of_a_place_are_kept_whatever_the_pack() {
+        let folder = folder("ten");
+        let backup = Backup::new(folder.clone(), "i2c-1-55".into());
+        let other = Backup::new(folder.clone(), "i2c-1-55-bus".into());
+        other.save(&image(1), 1, second(0)).expect("a folder");
+        fs::write(folder.join("i2c-1-55.bq34z100-g1-0100-0016-0001.journal"), "").expect("a file");
+        for number in 0..25 {
+            let serial = if number % 2 == 0 { 0xffff } else { 1 };
+            backup.save(&image(number), serial, second(number)).expect("a folder");
+        }
+        let files = backup.files();
+        let values = files.iter().map(|file| Image::open(file, None).expect("an image").entries[0].text());
+        assert_eq!(values.collect::<Vec<_>>(), (15..25).map(|value| value.to_string()).collect::<Vec<_>>());
+        assert_eq!(other.files().len(), 1);
+        // A clock that was put back.
+        let Saved::Written(old) = backup.save(&image(99), 1, second(-1000)).expect("a folder") else {
+            panic!("these values are new")
+        };
+        assert!(old.exists());
+        assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 12, "and nothing else");
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    fn write(rig: &mut Rig, text: &str) -> Result<()> {
+        let chip = rig.handle.chip();
+        let row = chip.row("80", "53").expect("Cell Terminate Voltage");
+        let value = Value::Int(text.parse().expect("a number"));
+        let change = Change::of_value(row, &value).expect("it fits");
+        rig.ask(|done| Request::WriteAll(vec![change], done))
+    }
+
+    fn with_backup(folder: &Path) -> Rig {
+        let backup = Some(Backup::new(folder.to_path_buf(), "i2c-1-55".into()));
+        let mut rig = Rig::of("bq34z100-g1", Settings { backup, ..Settings::default() }, Startup::default());
+        rig.owner.open().expect("it answers");
+        rig
+    }
+
+    #[test]
+    fn the_first_write_saves_what_the_gauge_had() {
+        let folder = folder("first");
+        let mut rig = with_backup(&folder);
+        for text in ["3100", "3200"] {
+            write(&mut rig, text).expect("the default key");
+        }
+        let files = rig.owner.backup.as_ref().expect("one is set").files();
+        let [file] = &files[..] else { panic!("{files:?}") };
+        let image = Image::open(file, None).expect("an image");
+        let find = |name: &str| {
+            let entry = image.entries.iter().find(|entry| entry.parameter.name == name);
+            entry.map(Entry::text)
+        };
+        assert_eq!(find("Cell Terminate Voltage").as_deref(), Some("3000"));
+        assert!(image.entries.iter().all(|entry| entry.subclass.kind != Kind::Security));
+        let expected = rig.handle.chip().subclasses.iter().filter(|row| row.kind != Kind::Security);
+        assert_eq!(image.entries.len(), expected.map(|row| row.parameters.len()).sum::<usize>());
+        assert_eq!(rig.handle.published().seal, super::super::Seal::Sealed);
+        // Another gauge may be in its place.
+        rig.owner.arrive().expect("it answers");
+        rig.owner.poll().expect("it answers");
+        write(&mut rig, "3300").expect("the default key");
+        assert_eq!(rig.owner.backup.as_ref().expect("one is set").files().len(), 2);
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// The write that follows has to end within 30 s of its request.
+    #[test]
+    fn each_part_is_saved_in_a_few_seconds() {
+        let folder = folder("time");
+        for chip in CHIPS {
+            let backup = Some(Backup::new(folder.clone(), chip.name.into()));
+            let mut rig = Rig::of(chip.name, Settings { backup, ..Settings::default() }, Startup::default());
+            rig.owner.open().expect("it answers");
+            let begun = rig.clock.now();
+            rig.owner.back_up(Duration::ZERO).expect("the default key");
+            let taken = rig.clock.now() - begun;
+            assert!(taken < Duration::from_secs(8), "{}: {taken:?}", chip.name);
+            println!("{}: {taken:?}", chip.name);
+        }
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn without_room_for_the_backup_nothing_is_written() {
+        let folder = folder("room");
+        fs::write(&folder, "").expect("a file in place of the folder");
+        let mut rig = with_backup(&folder);
+        let flash = rig.sim.flash();
+        let error = write(&mut rig, "3100").expect_err("there is no folder");
+        assert!(matches!(error.errno(), Errno::EEXIST | Errno::ENOTDIR), "{error}");
+        let says = error.to_string();
+        assert!(says.contains("--state-dir") && says.contains("--no-backup"), "{says}");
+        assert!(rig.sim.flash() == flash);
+        assert_eq!(*rig.handle.published().last_error, *says);
+        fs::remove_file(&folder).expect("it is there");
+        write(&mut rig, "3100").expect("now there is room");
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+}
