@@ -164,6 +164,7 @@ impl Owner {
         self.forget_dataflash();
         match outcome {
             Ok(outcome) => {
+                self.log_written(&self.restore, &outcome);
                 let done = match outcome {
                     Outcome::Written { .. } => "configuration restored",
                     Outcome::Unchanged => "configuration is as saved",

@@ -7,9 +7,11 @@ use std::time::Duration;
 use super::{Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
-use ti_gauge::chip::Subclass;
+use ti_gauge::chip::{Parameter, Safe, Subclass};
+use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::keys;
+use ti_gauge::text;
 
 /// Requests queued longer than this are refused, so that write(2) returns within 30 s.
 const QUEUE_LIMIT: Duration = Duration::from_secs(12);
@@ -76,6 +78,29 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
         "UNSEALED is reached from FULL ACCESS only through SEALED; a gauge that was never sealed before may from \
          now on be SEALED after each reset, and then needs its unseal key",
     )
+}
+
+/// A change and the bytes that it replaced, such as `3000 -> 3100 mV`: in the text form of the parameter, or in
+/// hexadecimal where it has none.
+fn difference(change: &Change, old: &[u8]) -> String {
+    let kept = |at: usize| match change.row {
+        Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) if change.saved => {
+            (mask >> (8 * (change.bytes.len() - 1 - at))) as u8
+        }
+        _ => 0,
+    };
+    let bytes = change.bytes.iter().zip(old).enumerate();
+    let new: Vec<u8> = bytes.map(|(at, (new, old))| new & !kept(at) | old & kept(at)).collect();
+    let show = |bytes: &[u8]| match change.row {
+        Some((_, parameter)) => text::render(parameter.kind, &codec::decode(parameter.kind, bytes)),
+        None => text::hex(bytes),
+    };
+    let unit = match change.row {
+        // The number says that already.
+        None | Some((_, Parameter { unit: "hex", .. })) => "",
+        Some((_, parameter)) => parameter.unit,
+    };
+    format!("{} -> {} {unit}", show(old), show(&new)).trim_end().to_string()
 }
 
 impl Owner {
@@ -205,14 +230,29 @@ impl Owner {
                 self.schedule.hurry();
             }
         }
-        let done = match outcome? {
-            Outcome::Unchanged => "unchanged, nothing written",
-            Outcome::Written { .. } => "written and verified",
-        };
-        for change in changes {
-            log::info!("{}{}: {done}", self.shared.prefix, change.name());
-        }
+        self.log_written(changes, &outcome?);
         Ok(())
+    }
+
+    /// Logs what each change of a write has replaced.
+    pub(super) fn log_written(&self, changes: &[Change], outcome: &Outcome) {
+        let prefix = &self.shared.prefix;
+        match outcome {
+            Outcome::Unchanged => {
+                for change in changes {
+                    log::info!("{prefix}{}: unchanged, nothing written", change.name());
+                }
+            }
+            Outcome::Written { old, .. } => {
+                for (change, old) in changes.iter().zip(old) {
+                    log::info!(
+                        "{prefix}{}: {}, written and verified",
+                        change.name(),
+                        difference(change, old)
+                    );
+                }
+            }
+        }
     }
 
     /// Polls now, and forgets what was read of data flash.
@@ -299,6 +339,23 @@ mod tests {
         let mut rig = Rig::open();
         rig.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("the default keys");
         assert!(passes_sealed(rig.handle.published().seal, Seal::Unsealed).is_some());
+    }
+
+    #[test]
+    fn a_change_is_described_by_old_and_new_value() {
+        let chip = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("it has a table");
+        let of = |id: &str, offset: &str, old: &[u8], new: &[u8]| {
+            let row = chip.row(id, offset).expect("a parameter of the table");
+            difference(&Change::of_bytes(row, new.to_vec()), old)
+        };
+        assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
+        assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");
+        assert_eq!(of("58", "3", &[0x00], &[0x5a]), "0x00 -> 0x5a");
+        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old_ -> new");
+        let row = None;
+        let place = ti_gauge::dataflash::Place { subclass: 48, offset: 200 };
+        let raw = Change { place, bytes: vec![0xab, 0xcd], row, saved: false };
+        assert_eq!(difference(&raw, &[0, 1]), "0001 -> abcd");
     }
 
     #[test]

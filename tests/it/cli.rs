@@ -981,6 +981,7 @@ fn the_first_write_leaves_a_backup_of_what_was_there() {
     assert_eq!(fs::metadata(backup).expect("a file").permissions().mode() & 0o777, 0o600);
     let log = fs::read_to_string(&log).expect("the log");
     assert!(log.contains(&format!("configuration saved in {}", backup.display())), "{log}");
+    assert!(log.contains("Z Design Capacity: 3400 -> 3500 mAh, written and verified\n"), "{log}");
     // It can be applied again.
     let file = backup.display().to_string();
     gaugefs(&["import", &gauge, &file]).done();

@@ -92,7 +92,7 @@ fn unproven(answers: &Answers) -> Recognised {
     let mut chips: Vec<_> = CHIPS.iter().copied().filter(fits).collect();
     let is_hardware = |chip: &&Chip| chip.identity.hardware == Some(answers.hardware_version);
     if chips.iter().any(is_hardware) {
-        chips.retain(|chip| is_hardware(&chip));
+        chips.retain(|chip| is_hardware(chip));
     }
     if chips.is_empty() { Recognised::Unknown } else { Recognised::Unproven(chips) }
 }
