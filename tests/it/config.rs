@@ -257,9 +257,12 @@ fn many_gauges_are_mounted_together() {
     gaugefs(&["umount", &at]).done();
     let log = || fs::read_to_string(folder.file("log")).expect("the log");
     within(LONG, "the log's last line", || log().contains("PACK unmounted"));
-    for line in
-        ["BAT1: not there yet", "BAT2: left out", "warning: BAT3: ", "BAT0: Cell Terminate Voltage: written"]
-    {
+    for line in [
+        "BAT1: not there yet",
+        "BAT2: left out",
+        "warning: BAT3: ",
+        "BAT0: Cell Terminate Voltage: 3000 -> 3100 mV, written",
+    ] {
         assert!(log().contains(line), "`{line}` is not in: {}", log());
     }
 }
@@ -530,7 +533,7 @@ fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
     gaugefs(&["umount", &at]).done();
     let file = |name: &str| fs::read_to_string(Path::new(files).join(name)).unwrap_or_default();
     within(LONG, "the log ends with the unmount", || file("log").contains("unmounted"));
-    assert!(file("log").contains("Cell Terminate Voltage: written"), "{}", file("log"));
+    assert!(file("log").contains("Cell Terminate Voltage: 3000 -> 3100 mV, written"), "{}", file("log"));
     assert!(file("trace").contains("W: AA 3E 50"), "the trace has no write of that block");
     assert!(Path::new(files).join("journal").is_dir(), "no folder for the journal");
     mount();

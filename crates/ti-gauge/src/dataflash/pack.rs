@@ -12,9 +12,6 @@ use crate::codec::{self, WINDOW};
 use crate::journal::{Identity, Mark, Plan};
 use crate::value::Value;
 
-/// Most that a counter may have risen since a mark was noted.
-const COUNTED: u16 = 2;
-
 /// Blocks as they were last read or written, while the gauge has answered.
 #[derive(Debug, Default)]
 pub(super) struct Known(BTreeMap<(u8, u16), [u8; WINDOW]>);
@@ -114,8 +111,8 @@ pub(super) fn compare<E>(
             continue;
         }
         if row.1.learned {
-            let risen = word(&held).wrapping_sub(word(bytes));
-            if risen > COUNTED {
+            // A counter never goes back.
+            if word(&held) < word(bytes) {
                 return Ok(Match::Other(row.1.name.into()));
             }
         } else if held != *bytes {

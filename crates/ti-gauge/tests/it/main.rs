@@ -1,6 +1,7 @@
 //! The tables and the engine against simulated gauges.
 
 mod defaults;
+mod ensemble;
 mod faults;
 mod gate;
 mod gauge;

@@ -37,6 +37,12 @@ impl Rig {
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 
+    /// The engine on a gauge that is there already.
+    pub(crate) fn on(table: &'static Chip, sim: Sim, clock: Arc<SimClock>) -> Self {
+        let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
+        Self { clock, sim, gauge, dataflash: DataFlash::default() }
+    }
+
     /// A gauge that is found in the given seal state.
     pub(crate) fn found(chip: &str, found: Seal) -> Self {
         let mut rig = Self::new(chip);
@@ -65,14 +71,22 @@ impl Rig {
 
     /// A parameter and its subclass; on a part without subclasses, `FLAT` and an address.
     fn find(&self, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
-        let mut alike = self.gauge.chip.subclasses.iter().filter(|row| row.id == subclass);
+        Self::find_in(self.gauge.chip, subclass, offset)
+    }
+
+    fn find_in(chip: &'static Chip, subclass: u8, offset: u16) -> (&'static Subclass, &'static Parameter) {
+        let mut alike = chip.subclasses.iter().filter(|row| row.id == subclass);
         let found = alike.find_map(|row| Some((row, row.parameter(offset)?)));
         found.expect("a parameter of the table")
     }
 
     /// The change that `echo text > df/subclass/offset` requests.
     pub(crate) fn change(&self, subclass: u8, offset: u16, text: &str) -> Change {
-        let (subclass, parameter) = self.find(subclass, offset);
+        Self::change_of(self.gauge.chip, subclass, offset, text)
+    }
+
+    pub(crate) fn change_of(chip: &'static Chip, subclass: u8, offset: u16, text: &str) -> Change {
+        let (subclass, parameter) = Self::find_in(chip, subclass, offset);
         let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
         Change::of_value((subclass, parameter), &value).expect("a value of the type")
     }

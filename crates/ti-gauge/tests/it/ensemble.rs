@@ -1,0 +1,496 @@
+//! Faults of gauge, bus and host, on gauges that are drawn from the whole envelope of what real ones do. Each run has
+//! its own gauge, its own access, one fault at one transfer, and then, half of the time, a second one while what the
+//! first has left is settled. The seed is printed with every failure; `GAUGEFS_SEED` runs that one alone, and
+//! `GAUGEFS_SEEDS` sets the number of runs.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::{CHIPS, Chip, FLAT};
+use ti_gauge::dataflash::{Change, DataFlash, Limits};
+use ti_gauge::error::{Cause, Result};
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::{KeyChange, Keys};
+
+use crate::journal::Folder;
+use crate::rig::{Rig, cause};
+
+/// Runs in the everyday test.
+const RUNS: u64 = 6000;
+
+/// A small generator, so that a seed means the same everywhere.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, limit: u64) -> u64 {
+        // SplitMix64.
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut mixed = self.0;
+        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (mixed ^ mixed >> 31) % limit
+    }
+
+    fn pick<'a, T>(&mut self, from: &'a [T]) -> &'a T {
+        &from[self.below(from.len() as u64) as usize]
+    }
+}
+
+/// What is done to a gauge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Access {
+    /// Writes these parameters in one transaction.
+    Write(&'static [((u8, u16), &'static str)]),
+    /// Reads all of data flash.
+    Read,
+    /// Goes to another seal state.
+    Seal,
+    /// Changes the unseal key.
+    Key,
+}
+
+use Access::{Key, Read, Seal as SealState, Write};
+
+/// What is done to each chip: each scheme with and without a reset, with one block and with several.
+fn accesses(chip: &str) -> &'static [Access] {
+    match chip {
+        "bq34z100-g1" => &[
+            Write(&[((80, 53), "3100")]),
+            Write(&[((48, 4), "0x0007")]),
+            Write(&[((58, 3), "0x5a")]),
+            Write(&[((48, 31), "Pack 7"), ((80, 53), "3100"), ((48, 11), "2200"), ((81, 0), "61")]),
+            // Beside the cycle count, and beside the learned capacity.
+            Write(&[((48, 2), "0x1234"), ((48, 8), "800")]),
+            Write(&[((82, 2), "0x05")]),
+            Read,
+            SealState,
+            Key,
+        ],
+        "bq27520-g3" => &[Write(&[((48, 10), "1200")]), Read, SealState],
+        "bq27441-g1" => {
+            &[Write(&[((82, 10), "1200")]), Write(&[((82, 10), "1200"), ((82, 16), "3100")]), Read, SealState]
+        }
+        "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read],
+        "bq27427" => &[Write(&[((82, 6), "1200")]), Read],
+        "bq34110" => &[
+            Write(&[((FLAT, 0x41F5), "3100")]),
+            Write(&[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")]),
+            Read,
+            SealState,
+        ],
+        _ => &[Write(&[((FLAT, 0x41B1), "0x82")]), Write(&[((FLAT, 0x41FE), "3100")]), Read, SealState, Key],
+    }
+}
+
+/// The fault of a run.
+#[derive(Clone, Debug)]
+enum Fault {
+    None,
+    /// Of gauge or bus, in the words of the simulator.
+    Sim(String),
+    /// The host loses power before or after that transfer.
+    HostCut(u64, bool),
+    /// The host is paused before that transfer.
+    Pause(u64, Duration),
+}
+
+fn draw_fault(random: &mut Random, transfers: u64) -> Fault {
+    let n = random.below(transfers) + 1;
+    let byte = random.below(8);
+    match random.below(24) {
+        0 => Fault::Sim(format!("nack {n}")),
+        1 => Fault::Sim(format!("nack {n} {byte}")),
+        2 => Fault::Sim(format!("eio {n} {byte}")),
+        3 => Fault::Sim(format!("etimedout {n}")),
+        4 => Fault::Sim(format!("short {n}")),
+        5 => Fault::Sim(format!("lost {n}")),
+        6 => Fault::Sim(format!("stuck {n} {byte}")),
+        7 => Fault::Sim(format!("arbitration {n}")),
+        8..=10 => Fault::Sim(format!("flip {n} {byte} {}", random.below(8))),
+        11 => Fault::Sim(format!("burst {n} {byte} {} {}", random.below(40) + 1, random.pick(&[0, 255]))),
+        12 => Fault::Sim(format!("silence {n} 300")),
+        13 => Fault::Sim(format!("silence {n} {}", 1000 + random.below(40_000))),
+        14 => Fault::Sim(format!("power-cut {n} 300")),
+        15 => Fault::Sim(format!("power-cut-after {n} 300")),
+        16 => Fault::Sim(format!("power-cut {n}")),
+        17 => Fault::Sim(format!("power-cut-after {n}")),
+        18 => Fault::Sim(format!("torn-commit {}", random.below(17))),
+        19 => {
+            Fault::Sim(random.pick(&["drop-commit", "corrupt-commit", "drop-reset", "drop-seal"]).to_string())
+        }
+        20 | 21 => Fault::HostCut(n, false),
+        22 => Fault::HostCut(n, true),
+        _ => Fault::Pause(n, Duration::from_secs(60 + random.below(600))),
+    }
+}
+
+/// The panic with which the code of the host stops when it loses power.
+struct PowerCut;
+
+struct Host<B> {
+    bus: B,
+    clock: Arc<SimClock>,
+    done: Arc<AtomicU64>,
+    fault: Fault,
+}
+
+impl<B: Bus> Bus for Host<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        let number = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        match self.fault {
+            Fault::HostCut(at, false) if at == number => resume_unwind(Box::new(PowerCut)),
+            Fault::HostCut(at, true) if at == number => {
+                let _ = self.bus.transfer(write, read);
+                resume_unwind(Box::new(PowerCut))
+            }
+            Fault::Pause(at, time) if at == number => self.clock.sleep(time),
+            _ => {}
+        }
+        self.bus.transfer(write, read)
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.bus.set_secret(secret);
+    }
+}
+
+/// One gauge and the hosts that come and go.
+struct Run {
+    chip: &'static Chip,
+    clock: Arc<SimClock>,
+    sim: Sim,
+    folder: Folder,
+    access: Access,
+    /// The clock, and whether a bytes of flash may differ at the end from what they were.
+    moves: Vec<bool>,
+}
+
+/// A host: what it knows of the gauge ends with it.
+struct Booted {
+    gauge: Gauge,
+    dataflash: DataFlash,
+    transfers: Arc<AtomicU64>,
+}
+
+impl Run {
+    fn new(chip: &'static Chip, seed: u64, access: Access, found: Seal, moves: &[bool]) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let options = Options { envelope: Some(seed), seed, ..Options::default() };
+        let sim = Sim::new(chip.name, &options, clock.clone()).expect("a chip that is simulated");
+        // Another version is another part, which is tested elsewhere.
+        for version in ["firmware", "hardware"] {
+            let _ = sim.set(version, "printed");
+        }
+        clock.sleep(Duration::from_secs(5));
+        let rig = Rig::on(chip, sim.clone(), clock.clone());
+        rig.calibrate(3);
+        let run = Self {
+            chip,
+            clock,
+            sim,
+            folder: Folder::new(&format!("ensemble-{}-{seed}", chip.name)),
+            access,
+            moves: moves.to_vec(),
+        };
+        if found != Seal::Sealed {
+            let mut host = run.boot(Fault::None);
+            // A key may be lost once.
+            let opened = (0..3).find(|_| {
+                host.gauge.forget_refusal();
+                host.dataflash.go_to(&mut host.gauge, found, Duration::ZERO).is_ok()
+            });
+            opened.expect("the default keys");
+        }
+        run
+    }
+
+    fn boot(&self, fault: Fault) -> Booted {
+        let transfers = Arc::new(AtomicU64::new(0));
+        let bus = Host { bus: self.sim.bus(), clock: self.clock.clone(), done: transfers.clone(), fault };
+        let gauge = Gauge::new(self.chip, Box::new(bus), self.clock.clone(), Keys::default(), false);
+        let dataflash = DataFlash::new(Limits::default(), Some(self.folder.journal()));
+        Booted { gauge, dataflash, transfers }
+    }
+
+    /// The access itself.
+    fn act(&self, host: &mut Booted) -> Result<()> {
+        let Booted { gauge, dataflash, .. } = host;
+        match self.access {
+            Write(values) => {
+                let changes: Vec<Change> =
+                    values.iter().map(|((id, at), text)| Rig::change_of(self.chip, *id, *at, text)).collect();
+                dataflash.write(gauge, &changes, Duration::ZERO).map(|_| ())
+            }
+            Read => {
+                let all: Vec<_> = self.chip.subclasses.iter().take(6).collect();
+                let all: Vec<_> = all.into_iter().filter(|row| row.id != 112 || row.id == FLAT).collect();
+                let all: Vec<_> =
+                    all.into_iter().filter(|row| row.kind != ti_gauge::chip::Kind::Security).collect();
+                dataflash.read(gauge, &all, Duration::ZERO).map(|_| ())
+            }
+            SealState => {
+                dataflash.go_to(gauge, Seal::Unsealed, Duration::ZERO)?;
+                dataflash.go_to(gauge, Seal::Sealed, Duration::ZERO)
+            }
+            Key => {
+                let default = self.chip.security.default_unseal;
+                let text = format!("unseal {:04x} {:04x} 1234 5678", default[0], default[1]);
+                let change = KeyChange::parse(text.as_bytes()).expect("two keys");
+                dataflash.change_key(gauge, &change, Order::default(), Duration::ZERO)
+            }
+        }
+    }
+
+    /// Flash without what the gauge moves by itself.
+    fn flash(&self) -> Vec<u8> {
+        let flash = self.sim.flash();
+        flash.iter().zip(&self.moves).map(|(byte, moves)| if *moves { 0 } else { *byte }).collect()
+    }
+}
+
+/// The bytes of flash that the gauge may rewrite by itself: the rows that the table says are learned.
+fn moving(chip: &'static Chip) -> Vec<bool> {
+    let sim = Sim::new(chip.name, &Options::default(), Arc::new(SimClock::new())).expect("a chip");
+    let mut moving = vec![false; sim.flash().len()];
+    for subclass in chip.subclasses {
+        for parameter in subclass.parameters.iter().filter(|parameter| parameter.learned) {
+            let at = usize::from(parameter.offset) - if subclass.id == FLAT { 0x4000 } else { 0 };
+            for at in at..at + parameter.kind.size() {
+                for mark in [0x5a, 0xa5] {
+                    let before = sim.flash();
+                    sim.set_flash(subclass.id.into(), at, &[mark]);
+                    for (at, (now, before)) in sim.flash().iter().zip(before).enumerate() {
+                        moving[at] |= *now != before;
+                    }
+                }
+            }
+        }
+    }
+    moving
+}
+
+/// Tries as the owner of a gauge does, until nothing is owed or only a person can decide.
+fn pay(host: &mut Booted, clock: &SimClock) -> bool {
+    for pause in [1, 1, 2, 4, 8, 16, 30, 30, 30] {
+        match host.dataflash.settle(&mut host.gauge, Duration::ZERO) {
+            Ok(_) => return true,
+            Err(_) if host.dataflash.owed().is_some_and(|owed| owed.needs_decision) => return false,
+            Err(_) => clock.sleep(Duration::from_secs(pause)),
+        }
+    }
+    false
+}
+
+#[test]
+fn any_fault_on_any_gauge_of_the_envelope_leaves_old_or_new() {
+    let only = std::env::var("GAUGEFS_SEED").ok().and_then(|seed| seed.parse().ok());
+    let runs = std::env::var("GAUGEFS_SEEDS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(RUNS);
+    let seeds = only.map_or(0..runs, |seed: u64| seed..seed + 1);
+    let moves: BTreeMap<&str, Vec<bool>> = CHIPS.iter().map(|chip| (chip.name, moving(chip))).collect();
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    let mut failures = Vec::new();
+    let total = seeds.end - seeds.start;
+    for seed in seeds {
+        let outcome = catch_unwind(AssertUnwindSafe(|| run(seed, &moves)));
+        match outcome {
+            Ok(Ok(told)) => told.into_iter().for_each(|what| *counts.entry(what).or_default() += 1),
+            Ok(Err(why)) => failures.push(format!("seed {seed}: {why}")),
+            Err(panic) => {
+                let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+                let why =
+                    panic.downcast_ref::<String>().cloned().or(text).unwrap_or_else(|| "a panic".into());
+                failures.push(format!("seed {seed}: {why}"));
+            }
+        }
+    }
+    println!("{total} runs on drawn gauges:");
+    for (what, count) in counts {
+        println!("{count:8}  {what}");
+    }
+    assert!(failures.is_empty(), "{} of {total} failed:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// One run. Returns what it has covered, or what is wrong.
+fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<String>, String> {
+    let random = &mut Random(seed);
+    let chip = *random.pick(CHIPS);
+    let access = *random.pick(accesses(chip.name));
+    let found = match (access, chip.security.full_access) {
+        (SealState, _) => Seal::Sealed,
+        (_, true) => *random.pick(&[Seal::Sealed, Seal::Sealed, Seal::Unsealed, Seal::FullAccess]),
+        (_, false) => *random.pick(&[Seal::Sealed, Seal::Sealed, Seal::Unsealed]),
+    };
+    let moves = &moves[chip.name];
+    let envelope = seed.wrapping_mul(7919);
+    let model = Run::new(chip, envelope, access, found, moves);
+    let drawn = model.sim.envelope();
+    let about = |fault: &dyn std::fmt::Debug| {
+        format!("{} {access:?} found {found:?}, fault {fault:?}, gauge {drawn}", chip.name)
+    };
+
+    // Without a fault. A drawn gauge may lose one command, which is a fault of its own.
+    let old = model.flash();
+    let mut host = model.boot(Fault::None);
+    host.gauge.seal().map_err(|error| format!("{error} <- {}", about(&"none")))?;
+    let is_key = access == Key;
+    let outcome = model.act(&mut host);
+    let transfers = host.transfers.load(Ordering::Relaxed);
+    if let Err(error) = &outcome
+        && !is_refused_untried(error, found)
+    {
+        return Err(format!("{error} <- {}", about(&"none")));
+    }
+    let new = model.flash();
+    let is_write = matches!(access, Write(_)) || is_key;
+    if outcome.is_ok() && is_write && new == old {
+        return Err(format!("success without a change <- {}", about(&"none")));
+    }
+    if !is_write && new != old {
+        return Err(format!("a read has changed flash <- {}", about(&"none")));
+    }
+
+    // With one.
+    let fault = draw_fault(random, transfers.max(1));
+    let run = Run::new(chip, envelope, access, found, moves);
+    if run.flash() != old {
+        return Err(format!("the same seed draws another gauge <- {}", about(&fault)));
+    }
+    // What a loss of power leaves of RAM is what is in ROM.
+    let volatile = chip.volatile.is_some();
+    let mut host = run.boot(fault.clone());
+    host.gauge.seal().map_err(|error| format!("{error} <- {}", about(&fault)))?;
+    host.transfers.store(0, Ordering::Relaxed);
+    if let Fault::Sim(text) = &fault {
+        run.sim.set("fault", text).map_err(|error| format!("`{text}`: {error:?}"))?;
+    }
+    let begun = run.clock.now();
+    let outcome = match catch_unwind(AssertUnwindSafe(|| run.act(&mut host))) {
+        Ok(outcome) => Some(outcome),
+        Err(cut) if cut.is::<PowerCut>() => None,
+        Err(panic) => resume_unwind(panic),
+    };
+    let taken = run.clock.now() - begun;
+    let is_paused = matches!(fault, Fault::Pause(..))
+        || matches!(&fault, Fault::Sim(text) if text.starts_with("power-cut"));
+    if taken > Duration::from_secs(30) && !is_paused && !is_key {
+        return Err(format!("answered after {taken:?} <- {}", about(&fault)));
+    }
+    let mut told = vec![format!("chip {}", chip.name), format!("access {}", name_of(access))];
+    told.push(match &outcome {
+        None => "outcome: the host lost power".into(),
+        Some(Ok(())) => "outcome: success".into(),
+        Some(Err(error)) => format!("outcome: {}", cause(error)),
+    });
+    told.extend(rows(&drawn));
+    let was_cut = matches!(&fault, Fault::Sim(text) if text.contains("power") || text.starts_with("torn"));
+    let check = |flash: &[u8], wanted: &[u8]| volatile && was_cut || flash == wanted || is_key;
+    match &outcome {
+        Some(Ok(())) if !check(&run.flash(), if is_write { &new } else { &old }) => {
+            let at = differing(&run.flash(), &new);
+            return Err(format!("success is false, at {at:?} <- {}", about(&fault)));
+        }
+        Some(Err(error))
+            if !matches!(error.cause(), Cause::StateUnknown(_)) && !check(&run.flash(), &old) =>
+        {
+            let at = differing(&run.flash(), &old);
+            return Err(format!("{error}, but flash has changed at {at:?} <- {}", about(&fault)));
+        }
+        _ => {}
+    }
+
+    // The gauge works again. The same host pays what is owed, or the next one does.
+    run.sim.set("fault", "none").expect("a knob");
+    run.sim.set("power", "on").expect("a knob");
+    let mut host = match outcome {
+        Some(_) => host,
+        None => run.boot(Fault::None),
+    };
+    if random.below(2) == 0 {
+        // A second fault while that is done.
+        let second = draw_fault(random, 30);
+        if !matches!(second, Fault::Sim(_)) {
+            host = run.boot(second.clone());
+        }
+        if let Fault::Sim(text) = &second {
+            run.sim.set("fault", text).expect("a fault");
+        }
+        if catch_unwind(AssertUnwindSafe(|| pay(&mut host, &run.clock))).is_err() {
+            told.push("the host lost power while settling".into());
+        }
+        run.sim.set("fault", "none").expect("a knob");
+        run.sim.set("power", "on").expect("a knob");
+        host = run.boot(Fault::None);
+        told.push("settled with a second fault".into());
+    }
+    run.clock.sleep(Duration::from_secs(random.below(40)));
+    host.gauge.forget_refusal();
+    let paid = pay(&mut host, &run.clock);
+    let flash = run.flash();
+    if !paid {
+        let owed = host.dataflash.owed().map_or_else(String::new, |owed| owed.why.to_string());
+        told.push("end: left for a person to decide".into());
+        if owed.is_empty() {
+            return Err(format!("nothing is owed and nothing paid <- {}", about(&fault)));
+        }
+        return Ok(told).and_then(|told| {
+            if UNDECIDED.iter().any(|why| owed.contains(why)) {
+                Ok(told)
+            } else {
+                Err(format!("{owed} <- {}", about(&fault)))
+            }
+        });
+    }
+    if !(volatile || is_key || flash == old || flash == new) {
+        let (old, new) = (differing(&flash, &old), differing(&flash, &new));
+        return Err(format!("settled to neither old {old:?} nor new {new:?} <- {}", about(&fault)));
+    }
+    told.push(format!("end: {}", if flash == new && is_write { "new" } else { "old" }));
+    run.clock.sleep(Duration::from_secs(3));
+    let seal = run.sim.get("seal").unwrap_or_default();
+    if found == Seal::Sealed && seal != "sealed" {
+        return Err(format!("left {seal} <- {}", about(&fault)));
+    }
+    let mode = run.sim.get("mode").unwrap_or_default();
+    if mode != "normal" {
+        return Err(format!("left in {mode} <- {}", about(&fault)));
+    }
+    Ok(told)
+}
+
+/// What only a person can decide.
+const UNDECIDED: &[&str] = &["does not explain"];
+
+/// A gauge that was found open, whose key this host has not tried, is not reset.
+fn is_refused_untried(error: &ti_gauge::error::Error, found: Seal) -> bool {
+    found != Seal::Sealed && matches!(error.cause(), Cause::NotPermitted(_))
+}
+
+fn differing(one: &[u8], other: &[u8]) -> Vec<(usize, u8, u8)> {
+    let pairs = one.iter().zip(other).enumerate().filter(|(_, (one, other))| one != other);
+    pairs.map(|(at, (one, other))| (at, *one, *other)).take(6).collect()
+}
+
+fn name_of(access: Access) -> &'static str {
+    match access {
+        Write([_]) => "write of one parameter",
+        Write(_) => "write of several",
+        Read => "read",
+        SealState => "seal",
+        Key => "key",
+    }
+}
+
+/// The rows of the envelope that this gauge has.
+fn rows(drawn: &str) -> Vec<String> {
+    let values = drawn.split(": ").nth(1).unwrap_or_default().split(", ");
+    let quiet = ["0", "off", "enxio", "printed", "old", "false", ""];
+    let pairs = values.filter_map(|value| value.split_once(' '));
+    pairs.filter(|(_, value)| !quiet.contains(value)).map(|(name, _)| format!("envelope {name}")).collect()
+}
