@@ -38,13 +38,13 @@ mod wear;
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
-use io::{read_subclass, reload, store, verify_written};
+use io::{read_subclass, reload, still_open, store, verify_written};
 use pack::Known;
 use preflight::{Found, KnownPack};
 use schemes::sequence;
 use session::{Session, in_time};
-use settle::Pending;
 pub use settle::{Decision, Owed};
+use settle::{Pending, has_lost_memory};
 use wear::Wear;
 
 /// A place in data flash.
@@ -226,7 +226,12 @@ impl DataFlash {
             self.owe(gauge, &mut session, blocks(changes))?;
             let outcome =
                 session.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut session));
-            self.end(session, gauge, outcome)
+            let outcome = self.end(session, gauge, outcome);
+            if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge).unwrap_or(false) {
+                let why = "written and verified, but the gauge has lost its power since, and its data memory with it";
+                return Err(Error::new("", Cause::StateUnknown(why.into())));
+            }
+            outcome
         })
     }
 
@@ -290,7 +295,7 @@ impl DataFlash {
             None => {}
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let neighbours = self.neighbours(gauge, &dirty);
+        let neighbours = self.neighbours(gauge, &dirty)?;
         let plan = settle::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
         if let Some(journal) = &mut session.journal {
             journal.plan(&plan)?;
@@ -303,7 +308,7 @@ impl DataFlash {
         let programmed = program(gauge, session, &dirty, &neighbours, in_window, reset);
         for block in &dirty {
             match programmed {
-                Ok(()) => self.known.note(block.place, block.new),
+                Ok(()) => self.known.note(gauge.chip, block.place, block.new),
                 Err(_) => self.known.forget(block.place),
             }
         }
@@ -315,7 +320,7 @@ impl DataFlash {
         for place in pack::mark_windows(gauge.chip) {
             if self.known.get(place).is_none() {
                 let content = sequence(gauge).load(gauge, place)?;
-                self.known.note(place, content);
+                self.known.note(gauge.chip, place, content);
             }
         }
         Ok(())
@@ -324,7 +329,7 @@ impl DataFlash {
     /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
         let Some(row) = self.known.contradicts(gauge.chip, place, content) else {
-            self.known.note(place, *content);
+            self.known.note(gauge.chip, place, *content);
             return Ok(());
         };
         let why = format!(
@@ -338,13 +343,20 @@ impl DataFlash {
         Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify))
     }
 
-    /// The blocks next to those that change, where they are known.
-    fn neighbours(&self, gauge: &Gauge, dirty: &[Dirty]) -> Vec<Dirty> {
+    /// The blocks next to those that change, where they are known. On a part with a flat address space they are
+    /// read first: a row may hold bytes that no manual names.
+    fn neighbours(&mut self, gauge: &mut Gauge, dirty: &[Dirty]) -> Result<Vec<Dirty>> {
         let mut found: Vec<Dirty> = Vec::new();
         let apart = |one: Window, other: Window| {
             one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
         };
         for place in dirty.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
+            if place.subclass == FLAT && self.known.get(place).is_none() {
+                // Beyond the end of data flash there is none.
+                if let Ok(content) = sequence(gauge).load(gauge, place) {
+                    self.known.note(gauge.chip, place, content);
+                }
+            }
             let is_new = found.iter().all(|block| apart(block.place, place))
                 && dirty.iter().all(|block| apart(block.place, place));
             if let Some(content) = self.known.get(place).filter(|_| is_new) {
@@ -352,7 +364,7 @@ impl DataFlash {
                 found.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
-        found
+        Ok(found)
     }
 }
 
@@ -375,7 +387,7 @@ fn program(
     });
     let forward = forward.and_then(|()| {
         if !reset && !sequence(gauge).always_finishes() {
-            return Ok(());
+            return still_open(gauge);
         }
         finished = true;
         session.finish(gauge)?;
@@ -386,6 +398,11 @@ fn program(
         return Err(error);
     }
     session.go_back(gauge);
+    if has_lost_memory(gauge).unwrap_or(false) {
+        session.forget_mode();
+        let why = format!("{error}; the gauge has lost its power, and its data memory with it");
+        return Err(Error::new("", Cause::StateUnknown(why)));
+    }
     let mut back = session.restore(gauge, dirty[..touched].iter().chain(neighbours), finished);
     if back.is_ok() && finished && !sequence(gauge).always_finishes() {
         // The gauge may work with the new values.

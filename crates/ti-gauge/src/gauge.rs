@@ -35,14 +35,21 @@ pub const BEHIND: usize = 14;
 /// Factory default of the full-access key, the same for every part that has one.
 pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 
-/// Attempts at an idempotent transfer, and the pause between them: the gauge stretches the clock for about
-/// 20 ms while it programs flash, and adapters give up earlier.
+/// Pauses before each further attempt at an idempotent transfer. A gauge that programs a row of its flash stretches
+/// the clock or does not answer, for up to 250 ms, and it programs rows of its own at any time.
+const PAUSES: [Duration; 5] = [
+    Duration::from_millis(25),
+    Duration::from_millis(25),
+    Duration::from_millis(50),
+    Duration::from_millis(100),
+    Duration::from_millis(120),
+];
+/// Looks at CONTROL_STATUS until two agree.
 const TRIES: u32 = 4;
-const PAUSE: Duration = Duration::from_millis(25);
 
 /// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
 /// and try again (bq35100), or 100 ms after a key.
-const SEAL_LAG: Duration = Duration::from_millis(240);
+pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);
 const SEAL_POLL: Duration = Duration::from_millis(80);
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
@@ -164,6 +171,8 @@ pub struct Gauge {
     refused: bool,
     /// The gauge has accepted the unseal key since it arrived. A refusal is then a disturbance.
     proven: bool,
+    /// Transfers are not recorded while this is not 0.
+    secrets: u32,
     /// Transfers that failed.
     failures: u64,
     /// When the last transfer ended.
@@ -196,6 +205,7 @@ impl Gauge {
             byte_writes,
             refused: false,
             proven: false,
+            secrets: 0,
             failures: 0,
             stopped: None,
             answered: Duration::ZERO,
@@ -256,11 +266,11 @@ impl Gauge {
     /// Retries an idempotent transfer a limited number of times.
     fn again(&mut self, mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>) -> Result<(), BusError> {
         let mut outcome = attempt(self);
-        for _ in 1..TRIES {
+        for pause in PAUSES {
             if !outcome.is_err_and(BusError::is_transient) {
                 break;
             }
-            self.wait(PAUSE);
+            self.wait(pause);
             Statistics::count(&self.statistics.retries);
             outcome = attempt(self);
         }
@@ -542,9 +552,11 @@ impl Gauge {
 
     /// Sends both words of a key and returns whether the state followed.
     pub fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
-        self.bus.set_secret(true);
-        let sent = key.iter().try_for_each(|word| self.write_once(CONTROL, &word.to_le_bytes()));
-        self.bus.set_secret(false);
+        self.set_secret(true);
+        // A word that was not acknowledged is sent again at once: nothing may come between the two.
+        let mut send = |word: &u16| self.again(|gauge| gauge.write_once(CONTROL, &word.to_le_bytes()));
+        let sent = key.iter().try_for_each(&mut send);
+        self.set_secret(false);
         // A word that was not acknowledged counts as a refused key; the state read below shows it.
         if let Err(bus) = sent
             && !bus.is_transient()
@@ -589,8 +601,8 @@ impl Gauge {
         }
     }
 
-    /// Seals the gauge and confirms it.
-    fn close(&mut self) -> Result<()> {
+    /// Seals the gauge, whatever its state is, and confirms it.
+    pub fn close(&mut self) -> Result<()> {
         let mut outcome = Ok(Seal::Unsealed);
         for attempt in 0..SEALS {
             if attempt > 0 {
@@ -634,9 +646,10 @@ impl Gauge {
         (self.refused, self.proven) = (false, false);
     }
 
-    /// Marks the following transfers as secret (`true`) or not (`false`).
+    /// Marks the following transfers as secret (`true`), until as many calls have ended that (`false`).
     pub fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
+        self.secrets = if secret { self.secrets + 1 } else { self.secrets.saturating_sub(1) };
+        self.bus.set_secret(self.secrets > 0);
     }
 
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::Change;
 use super::schemes::sequence;
-use crate::chip::{Chip, FLAT, Parameter, Safe};
+use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
 use crate::codec::WINDOW;
 use crate::error::Result;
 use crate::gauge::Gauge;
@@ -97,15 +97,15 @@ impl Window {
 impl Change {
     /// For each byte, its window and its position there.
     pub(super) fn windows(&self) -> impl Iterator<Item = (Window, usize)> {
-        let start = self.row.map_or(0, |(subclass, _)| subclass.start());
         let offsets = (self.place.offset..).take(self.bytes.len());
-        offsets.map(move |offset| locate(self.place.subclass, start, offset))
+        offsets.map(move |offset| locate(self.place.subclass, offset))
     }
 }
 
-/// The window that shows an offset of a subclass starting at `start`, and the position in that window.
-pub(super) fn locate(subclass: u8, start: u16, offset: u16) -> (Window, usize) {
-    let at = usize::from(offset - start) % WINDOW;
+/// The window that shows an offset of a subclass, or an address, and the position in that window. Windows are rows
+/// of flash on every part: a loss of power may damage the whole row that is being programmed.
+pub(super) fn locate(subclass: u8, offset: u16) -> (Window, usize) {
+    let at = usize::from(offset) % WINDOW;
     (Window { subclass, base: offset - at as u16 }, at)
 }
 
@@ -147,6 +147,20 @@ pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
             (start..start + parameter.kind.size()).contains(&offset)
         })
     })
+}
+
+/// Whether a byte of a window belongs to a key. Only a flat window can extend beyond its own subclass.
+pub(super) fn is_secret(chip: &Chip, place: Window, at: usize) -> bool {
+    let address = usize::from(place.base) + at;
+    chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(|row| {
+        let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
+        (start..start + usize::from(row.length)).contains(&address)
+    })
+}
+
+/// Whether a window holds keys: of a flat part, also one that is read for what is beside them.
+pub(super) fn holds_keys(chip: &Chip, place: Window) -> bool {
+    (0..WINDOW).any(|at| is_secret(chip, place, at))
 }
 
 /// The bits of byte `number` of a change that a write must not change.

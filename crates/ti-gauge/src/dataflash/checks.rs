@@ -4,7 +4,7 @@
 use super::blocks::{Dirty, Window, locate, old_bytes};
 use super::schemes::sequence;
 use super::{Change, DataFlash, Place, preflight};
-use crate::chip::{FLAT, Gate, Parameter, Role, Safe, Scheme, Word};
+use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
@@ -19,8 +19,7 @@ impl DataFlash {
         }
         for row in gauge.chip.signature {
             let size = row.kind.size();
-            let (start, offset) = (if row.subclass == FLAT { row.offset } else { 0 }, row.offset);
-            let (place, at) = locate(row.subclass, start, offset);
+            let (place, at) = locate(row.subclass, row.offset);
             let window = sequence(gauge).load(gauge, place)?;
             let Value::Int(found) = codec::decode(row.kind, &window[at..at + size]) else { continue };
             if !(row.min..=row.max).contains(&found) {
@@ -293,7 +292,7 @@ fn both((subclass, offset): (u8, u16)) -> [(u8, u16); 2] {
 }
 
 fn place_of((subclass, offset): (u8, u16)) -> (Window, usize) {
-    locate(subclass, if subclass == FLAT { offset } else { 0 }, offset)
+    locate(subclass, offset)
 }
 
 /// A word that is read twice.

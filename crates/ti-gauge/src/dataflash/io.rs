@@ -2,22 +2,23 @@
 
 use std::time::Duration;
 
-use super::blocks::{Dirty, Window, locate};
+use super::blocks::{Dirty, locate};
 use super::pack::Known;
 use super::schemes::sequence;
-use crate::chip::{FLAT, Subclass};
+use crate::chip::Subclass;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Statistics};
+use crate::gauge::{Gauge, Seal, Statistics};
 
 /// Looks at a block that was just committed, and the time between them. Programming takes up to 250 ms, during
 /// which a gauge may answer with the old content, or not at all.
-const VERIFIES: u32 = 5;
+const VERIFIES: u32 = 8;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
+/// Commits of a block before giving up.
+pub(super) const STORES: u32 = 3;
 
 pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u8> {
-    let start = if subclass == FLAT { offset } else { 0 };
-    let (place, at) = locate(subclass, start, offset);
+    let (place, at) = locate(subclass, offset);
     let mut byte = [0];
     sequence(gauge).read_part(gauge, place, at, &mut byte)?;
     Ok(byte[0])
@@ -27,10 +28,10 @@ pub(super) fn read_subclass(gauge: &mut Gauge, subclass: &Subclass, known: &mut 
     let length = usize::from(subclass.stored());
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
-        let place = Window { subclass: subclass.id, base: subclass.start() + bytes.len() as u16 };
+        let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
         let window = sequence(gauge).load(gauge, place)?;
-        known.note(place, window);
-        bytes.extend_from_slice(&window[..WINDOW.min(length - bytes.len())]);
+        known.note(gauge.chip, place, window);
+        bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
     Ok(bytes)
 }
@@ -58,30 +59,68 @@ pub(super) fn reload(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
 }
 
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
-/// committed, whose content must be read back rather than assumed.
+/// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
+/// and that has changed nothing, is repeated: it was busy with a row of its own.
 pub(super) fn store(gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-    let mut committed = Ok(());
-    for (number, piece) in sequence(gauge).pieces(block).iter().enumerate() {
-        sequence(gauge).fill(gauge, piece)?;
-        if number == 0 {
-            *touched += 1;
+    *touched += 1;
+    let mut block = block.clone();
+    for _ in 1..STORES {
+        let (committed, stored) = store_once(gauge, &block);
+        match (committed, stored) {
+            (_, Ok(())) => return Ok(()),
+            (Err(error), Err(_)) if is_passing(&error) => {}
+            (committed, Err(error)) => return Err(committed.err().unwrap_or(error)),
         }
+        still_open(gauge)?;
+        // Not the old content: what the commit has done must not be hidden by another.
+        block = reload(gauge, &block)?;
+    }
+    let (committed, stored) = store_once(gauge, &block);
+    stored.map_err(|error| committed.err().unwrap_or(error))
+}
+
+/// Whether an error may be gone at the next attempt.
+pub(super) fn is_passing(error: &Error) -> bool {
+    matches!(error.cause(), Cause::Bus(bus) if bus.is_transient())
+}
+
+/// Makes sure that the gauge has not lost its power meanwhile. One that has is sealed: it ignores what is written and
+/// may show what was sent to it as if it were in flash.
+pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
+    match gauge.seal()? {
+        Seal::Sealed => {
+            let why =
+                "the gauge is SEALED in the middle of the write: it has been reset or has lost its power";
+            Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
+        }
+        Seal::Unsealed | Seal::FullAccess => Ok(()),
+    }
+}
+
+/// Returns the outcome of the commit, and whether the block reads as it should. A checksum may take effect even if
+/// its acknowledgement was lost.
+fn store_once(gauge: &mut Gauge, block: &Dirty) -> (Result<()>, Result<()>) {
+    let mut committed = Ok(());
+    for piece in sequence(gauge).pieces(block) {
         Statistics::count(&gauge.statistics.flash_writes);
-        committed = sequence(gauge).commit(gauge, piece);
+        committed = sequence(gauge).fill(gauge, &piece).and_then(|()| sequence(gauge).commit(gauge, &piece));
         if committed.is_err() {
             break;
         }
     }
-    // A checksum may take effect even if its acknowledgement was lost.
-    verify(gauge, block).map_err(|error| committed.err().unwrap_or(error))
+    (committed, verify(gauge, block))
 }
 
 /// Selects and reads the block again: right after a write the window shows the buffer, not flash.
 fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
-    let look = |gauge: &mut Gauge| {
+    patiently(gauge, |gauge| {
         let stored = sequence(gauge).glance(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
         compare(block, &stored)
-    };
+    })
+}
+
+/// Looks until the gauge shows what was committed, or for as long as programming may take.
+pub(super) fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Result<()> {
     let mut outcome = look(gauge);
     for _ in 1..VERIFIES {
         if outcome.is_ok() {

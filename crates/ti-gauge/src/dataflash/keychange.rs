@@ -14,6 +14,7 @@ use std::time::Duration;
 use zeroize::{Zeroize, Zeroizing};
 
 use super::blocks::{Bytes, Dirty, Window};
+use super::io::{STORES, is_passing, patiently};
 use super::schemes::sequence;
 use super::session::{Left, RESTORES, Session};
 use super::{Change, DataFlash};
@@ -430,22 +431,30 @@ impl Task<'_> {
         })
     }
 
+    /// Programs the keys and reads them back. A commit that was not acknowledged and has changed nothing is repeated.
     fn commit(&self, gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-        sequence(gauge).fill(gauge, block)?;
-        *touched += 1;
-        Statistics::count(&gauge.statistics.flash_writes);
-        let committed = sequence(gauge).commit(gauge, block);
-        let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
         let length = self.block.length;
-        let matches = present.map_err(|error| error.at(Step::Verify)).and_then(|present| {
-            if present[..length] == block.new[..length] {
+        let keeps = |gauge: &mut Gauge, keys: &[u8; WINDOW]| {
+            let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
+            if present.map_err(|error| error.at(Step::Verify))?[..length] == keys[..length] {
                 return Ok(());
             }
             let why = "the gauge keeps other keys than were written";
             Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
-        });
-        // A checksum may take effect even if its acknowledgement was lost.
-        matches.map_err(|error| committed.err().unwrap_or(error))
+        };
+        *touched += 1;
+        for attempt in 1.. {
+            Statistics::count(&gauge.statistics.flash_writes);
+            let committed =
+                sequence(gauge).fill(gauge, block).and_then(|()| sequence(gauge).commit(gauge, block));
+            let Err(error) = patiently(gauge, |gauge| keeps(gauge, &block.new)) else { return Ok(()) };
+            let unchanged = committed.as_ref().is_err_and(is_passing) && keeps(gauge, &block.old).is_ok();
+            if attempt == STORES || !unchanged {
+                // A checksum may take effect even if its acknowledgement was lost.
+                return Err(committed.err().unwrap_or(error));
+            }
+        }
+        Ok(())
     }
 
     /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and

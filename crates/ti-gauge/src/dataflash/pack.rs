@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use super::Row;
-use super::blocks::{Bytes, Window, learned, locate};
+use super::blocks::{Bytes, Window, holds_keys, learned, locate};
 use crate::chip::{Chip, FLAT, Range};
 use crate::codec::{self, WINDOW};
 use crate::journal::{Identity, Mark, Plan};
@@ -17,8 +17,11 @@ use crate::value::Value;
 pub(super) struct Known(BTreeMap<(u8, u16), [u8; WINDOW]>);
 
 impl Known {
-    pub(super) fn note(&mut self, place: Window, content: [u8; WINDOW]) {
-        self.0.insert((place.subclass, place.base), content);
+    /// Notes a block. One that holds keys is not kept.
+    pub(super) fn note(&mut self, chip: &Chip, place: Window, content: [u8; WINDOW]) {
+        if !holds_keys(chip, place) {
+            self.0.insert((place.subclass, place.base), content);
+        }
     }
 
     pub(super) fn get(&self, place: Window) -> Option<[u8; WINDOW]> {
@@ -36,15 +39,10 @@ impl Known {
     /// Bytes of a parameter, if every byte of it is known.
     fn bytes(&self, (subclass, parameter): Row) -> Option<Vec<u8>> {
         let places = (parameter.offset..).take(parameter.kind.size());
-        let byte = |offset| {
-            // Windows of a flat address space may begin anywhere.
-            let holds = |(&(id, base), content): (&(u8, u16), &[u8; WINDOW])| {
-                let at = usize::from(offset).checked_sub(usize::from(base)).filter(|at| *at < WINDOW)?;
-                (id == subclass.id).then(|| content[at])
-            };
-            self.0.iter().find_map(holds)
-        };
-        places.map(byte).collect()
+        places
+            .map(|offset| locate(subclass.id, offset))
+            .map(|(place, at)| Some(self.get(place)?[at]))
+            .collect()
     }
 
     /// What distinguishes this pack, as far as it is known.
@@ -101,7 +99,7 @@ pub(super) fn compare<E>(
         let mut held = Vec::with_capacity(bytes.len());
         let mut torn = false;
         for (number, offset) in (*offset..).take(bytes.len()).enumerate() {
-            let (place, at) = locate(*id, row.0.start(), offset);
+            let (place, at) = locate(*id, offset);
             let byte = stored(place)?[at];
             // In a block of the plan each byte has been explained already.
             torn |= planned(place).is_some_and(|_| byte != bytes[number]);
@@ -124,7 +122,7 @@ pub(super) fn compare<E>(
     if let Some(&(id, offset)) = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first())
         && let Some(row) = row(chip, id, offset)
     {
-        let (place, _) = locate(id, row.0.start(), offset);
+        let (place, _) = locate(id, offset);
         let serial = now.serial.to_be_bytes();
         if now.serial == then.serial {
             certain |= now.serial != 0 && distinguishes(row, &serial);
@@ -165,8 +163,8 @@ pub(super) fn mark_windows(chip: &'static Chip) -> Vec<Window> {
     let registered = chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
     let mut windows: Vec<Window> = Vec::new();
     for &(id, offset) in chip.preflight.marks.iter().filter(|mark| !registered.contains(mark)) {
-        let Some((subclass, parameter)) = row(chip, id, offset) else { continue };
-        let (place, _) = locate(id, subclass.start(), offset);
+        let Some((_, parameter)) = row(chip, id, offset) else { continue };
+        let (place, _) = locate(id, offset);
         if !parameter.learned && !windows.contains(&place) {
             windows.push(place);
         }
@@ -181,8 +179,9 @@ pub(super) fn neighbours(chip: &Chip, place: Window) -> Vec<Window> {
     let sides = [place.base.checked_sub(step), place.base.checked_add(step)];
     let inside = |base: &u16| {
         let mut alike = chip.subclasses.iter().filter(|row| row.id == place.subclass);
-        place.subclass == FLAT || alike.any(|row| usize::from(*base) < usize::from(row.stored()))
+        place.subclass == FLAT || alike.any(|row| *base < row.stored())
     };
     let sides = sides.into_iter().flatten().filter(inside);
-    sides.map(|base| Window { base, ..place }).collect()
+    let sides = sides.map(|base| Window { base, ..place });
+    sides.filter(|place| !holds_keys(chip, *place)).collect()
 }

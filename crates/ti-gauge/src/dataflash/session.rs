@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use super::blocks::Dirty;
+use super::blocks::{Bytes, Dirty};
 use super::io::{reload, store};
 use super::schemes::sequence;
 use crate::chip::Bit;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, SEAL_LAG, Seal};
 use crate::journal::{Entry, OpenJournal};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
@@ -71,6 +71,11 @@ impl Session {
     pub(super) fn begin(&mut self, gauge: &mut Gauge) -> Result<()> {
         self.begun = sequence(gauge).always_finishes();
         sequence(gauge).begin(gauge)
+    }
+
+    /// The mode has ended with the gauge's power.
+    pub(super) fn forget_mode(&mut self) {
+        self.begun = false;
     }
 
     /// From the first commit on a write is not given up for want of time before this.
@@ -166,6 +171,11 @@ impl Session {
         // After a failure the state is read again: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
             Some(now) => gauge.go(now, self.found),
+            // CONTROL_STATUS may still show the state before the last key.
+            None if self.now != Some(self.found) && self.found == Seal::Sealed => {
+                gauge.wait(SEAL_LAG);
+                gauge.close()
+            }
             None => gauge.go_to(self.found),
         };
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
@@ -202,15 +212,13 @@ fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDO
     let erased = (0..WINDOW).any(|at| {
         present[at] == 0xff && block.old[at] != 0xff && block.new[at] != 0xff && !block.learned.has(at)
     });
+    let goes_back = Bytes::of(|at| match finished && !block.is_neighbour() && !erased {
+        true => block.written.has(at),
+        false => erased || !block.learned.has(at),
+    });
     let mut wanted = *present;
-    for at in 0..WINDOW {
-        let goes_back = match finished && !block.is_neighbour() && !erased {
-            true => block.written.has(at),
-            false => erased || !block.learned.has(at),
-        };
-        if goes_back {
-            wanted[at] = block.old[at];
-        }
+    for at in (0..WINDOW).filter(|&at| goes_back.has(at)) {
+        wanted[at] = block.old[at];
     }
     wanted
 }
@@ -232,8 +240,9 @@ fn reset(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
         loop {
             match gauge.control_status() {
                 Ok((Seal::Sealed, _)) => return Ok(Seal::Sealed),
-                Ok((now, status)) if found != Seal::Sealed && (silent || incomplete(status)) => {
-                    return Ok(now);
+                Ok((_, status)) if found != Seal::Sealed && (silent || incomplete(status)) => {
+                    gauge.wait(SEAL_LAG);
+                    return gauge.seal();
                 }
                 Ok((now, _)) if gauge.clock.now() >= sent + access.reset + RESET_SHOWS => {
                     state = now;
@@ -261,6 +270,8 @@ fn reset(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
 fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     let access = &gauge.chip.access;
     let limit = gauge.clock.now() + access.reset_limit;
+    // The gauge may have sealed itself, and show it late.
+    gauge.wait(SEAL_LAG);
     loop {
         match gauge.seal() {
             Ok(now) => return gauge.go(now, goal),

@@ -8,7 +8,7 @@
 
 use std::time::Duration;
 
-use super::blocks::{Bytes, Dirty, Window, learned};
+use super::blocks::{Bytes, Dirty, Window, is_secret, learned};
 use super::io::{reload, store, verify_written};
 use super::pack::{Match, compare};
 use super::preflight::read_word;
@@ -21,6 +21,9 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Mark, Plan, PlannedBlock};
 use crate::text;
+
+/// The unseal key of a gauge whose row of keys has been erased.
+const ERASED_KEY: [u16; 2] = [0xffff; 2];
 
 /// What is still to be settled.
 #[derive(Clone, Debug)]
@@ -278,7 +281,7 @@ impl DataFlash {
         let outcome = match &entry.plan {
             None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
             Some(plan) => {
-                let open = if now == Seal::Sealed { gauge.unseal() } else { Ok(()) };
+                let open = if now == Seal::Sealed { unseal(gauge, plan) } else { Ok(()) };
                 open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
                     let task = Task { plan, then: &entry.identity, now: &identity, watched, decision };
                     task.run(gauge, &mut session)
@@ -363,6 +366,26 @@ fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     }
     let why = "the serial number reads differently each time: check the bus".to_string();
     Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
+}
+
+/// Unseals the gauge, also if its keys were erased with a row of the plan.
+fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
+    let refused = match gauge.unseal() {
+        Err(error) if matches!(error.cause(), Cause::NotPermitted(_) | Cause::NotNow(_)) => error,
+        done => return done,
+    };
+    if plan.blocks.iter().any(|block| !secrets(gauge.chip, block).is_empty())
+        && gauge.takes(ERASED_KEY, Seal::Unsealed)?
+    {
+        return Ok(());
+    }
+    Err(refused)
+}
+
+/// The positions of a planned block that hold keys, which no journal has.
+fn secrets(chip: &Chip, block: &PlannedBlock) -> Vec<usize> {
+    let place = Window { subclass: block.subclass, base: block.base };
+    (0..WINDOW).filter(|&at| is_secret(chip, place, at)).collect()
 }
 
 /// The blocks of a plan as the gauge has them now.
@@ -463,7 +486,18 @@ impl Task<'_> {
         let unknown = |error: Error| {
             Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
         };
-        settled.map(|()| done(message.into())).map_err(unknown)
+        let erased = seen.iter().zip(&self.plan.blocks).any(|(seen, block)| {
+            let secrets = secrets(chip, block);
+            !secrets.is_empty() && secrets.iter().all(|&at| seen.stored[at] == 0xff)
+        });
+        let keys = match erased {
+            true => {
+                "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
+                     them with gaugefs keys"
+            }
+            false => "",
+        };
+        settled.map(|()| done(format!("{message}{keys}"))).map_err(unknown)
     }
 
     /// Why nothing may be written without being told to.
@@ -574,17 +608,8 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
 }
 
 /// Whether the gauge's data memory is RAM and was lost.
-fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
+pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((lost, flags)) = chip.volatile.zip(chip.register(Role::Flags)) else { return Ok(false) };
     Ok(read_word(gauge, Word::Register(flags.code))? & lost != 0)
-}
-
-/// Whether a byte of a window belongs to a key. Only a flat window can extend beyond its own subclass.
-fn is_secret(chip: &Chip, place: Window, at: usize) -> bool {
-    let address = usize::from(place.base) + at;
-    chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(|row| {
-        let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
-        (start..start + usize::from(row.length)).contains(&address)
-    })
 }

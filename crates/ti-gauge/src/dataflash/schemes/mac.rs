@@ -3,7 +3,7 @@
 
 use super::{Sequence, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::blocks::{Dirty, Window};
+use crate::dataflash::blocks::{Dirty, Window, holds_keys};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -114,7 +114,12 @@ fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
     let address = place.base;
     let at = |error: Error| error.at(Step::ReadBlock);
     let mut answer = [0; 2 + WINDOW + 2];
-    gauge.read(MAC, &mut answer).map_err(at)?;
+    // What is read beside keys is not recorded.
+    let is_secret = holds_keys(gauge.chip, place);
+    gauge.set_secret(is_secret);
+    let read = gauge.read(MAC, &mut answer);
+    gauge.set_secret(false);
+    read.map_err(at)?;
     let echo = u16::from_le_bytes([answer[0], answer[1]]);
     let (reported, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
     let refuse = |cause: Cause| Err(Error::new("", cause).at(Step::ReadBlock));
