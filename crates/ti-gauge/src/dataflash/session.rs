@@ -152,7 +152,7 @@ impl Session {
             return Err(Error::new("", Cause::Protocol(why)));
         }
         self.begin(gauge)?;
-        let back = Dirty { old: present, new: wanted, ..block.clone() };
+        let back = block.replacing(present, wanted);
         let back = reload(gauge, &back)?;
         store(gauge, &back, &mut 0)
     }
@@ -199,9 +199,7 @@ impl Session {
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
 fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
-    let erased = (0..WINDOW).any(|at| {
-        present[at] == 0xff && block.old[at] != 0xff && block.new[at] != 0xff && !block.learned.has(at)
-    });
+    let erased = block.is_erased(present);
     let mut wanted = *present;
     for at in 0..WINDOW {
         let goes_back = match finished && !block.is_neighbour() && !erased {

@@ -521,10 +521,11 @@ impl Task<'_> {
             }
             session.begin(gauge)?;
             let mut new = block.new;
-            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && *held != Held::Torn) {
+            let erased = block.is_erased(stored);
+            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && !erased) {
                 new[at] = stored[at];
             }
-            let block = reload(gauge, &Dirty { old: *stored, new, ..block.clone() })?;
+            let block = reload(gauge, &block.replacing(*stored, new))?;
             store(gauge, &block, &mut 0)?;
         }
         if self.plan.reset || sequence(gauge).always_finishes() {
