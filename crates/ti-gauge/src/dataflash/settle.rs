@@ -545,7 +545,8 @@ fn exists(chip: &Chip, block: &PlannedBlock) -> bool {
     }
 }
 
-/// The changed parameters of a plan, one a line: place, name, old, new, and what the gauge has.
+/// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and
+/// what the gauge has. A person who decides sees everything that the decision may change.
 fn table(chip: &Chip, seen: &[Seen]) -> String {
     let mut table = String::from("parameter\tname\told\tnew\tgauge\n");
     for Seen { block, stored, .. } in seen {
@@ -555,7 +556,10 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
             let start = usize::from(parameter.offset).checked_sub(usize::from(block.place.base));
             let Some(start) = start.filter(|start| start + parameter.kind.size() <= WINDOW) else { continue };
             let range = start..start + parameter.kind.size();
-            if subclass.kind == Kind::Security || !range.clone().any(|at| block.written.has(at)) {
+            let differs = |at| stored[at] != block.old[at] && !block.learned.has(at);
+            if subclass.kind == Kind::Security
+                || !range.clone().any(|at| block.written.has(at) || differs(at))
+            {
                 continue;
             }
             let show = |bytes: &[u8; WINDOW]| {
