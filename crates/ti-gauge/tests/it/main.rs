@@ -8,6 +8,7 @@ mod journal;
 mod keychange;
 mod preflight;
 mod probe;
+mod recovery;
 mod rig;
 mod tables;
 mod write;
