@@ -3,17 +3,21 @@
 
 use std::fs;
 use std::panic::resume_unwind;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::{Chip, FLAT, KeyStorage, Kind};
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::Keys;
+use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::journal::{Folder, PowerCut, until_cut};
+use crate::journal::{CASES, Folder, PowerCut, host, until_cut};
 use crate::rig::{Rig, cause};
 
 /// Where two images differ, with both bytes.
@@ -364,6 +368,416 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
                 assert!(rig.sim.flash() == old, "{at}");
             }
             assert_eq!(rig.seal(), Seal::Sealed, "{at}");
+        }
+    }
+}
+
+/// Each part, with Design Capacity and a value for it.
+const PARTS: [(&str, (u8, u16)); 7] = [
+    ("bq34z100-g1", (48, 11)),
+    ("bq27520-g3", (48, 10)),
+    ("bq27441-g1", (82, 10)),
+    ("bq27421-g1", (82, 10)),
+    ("bq27427", (82, 6)),
+    ("bq34110", (FLAT, 0x41F5)),
+    ("bq35100", (FLAT, 0x41FE)),
+];
+
+/// Everything that can be read, but for keys.
+fn everything(rig: &mut Rig) -> Vec<Vec<u8>> {
+    let subclasses = rig.gauge.chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
+    let subclasses: Vec<_> = subclasses.collect();
+    rig.dataflash.read(&mut rig.gauge, &subclasses, Duration::ZERO).expect("it can be read")
+}
+
+/// Until a block is loaded the window shows another one, or none, with a checksum that fits.
+#[test]
+fn blocks_that_are_ready_late_are_read_and_written_right() {
+    for (chip, (id, offset)) in PARTS {
+        let expected = everything(&mut Rig::new(chip));
+        for (knob, ms) in ["load_ms", "block_ms"]
+            .into_iter()
+            .flat_map(|knob| ["0", "5", "9", "10", "20", "30", "40", "50"].map(|ms| (knob, ms)))
+        {
+            for early in ["previous", "blank"] {
+                let at = format!("{chip}, {knob} {ms}, {early}");
+                let mut rig = Rig::new(chip);
+                rig.set(knob, ms);
+                rig.set("early", early);
+                assert!(everything(&mut rig) == expected, "{at}");
+                let before = rig.sim.flash();
+                let old = rig.read(id, offset).expect("a read");
+                let text = u16::from_be_bytes([old[0], old[1]]).to_string();
+                let programmed = rig.get("programmed");
+                assert_eq!(rig.write(id, offset, &text), Ok(Outcome::Unchanged), "{at}");
+                assert_eq!(rig.get("programmed"), programmed, "{at}");
+                for fault in ["drop-commit", "corrupt-commit"] {
+                    rig.set("fault", fault);
+                    let error = rig.write(id, offset, "1234").expect_err(fault);
+                    assert_eq!(cause(&error), "RolledBack", "{at}: {error}");
+                    assert_eq!(differences(&before, &rig.sim.flash()), [], "{at}");
+                }
+                assert!(matches!(rig.write(id, offset, "1234"), Ok(Outcome::Written { .. })), "{at}");
+                let changed = differences(&before, &rig.sim.flash()).len();
+                assert!((1..=2).contains(&changed), "{at}: {changed} bytes changed");
+                assert_eq!(rig.read(id, offset), Ok(vec![0x04, 0xd2]), "{at}");
+                assert_eq!(rig.seal(), Seal::Sealed, "{at}");
+            }
+        }
+    }
+}
+
+/// The end of CONFIG UPDATE seals the gauge, which then refuses keys for 4 s by its own clock.
+#[test]
+fn a_write_waits_until_a_gauge_that_has_sealed_itself_takes_keys_again() {
+    for (chip, (id, offset)) in PARTS.into_iter().filter(|(chip, _)| chip.starts_with("bq274")) {
+        for lock in ["0", "4000", "4005", "5000"] {
+            for key_lock in ["off", "on"] {
+                let at = format!("{chip}, {lock} ms, {key_lock}");
+                let mut rig = Rig::new(chip);
+                rig.set("lock_ms", lock);
+                rig.set("key_lock", key_lock);
+                for text in ["1234", "1300"] {
+                    let begun = rig.clock.now();
+                    let outcome = rig.write(id, offset, text);
+                    assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{at}: {outcome:?}");
+                    let took = rig.clock.now() - begun;
+                    assert!(took < Duration::from_secs(20), "{at}: {took:?}");
+                    assert_eq!(rig.seal(), Seal::Sealed, "{at}");
+                }
+                assert_eq!(rig.read(id, offset), Ok(vec![0x05, 0x14]), "{at}");
+            }
+        }
+    }
+}
+
+/// Pairs of key words that were sent.
+fn keys_sent(rig: &Rig) -> usize {
+    rig.log().iter().filter(|line| *line == "; hidden").count() / 2
+}
+
+#[test]
+fn a_key_that_has_worked_is_not_given_up_after_two_disturbed_attempts() {
+    let folder = Folder::new("disturbed");
+    for (chip, (id, offset)) in PARTS {
+        for disturbance in ["refused", "first word flipped", "second word flipped"] {
+            let at = format!("{chip}, {disturbance}");
+            let mut rig = Rig::new(chip);
+            let [first, second] = rig.gauge.chip.security.default_unseal.map(u16::to_le_bytes);
+            let word = if disturbance.starts_with("first") { first } else { second };
+            let (flips, left) = (disturbance != "refused", Arc::new(AtomicU64::new(0)));
+            let flipped = left.clone();
+            rig.start_with(&folder, Keys::default(), move |bus, _, write, read| match *write {
+                [0x00, low, high] if [low, high] == word && flipped.load(Ordering::Relaxed) > 0 => {
+                    flipped.fetch_sub(1, Ordering::Relaxed);
+                    bus.transfer(&[0x00, low ^ 1, high], read)
+                }
+                _ => bus.transfer(write, read),
+            });
+            rig.read(id, offset).expect("the default key");
+            let before = rig.sim.flash();
+            match flips {
+                // In two attempts; the words of some keys are alike.
+                true => left.store(if first == second { 4 } else { 2 }, Ordering::Relaxed),
+                false => rig.set("drop_keys", "2"),
+            }
+            let error = rig.write(id, offset, "1234").expect_err("both attempts are disturbed");
+            assert_eq!(cause(&error), "NotNow", "{at}: {error}");
+            assert_eq!(differences(&before, &rig.sim.flash()), [], "{at}");
+            let outcome = rig.write(id, offset, "1234");
+            assert!(outcome.is_ok(), "{at}: {error}, then {outcome:?}");
+            assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]), "{at}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_key_is_sent_twice_and_then_never_again() {
+    let folder = Folder::new("wrong");
+    for (chip, (id, offset)) in PARTS {
+        let mut rig = Rig::new(chip);
+        let keys = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+        rig.start_with(&folder, keys, |bus, _, write, read| bus.transfer(write, read));
+        rig.sim.clear_log();
+        rig.arrive().expect("nothing to settle");
+        for _ in 0..4 {
+            assert_eq!(cause(&rig.write(id, offset, "1234").expect_err("no key")), "NotPermitted", "{chip}");
+            assert_eq!(cause(&rig.read(id, offset).expect_err("no key")), "NotPermitted", "{chip}");
+            let opened = rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO);
+            assert_eq!(cause(&opened.expect_err("no key")), "NotPermitted", "{chip}");
+            rig.settle().expect("nothing to settle");
+            rig.pause(60);
+        }
+        assert_eq!(keys_sent(&rig), 2, "{chip}");
+        assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]), "{chip}");
+    }
+}
+
+/// The reset of a write seals a gauge, so its key must be known to fit before.
+#[test]
+fn a_write_whose_reset_would_lock_out_the_host_is_refused() {
+    let folder = Folder::new("lockout");
+    let wrong = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+    for found in [Seal::Unsealed, Seal::FullAccess] {
+        let mut rig = Rig::found("bq34z100-g1", found);
+        let flash = rig.sim.flash();
+        rig.start_with(&folder, wrong.clone(), |bus, _, write, read| bus.transfer(write, read));
+        rig.arrive().expect("nothing to settle");
+        let error = rig.write(80, 53, "3100").expect_err("the key does not fit");
+        assert_eq!(cause(&error), "NotPermitted", "{found:?}: {error}");
+        assert!(rig.sim.flash() == flash && rig.get("resets") == "0", "{found:?}");
+        assert_eq!((rig.seal(), folder.files()), (found, vec![]), "{found:?}");
+        // What needs no reset needs no key.
+        assert!(rig.write(58, 3, "0x5a").is_ok(), "{found:?}");
+        assert_eq!(rig.seal(), found, "{found:?}");
+    }
+}
+
+/// FULL ACCESS shows the stored key, so it need not be tried.
+#[test]
+fn found_in_full_access_the_stored_key_shows_that_the_mounts_key_fits() {
+    let folder = Folder::new("shown");
+    let mut rig = Rig::found("bq34z100-g1", Seal::FullAccess);
+    rig.start(&folder);
+    rig.arrive().expect("nothing to settle");
+    let outcome = rig.write(80, 53, "3100");
+    assert!(matches!(outcome, Ok(Outcome::Written { reset: true, .. })), "{outcome:?}");
+    assert_eq!((rig.seal(), rig.get("resets")), (Seal::FullAccess, "1".to_string()));
+    assert_eq!(rig.read(80, 53), Ok(vec![0x0c, 0x1c]));
+}
+
+fn seals(chip: &Chip, write: &[u8]) -> bool {
+    write == [&[0x00], &chip.security.seal.to_le_bytes()[..]].concat()
+}
+
+/// From the first SEALED on, nothing answers for that time.
+fn silent_at_the_end(rig: &mut Rig, folder: &Folder, silence: Duration) {
+    let (chip, clock, mut until) = (rig.gauge.chip, rig.clock.clone(), None);
+    rig.start_with(folder, Keys::default(), move |bus, _, write, read| {
+        if until.is_none() && seals(chip, write) {
+            until = Some(clock.now() + silence);
+        }
+        if until.is_some_and(|until| clock.now() < until) {
+            return Err(BusError::NoAck);
+        }
+        bus.transfer(write, read)
+    });
+}
+
+#[test]
+fn a_gauge_is_sealed_although_its_seal_command_is_lost() {
+    let folder = Folder::new("lost-seal");
+    for case in CASES.iter().filter(|case| case.found == Seal::Sealed) {
+        let new = case.model().1;
+        for trouble in ["1 lost", "2 lost", "3 lost", "silence"] {
+            let at = format!("{}, {trouble}", case.name());
+            let mut rig = case.rig();
+            let changes = case.changes(&rig);
+            match trouble.split_once(" lost") {
+                Some((count, _)) => {
+                    rig.start(&folder);
+                    rig.set("drop_seals", count);
+                }
+                None => silent_at_the_end(&mut rig, &folder, Duration::from_millis(300)),
+            }
+            let outcome = rig.write_all(&changes);
+            assert!(outcome.is_ok(), "{at}: {outcome:?}");
+            assert!(rig.sim.flash() == new, "{at}");
+            assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+            assert!(rig.dataflash.owed().is_none(), "{at}");
+        }
+    }
+}
+
+#[test]
+fn a_seal_that_cannot_be_restored_is_owed_and_paid_when_the_gauge_answers() {
+    let folder = Folder::new("owed-seal");
+    for case in CASES.iter().filter(|case| case.found == Seal::Sealed) {
+        let (old, new) = case.model();
+        for (access, flash) in [("write", &new), ("read", &old)] {
+            for restarts in [false, true] {
+                let at = format!("{}, {access}, starts again: {restarts}", case.name());
+                let mut rig = case.rig();
+                let changes = case.changes(&rig);
+                silent_at_the_end(&mut rig, &folder, Duration::from_secs(60));
+                let place = changes[0].place;
+                let error = match access {
+                    "write" => rig.write_all(&changes).map(|_| ()),
+                    _ => rig.read(place.subclass, place.offset).map(|_| ()),
+                };
+                let error = error.expect_err("the gauge stays open");
+                assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+                let owed = rig.dataflash.owed().expect("the seal is owed");
+                assert!(owed.why.contains("restoring the sealed state") && !owed.needs_decision, "{at}");
+                assert_eq!(folder.files().len(), 1, "{at}");
+                rig.settle().expect_err("it is still silent");
+                assert!(rig.dataflash.owed().is_some() && folder.files().len() == 1, "{at}");
+                rig.pause(60);
+                if restarts {
+                    rig.start(&folder);
+                    rig.arrive().expect("it answers").expect("something is owed");
+                } else {
+                    rig.settle().expect("it answers").expect("something is owed");
+                }
+                assert!(rig.dataflash.owed().is_none() && rig.sim.flash() == *flash, "{at}");
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
+    let folder = Folder::new("left-open");
+    type Access = fn(&mut DataFlash, &mut Gauge) -> Result<()>;
+    let read: Access = |dataflash, gauge| {
+        let subclass = gauge.chip.subclasses.iter().find(|one| one.kind != Kind::Security).expect("one");
+        dataflash.read(gauge, &[subclass], Duration::ZERO).map(|_| ())
+    };
+    let change_key: Access = |dataflash, gauge| {
+        let [first, second] = gauge.chip.security.default_unseal;
+        let text = format!("unseal {first:04x} {second:04x} 8d3e b7c5");
+        let change = KeyChange::parse(text.as_bytes()).expect("a change");
+        dataflash.change_key(gauge, &change, Order::LsbFirst, Duration::ZERO)
+    };
+    let mut left_open = 0;
+    for (chip, _) in PARTS {
+        let has_keys = matches!(Rig::new(chip).gauge.chip.security.storage, KeyStorage::Flash(_));
+        for (name, access) in [("read", read), ("key change", change_key)] {
+            if name == "key change" && !has_keys {
+                continue;
+            }
+            let (said, transfers) = host(&Rig::new(chip), &folder, None, access);
+            said.expect("no cut").expect("no fault");
+            assert_eq!(folder.files(), Vec::<String>::new(), "{chip} {name}");
+            for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+                let at = format!("{chip}, {name}, cut at {number}, after it: {after}");
+                let mut rig = Rig::new(chip);
+                assert!(host(&rig, &folder, Some((number, after)), access).0.is_none(), "{at}");
+                rig.pause(5);
+                left_open += usize::from(rig.get("seal") != "sealed");
+                rig.start(&folder);
+                rig.arrive().unwrap_or_else(|error| panic!("{at}: {error}"));
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+                assert!(rig.dataflash.owed().is_none(), "{at}");
+            }
+        }
+    }
+    assert!(left_open > 100, "{left_open} times the host left it open");
+}
+
+const RESET: [u8; 3] = [0x00, 0x41, 0x00];
+
+/// The value that fails to verify after the reset is the gauge's Design Capacity, which a register shows.
+#[test]
+fn a_rollback_after_the_reset_makes_the_gauge_work_with_the_old_value() {
+    for (chip, (id, offset), code) in [("bq34z100-g1", (48, 11), 0x3C), ("bq27520-g3", (48, 10), 0x3C)] {
+        let folder = Folder::new("works-with");
+        let mut rig = Rig::calibrated(chip, Seal::Sealed);
+        let register = |rig: &mut Rig| {
+            let mut word = [0; 2];
+            rig.gauge.read(code, &mut word).expect("it answers");
+            u16::from_le_bytes(word)
+        };
+        let (old, before) = (rig.sim.flash(), register(&mut rig));
+        let (sim, mut wrong) = (rig.sim.clone(), true);
+        rig.start_with(&folder, Keys::default(), move |bus, _, write, read| {
+            let done = bus.transfer(write, read);
+            if write == RESET && std::mem::take(&mut wrong) {
+                sim.set_flash(id.into(), offset.into(), &[0x11, 0x11]);
+            }
+            done
+        });
+        let error = rig.write(id, offset, "2200").expect_err("it does not verify");
+        assert_eq!(cause(&error), "RolledBack", "{chip}: {error}");
+        assert_eq!(differences(&old, &rig.sim.flash()), [], "{chip}");
+        assert_eq!(rig.get("resets"), "2", "{chip}");
+        rig.pause(3);
+        assert_eq!(register(&mut rig), before, "{chip}");
+        assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]), "{chip}");
+    }
+}
+
+#[test]
+fn a_bit_error_after_the_reset_rolls_nothing_back() {
+    let mut runs = 0;
+    for case in CASES.iter().filter(|case| case.found == Seal::Sealed) {
+        let new = case.model().1;
+        let run = |rig: &mut Rig, fault: &str| {
+            let changes = case.changes(rig);
+            rig.set("fault", fault);
+            rig.write_all(&changes)
+        };
+        let mut plain = case.rig();
+        plain.sim.clear_log();
+        run(&mut plain, "none").expect("no fault");
+        let log = plain.sim.log();
+        let after = |write: &[u8]| log.iter().rposition(|record| record.write == write);
+        // The end of CONFIG UPDATE is a reset as well.
+        let Some(reset) = after(&RESET).or_else(|| after(&[0x00, 0x42, 0x00])) else { continue };
+        let last_data =
+            log.iter().rposition(|record| record.read.len() > 4 || record.write.first() >= Some(&0x40));
+        let last_data = last_data.expect("it is verified");
+        for number in reset + 1..=last_data {
+            let record = &log[number];
+            for byte in (record.write.len()..record.write.len() + record.read.len()).take(40) {
+                for bit in [0, 4, 7] {
+                    let fault = format!("flip {} {byte} {bit}", number + 1);
+                    let mut rig = case.rig();
+                    let outcome = run(&mut rig, &fault);
+                    runs += 1;
+                    assert!(outcome.is_ok(), "{}, {fault}: {outcome:?}", case.name());
+                    assert!(rig.sim.flash() == new, "{}, {fault}", case.name());
+                    assert_eq!(rig.get("seal"), "sealed", "{}, {fault}", case.name());
+                }
+            }
+        }
+    }
+    println!("{runs} bit errors after the reset");
+}
+
+#[test]
+fn a_reset_that_is_lost_is_noticed() {
+    for case in CASES {
+        let (old, new) = case.model();
+        for lost in [1, 2, 3, 6] {
+            let at = format!("{}, {lost} resets lost", case.name());
+            let folder = Folder::new("lost-reset");
+            let mut rig = case.rig();
+            let resets = |rig: &Rig| rig.get("resets").parse::<u32>().expect("a number");
+            let before = resets(&rig);
+            let changes = case.changes(&rig);
+            let needs = {
+                let mut plain = case.rig();
+                plain.write_all(&changes).expect("no fault");
+                resets(&plain) > 0
+            };
+            // Keys are tried at the start, as a mount that has read something has done.
+            rig.read(changes[0].place.subclass, changes[0].place.offset).expect("the default key");
+            rig.start(&folder);
+            rig.gauge.prove_key();
+            rig.set("drop_resets", &lost.to_string());
+            let outcome = rig.write_all(&changes);
+            match &outcome {
+                Ok(_) if case.found == Seal::Sealed => {
+                    assert!(rig.sim.flash() == new && (!needs || lost < 3), "{at}");
+                    assert_eq!(resets(&rig), before + u32::from(needs), "{at}");
+                }
+                // A gauge that was found open may never show that it was reset.
+                Ok(_) => assert!(rig.sim.flash() == new, "{at}"),
+                Err(error) if cause(error) == "RolledBack" => {
+                    assert!(needs && lost >= 3 && rig.sim.flash() == old, "{at}: {error}");
+                }
+                Err(error) => {
+                    assert_eq!(cause(error), "StateUnknown", "{at}: {error}");
+                    assert!(lost > 3 && rig.dataflash.owed().is_some(), "{at}: {error}");
+                    rig.settle().unwrap_or_else(|error| panic!("{at}: {error}")).expect("it is owed");
+                    assert!(rig.sim.flash() == old, "{at}: {error}");
+                }
+            }
+            let seal = rig.seal();
+            assert!(seal == case.found, "{at}: {seal:?} after {outcome:?}");
+            assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
         }
     }
 }
