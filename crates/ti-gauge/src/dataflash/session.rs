@@ -51,9 +51,8 @@ pub(super) struct Left {
 }
 
 impl Session {
-    /// A session with a gauge in the state `found`, requested `waited` ago.
-    pub(super) fn new(gauge: &Gauge, found: Seal, waited: Duration) -> Self {
-        let asked = gauge.clock.now().saturating_sub(waited);
+    /// A session with a gauge in the state `found`, requested at the time `asked`.
+    pub(super) fn new(found: Seal, asked: Duration) -> Self {
         Self { found, now: Some(found), asked, begun: false, entry: None, journal: None }
     }
 
@@ -268,14 +267,16 @@ fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     }
 }
 
-/// Runs a transaction with a time limit up to its first commit. The request was made `waited` ago.
+/// Runs a transaction with a time limit up to its first commit, and passes on when it was requested: `waited`
+/// ago.
 pub(super) fn in_time<T>(
     gauge: &mut Gauge,
     waited: Duration,
-    run: impl FnOnce(&mut Gauge) -> Result<T>,
+    run: impl FnOnce(&mut Gauge, Duration) -> Result<T>,
 ) -> Result<T> {
+    let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
-    let outcome = run(gauge);
+    let outcome = run(gauge, asked);
     gauge.limit(None);
     outcome
 }

@@ -181,10 +181,10 @@ impl DataFlash {
             entry.found.as_str()
         );
         let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
-        in_time(gauge, waited, |gauge| {
+        in_time(gauge, waited, |gauge, asked| {
             self.identity = None;
             let found = gauge.seal()?;
-            let mut session = Session::new(gauge, found, waited);
+            let mut session = Session::new(found, asked);
             let look = session.open(gauge).and_then(|()| look(gauge, plan));
             let seen = session.close(gauge, look).0?;
             Ok(text + &table(gauge.chip, &seen))
@@ -221,7 +221,7 @@ impl DataFlash {
             Some(entry) => self.counted(gauge, |dataflash, gauge| {
                 let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
                 let watched = pending.watched && gauge.longest_silence() <= patience;
-                in_time(gauge, waited, |gauge| dataflash.act(gauge, entry, watched, decision, waited))
+                in_time(gauge, waited, |gauge, asked| dataflash.act(gauge, entry, watched, decision, asked))
             }),
             None => Ok(Verdict::Undecided(pending.why.clone())),
         };
@@ -252,7 +252,7 @@ impl DataFlash {
         entry: &Entry,
         watched: bool,
         decision: Option<Decision>,
-        waited: Duration,
+        asked: Duration,
     ) -> Result<Verdict> {
         gauge.claim()?;
         gauge.confirm_identity()?;
@@ -267,7 +267,7 @@ impl DataFlash {
         let now = gauge.seal()?;
         // A gauge that was unsealed and has been sealed since stays sealed.
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
-        let mut session = Session::new(gauge, goal, waited);
+        let mut session = Session::new(goal, asked);
         session.now = None;
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
