@@ -54,6 +54,9 @@ const SEAL_POLL: Duration = Duration::from_millis(80);
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
 
+/// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
+const ANSWER: Duration = Duration::from_millis(55);
+
 /// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
 const BUS_FREE: Duration = Duration::from_micros(66);
 
@@ -225,6 +228,10 @@ impl Gauge {
         self.deadline = deadline;
     }
 
+    fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
+    }
+
     /// Waits without any transfer.
     pub fn wait(&self, time: Duration) {
         if !time.is_zero() {
@@ -233,7 +240,7 @@ impl Gauge {
     }
 
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        if self.deadline.is_some_and(|deadline| self.clock.now() >= deadline) {
+        if self.is_late() {
             return Err(BusError::Timeout);
         }
         if let Some(stopped) = self.stopped {
@@ -267,7 +274,7 @@ impl Gauge {
     fn again(&mut self, mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>) -> Result<(), BusError> {
         let mut outcome = attempt(self);
         for pause in PAUSES {
-            if !outcome.is_err_and(BusError::is_transient) {
+            if !outcome.is_err_and(BusError::is_transient) || self.is_late() {
                 break;
             }
             self.wait(pause);
@@ -340,7 +347,7 @@ impl Gauge {
     fn answer(&mut self, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
         // MACData() shows the previous answer until the gauge has stored the new one.
         if at != CONTROL {
-            self.wait(self.chip.access.select);
+            self.wait(ANSWER.max(self.chip.access.select));
         }
         let mut bytes = [0; 2 + BEHIND];
         let subject = self.subcommand_name(code);

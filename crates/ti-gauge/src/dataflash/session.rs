@@ -14,12 +14,12 @@ use crate::journal::{Entry, OpenJournal};
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
 /// From a request to its last block. A write that takes longer is undone.
-const FORWARD: Duration = Duration::from_secs(20);
+const FORWARD: Duration = Duration::from_secs(18);
 /// From a request to the end of the way back, and least time for it, however long the way forward has taken.
-const BACK: Duration = Duration::from_secs(27);
-const LEAST_BACK: Duration = Duration::from_secs(7);
+const BACK: Duration = Duration::from_secs(25);
+const LEAST_BACK: Duration = Duration::from_secs(6);
 /// From a request to its answer, and least time for the seal. What is not done then remains owed.
-const ANSWER: Duration = Duration::from_secs(29);
+const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
@@ -35,6 +35,8 @@ pub(super) struct Session {
     pub(super) now: Option<Seal>,
     /// When it was requested.
     asked: Duration,
+    /// A person has decided, so a neighbour goes back whatever it holds.
+    pub(super) decided: bool,
     /// A mode was started that must be ended on every exit.
     begun: bool,
     /// What would have to be settled if the session ended now.
@@ -51,10 +53,9 @@ pub(super) struct Left {
 }
 
 impl Session {
-    /// A session with a gauge in the state `found`, requested `waited` ago.
-    pub(super) fn new(gauge: &Gauge, found: Seal, waited: Duration) -> Self {
-        let asked = gauge.clock.now().saturating_sub(waited);
-        Self { found, now: Some(found), asked, begun: false, entry: None, journal: None }
+    /// A session with a gauge in the state `found`, requested at the time `asked`.
+    pub(super) fn new(found: Seal, asked: Duration) -> Self {
+        Self { found, now: Some(found), asked, decided: false, begun: false, entry: None, journal: None }
     }
 
     /// Makes data flash readable.
@@ -151,13 +152,14 @@ impl Session {
         }
         let other = |at: usize| present[at] != block.old[at] && present[at] != 0xff && !block.learned.has(at);
         if block.is_neighbour()
+            && !self.decided
             && let Some(at) = (0..WINDOW).find(|&at| other(at))
         {
             let why = format!("{}, which this write does not touch, has changed", block.place.name(at));
             return Err(Error::new("", Cause::Protocol(why)));
         }
         self.begin(gauge)?;
-        let back = Dirty { old: present, new: wanted, ..block.clone() };
+        let back = block.replacing(present, wanted);
         let back = reload(gauge, &back)?;
         store(gauge, &back, &mut 0)
     }
@@ -209,9 +211,7 @@ impl Session {
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
 fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
-    let erased = (0..WINDOW).any(|at| {
-        present[at] == 0xff && block.old[at] != 0xff && block.new[at] != 0xff && !block.learned.has(at)
-    });
+    let erased = block.is_erased(present);
     let goes_back = Bytes::of(|at| match finished && !block.is_neighbour() && !erased {
         true => block.written.has(at),
         false => erased || !block.learned.has(at),
@@ -281,14 +281,16 @@ fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     }
 }
 
-/// Runs a transaction with a time limit up to its first commit. The request was made `waited` ago.
+/// Runs a transaction with a time limit up to its first commit, and passes on when it was requested: `waited`
+/// ago.
 pub(super) fn in_time<T>(
     gauge: &mut Gauge,
     waited: Duration,
-    run: impl FnOnce(&mut Gauge) -> Result<T>,
+    run: impl FnOnce(&mut Gauge, Duration) -> Result<T>,
 ) -> Result<T> {
+    let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
-    let outcome = run(gauge);
+    let outcome = run(gauge, asked);
     gauge.limit(None);
     outcome
 }

@@ -9,6 +9,7 @@ mod journal;
 mod keychange;
 mod preflight;
 mod probe;
+mod recovery;
 mod rig;
 mod tables;
 mod write;
