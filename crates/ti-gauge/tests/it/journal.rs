@@ -22,10 +22,10 @@ use ti_gauge::keys::Keys;
 use crate::rig::{Rig, cause};
 
 /// The changes of one transaction, and the seal state in which the gauge is found.
-struct Case {
-    chip: &'static str,
-    values: &'static [((u8, u16), &'static str)],
-    found: Seal,
+pub(crate) struct Case {
+    pub(crate) chip: &'static str,
+    pub(crate) values: &'static [((u8, u16), &'static str)],
+    pub(crate) found: Seal,
 }
 
 /// Each access scheme, with and without a reset, one block and several, and the serial number, by which a
@@ -55,7 +55,7 @@ const CASES: &[Case] = &[
 ];
 
 /// The panic with which the code of the host stops when it loses power.
-struct PowerCut;
+pub(crate) struct PowerCut;
 
 /// A bus whose host loses power at a given transfer.
 struct Host<B> {
@@ -109,16 +109,16 @@ impl Drop for Folder {
 }
 
 impl Case {
-    fn rig(&self) -> Rig {
+    pub(crate) fn rig(&self) -> Rig {
         Rig::calibrated(self.chip, self.found)
     }
 
-    fn changes(&self, rig: &Rig) -> Vec<Change> {
+    pub(crate) fn changes(&self, rig: &Rig) -> Vec<Change> {
         self.values.iter().map(|((subclass, offset), text)| rig.change(*subclass, *offset, text)).collect()
     }
 
     /// Flash before and after.
-    fn model(&self) -> (Vec<u8>, Vec<u8>) {
+    pub(crate) fn model(&self) -> (Vec<u8>, Vec<u8>) {
         let mut rig = self.rig();
         let old = rig.sim.flash();
         let changes = self.changes(&rig);
@@ -126,7 +126,7 @@ impl Case {
         (old, rig.sim.flash())
     }
 
-    fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         format!("{} {:?} found {:?}", self.chip, self.values, self.found)
     }
 }
