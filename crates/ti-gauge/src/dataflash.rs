@@ -152,9 +152,9 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
-        let outcome = in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge, asked| {
             let found = gauge.seal()?;
-            let mut session = Session::new(gauge, found, waited);
+            let mut session = Session::new(found, asked);
             // While something is pending its own entry owes the seal.
             if found == Seal::Sealed && self.find_pending().is_none() {
                 match self.owe(gauge, &mut session, 0) {
@@ -186,7 +186,7 @@ impl DataFlash {
 
     /// Changes the seal state on request.
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
-        let outcome = in_time(gauge, waited, |gauge| {
+        let outcome = in_time(gauge, waited, |gauge, _| {
             gauge.go_to(goal)?;
             if goal == Seal::Sealed {
                 return Ok(());
@@ -218,11 +218,11 @@ impl DataFlash {
     /// Settles an interrupted write, then runs one session.
     fn transact(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
         let waited = self.settle_first(gauge, waited)?;
-        in_time(gauge, waited, |gauge| {
+        in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             let found = self.preflight(gauge, changes)?;
             self.check_key(gauge, found.seal, changes)?;
-            let mut session = Session::new(gauge, found.seal, waited);
+            let mut session = Session::new(found.seal, asked);
             self.owe(gauge, &mut session, blocks(changes))?;
             let outcome =
                 session.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut session));

@@ -47,6 +47,9 @@ const SEAL_POLL: Duration = Duration::from_millis(80);
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
 
+/// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
+const ANSWER: Duration = Duration::from_millis(55);
+
 /// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
 const BUS_FREE: Duration = Duration::from_micros(66);
 
@@ -330,7 +333,7 @@ impl Gauge {
     fn answer(&mut self, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
         // MACData() shows the previous answer until the gauge has stored the new one.
         if at != CONTROL {
-            self.wait(self.chip.access.select);
+            self.wait(ANSWER.max(self.chip.access.select));
         }
         let mut bytes = [0; 2 + BEHIND];
         let subject = self.subcommand_name(code);

@@ -72,6 +72,18 @@ impl Dirty {
         Self { new, ..self.clone() }
     }
 
+    /// The same block with `new` in place of `present`. A learned byte that goes back is written like any other.
+    pub(super) fn replacing(&self, present: [u8; WINDOW], new: [u8; WINDOW]) -> Self {
+        let learned = Bytes::of(|at| self.learned.has(at) && present[at] == new[at]);
+        Self { old: present, new, learned, ..self.clone() }
+    }
+
+    /// Whether a loss of power has erased the row, or a part of it: its learned bytes are lost then.
+    pub(super) fn is_erased(&self, present: &[u8; WINDOW]) -> bool {
+        let lost = |at| present[at] == 0xff && self.old[at] != 0xff && self.new[at] != 0xff;
+        (0..WINDOW).any(|at| lost(at) && !self.learned.has(at))
+    }
+
     /// A block next to those that change, whose content is known.
     pub(super) fn is_neighbour(&self) -> bool {
         self.written.0 == 0

@@ -98,10 +98,11 @@ impl DataFlash {
         let (block, at) = place(gauge.chip, change.name)?;
         check_new(gauge, change)?;
         let waited = self.settle_first(gauge, waited)?;
+        let asked = gauge.clock.now().saturating_sub(waited);
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;
         let found = self.preflight(gauge, &[])?;
-        let mut session = Session::new(gauge, found.seal, waited);
+        let mut session = Session::new(found.seal, asked);
         self.owe(gauge, &mut session, 0)?;
         let mut task = Task { block, change, at, order, found: found.seal, moved: false };
         let outcome = task.run(self, gauge, found.voltage_mv);

@@ -51,9 +51,8 @@ pub(super) struct Left {
 }
 
 impl Session {
-    /// A session with a gauge in the state `found`, requested `waited` ago.
-    pub(super) fn new(gauge: &Gauge, found: Seal, waited: Duration) -> Self {
-        let asked = gauge.clock.now().saturating_sub(waited);
+    /// A session with a gauge in the state `found`, requested at the time `asked`.
+    pub(super) fn new(found: Seal, asked: Duration) -> Self {
         Self { found, now: Some(found), asked, begun: false, entry: None, journal: None }
     }
 
@@ -152,7 +151,7 @@ impl Session {
             return Err(Error::new("", Cause::Protocol(why)));
         }
         self.begin(gauge)?;
-        let back = Dirty { old: present, new: wanted, ..block.clone() };
+        let back = block.replacing(present, wanted);
         let back = reload(gauge, &back)?;
         store(gauge, &back, &mut 0)
     }
@@ -199,9 +198,7 @@ impl Session {
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
 fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
-    let erased = (0..WINDOW).any(|at| {
-        present[at] == 0xff && block.old[at] != 0xff && block.new[at] != 0xff && !block.learned.has(at)
-    });
+    let erased = block.is_erased(present);
     let mut wanted = *present;
     for at in 0..WINDOW {
         let goes_back = match finished && !block.is_neighbour() && !erased {
@@ -270,14 +267,16 @@ fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     }
 }
 
-/// Runs a transaction with a time limit up to its first commit. The request was made `waited` ago.
+/// Runs a transaction with a time limit up to its first commit, and passes on when it was requested: `waited`
+/// ago.
 pub(super) fn in_time<T>(
     gauge: &mut Gauge,
     waited: Duration,
-    run: impl FnOnce(&mut Gauge) -> Result<T>,
+    run: impl FnOnce(&mut Gauge, Duration) -> Result<T>,
 ) -> Result<T> {
+    let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
-    let outcome = run(gauge);
+    let outcome = run(gauge, asked);
     gauge.limit(None);
     outcome
 }

@@ -181,10 +181,10 @@ impl DataFlash {
             entry.found.as_str()
         );
         let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
-        in_time(gauge, waited, |gauge| {
+        in_time(gauge, waited, |gauge, asked| {
             self.identity = None;
             let found = gauge.seal()?;
-            let mut session = Session::new(gauge, found, waited);
+            let mut session = Session::new(found, asked);
             let look = session.open(gauge).and_then(|()| look(gauge, plan));
             let seen = session.close(gauge, look).0?;
             Ok(text + &table(gauge.chip, &seen))
@@ -221,7 +221,7 @@ impl DataFlash {
             Some(entry) => self.counted(gauge, |dataflash, gauge| {
                 let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
                 let watched = pending.watched && gauge.longest_silence() <= patience;
-                in_time(gauge, waited, |gauge| dataflash.act(gauge, entry, watched, decision, waited))
+                in_time(gauge, waited, |gauge, asked| dataflash.act(gauge, entry, watched, decision, asked))
             }),
             None => Ok(Verdict::Undecided(pending.why.clone())),
         };
@@ -252,7 +252,7 @@ impl DataFlash {
         entry: &Entry,
         watched: bool,
         decision: Option<Decision>,
-        waited: Duration,
+        asked: Duration,
     ) -> Result<Verdict> {
         gauge.claim()?;
         gauge.confirm_identity()?;
@@ -267,7 +267,7 @@ impl DataFlash {
         let now = gauge.seal()?;
         // A gauge that was unsealed and has been sealed since stays sealed.
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
-        let mut session = Session::new(gauge, goal, waited);
+        let mut session = Session::new(goal, asked);
         session.now = None;
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
@@ -521,10 +521,11 @@ impl Task<'_> {
             }
             session.begin(gauge)?;
             let mut new = block.new;
-            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && *held != Held::Torn) {
+            let erased = block.is_erased(stored);
+            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && !erased) {
                 new[at] = stored[at];
             }
-            let block = reload(gauge, &Dirty { old: *stored, new, ..block.clone() })?;
+            let block = reload(gauge, &block.replacing(*stored, new))?;
             store(gauge, &block, &mut 0)?;
         }
         if self.plan.reset || sequence(gauge).always_finishes() {
@@ -544,7 +545,8 @@ fn exists(chip: &Chip, block: &PlannedBlock) -> bool {
     }
 }
 
-/// The changed parameters of a plan, one a line: place, name, old, new, and what the gauge has.
+/// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and
+/// what the gauge has. A person who decides sees everything that the decision may change.
 fn table(chip: &Chip, seen: &[Seen]) -> String {
     let mut table = String::from("parameter\tname\told\tnew\tgauge\n");
     for Seen { block, stored, .. } in seen {
@@ -554,7 +556,10 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
             let start = usize::from(parameter.offset).checked_sub(usize::from(block.place.base));
             let Some(start) = start.filter(|start| start + parameter.kind.size() <= WINDOW) else { continue };
             let range = start..start + parameter.kind.size();
-            if subclass.kind == Kind::Security || !range.clone().any(|at| block.written.has(at)) {
+            let differs = |at| stored[at] != block.old[at] && !block.learned.has(at);
+            if subclass.kind == Kind::Security
+                || !range.clone().any(|at| block.written.has(at) || differs(at))
+            {
                 continue;
             }
             let show = |bytes: &[u8; WINDOW]| {

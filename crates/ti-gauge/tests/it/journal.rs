@@ -30,7 +30,7 @@ pub(crate) struct Case {
 
 /// Each access scheme, with and without a reset, one block and several, and the serial number, by which a
 /// journal is assigned to its gauge.
-const CASES: &[Case] = &[
+pub(crate) const CASES: &[Case] = &[
     Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::Sealed },
     Case { chip: "bq34z100-g1", values: &[((80, 53), "3100")], found: Seal::FullAccess },
     Case { chip: "bq34z100-g1", values: &[((58, 3), "0x5a")], found: Seal::Unsealed },
@@ -96,7 +96,7 @@ impl Folder {
         Journal::new(self.0.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into())
     }
 
-    fn files(&self) -> Vec<String> {
+    pub(crate) fn files(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).into_iter().flatten();
         entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
     }
@@ -133,7 +133,7 @@ impl Case {
 
 /// Starts a host on the gauge of `rig`, which loses power as given. Returns the engine's result, or `None` if
 /// the host lost power before there was one, and the number of transfers.
-fn host<T>(
+pub(crate) fn host<T>(
     rig: &Rig,
     folder: &Folder,
     cut: Option<(u64, bool)>,
@@ -143,16 +143,21 @@ fn host<T>(
     let bus = Host { bus: rig.sim.bus(), done: done.clone(), cut };
     let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
     let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
-    let said = match catch_unwind(AssertUnwindSafe(|| work(&mut dataflash, &mut gauge))) {
-        Ok(said) => Some(said),
-        Err(cut) if cut.is::<PowerCut>() => None,
-        Err(panic) => resume_unwind(panic),
-    };
+    let said = until_cut(|| work(&mut dataflash, &mut gauge));
     (said, done.load(Ordering::Relaxed))
 }
 
+/// What the code of a host returns; `None` if the host loses power before.
+pub(crate) fn until_cut<T>(work: impl FnOnce() -> T) -> Option<T> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(said) => Some(said),
+        Err(cut) if cut.is::<PowerCut>() => None,
+        Err(panic) => resume_unwind(panic),
+    }
+}
+
 /// The host starts again and settles an interrupted write.
-fn restart(rig: &Rig, folder: &Folder, cut: Option<(u64, bool)>) -> (Option<Option<String>>, u64) {
+pub(crate) fn restart(rig: &Rig, folder: &Folder, cut: Option<(u64, bool)>) -> (Option<Option<String>>, u64) {
     let (said, transfers) =
         host(rig, folder, cut, |dataflash, gauge| dataflash.settle(gauge, Duration::ZERO));
     (said.map(|said| said.expect("nothing stands in the way")), transfers)

@@ -9,6 +9,7 @@ mod keychange;
 mod power;
 mod preflight;
 mod probe;
+mod recovery;
 mod rig;
 mod tables;
 mod write;
