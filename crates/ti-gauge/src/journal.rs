@@ -9,13 +9,11 @@
 //! written yet. There is one file for each place where a gauge can be connected, and it is never replaced
 //! while it is there: no other write is begun at that place until it has been settled or dismissed.
 
-use std::fs::{self, DirBuilder, File};
-use std::io::{self, ErrorKind, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
+use std::fmt::Debug;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use rustix::fs::{FallocateFlags, OFlags, fallocate};
-use rustix::process::geteuid;
 use sha1::{Digest as _, Sha1};
 
 use crate::chip::FLAT;
@@ -24,6 +22,10 @@ use crate::dataflash::Bytes;
 use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::text::{hex, unhex};
+
+pub use disk::{Disk, File};
+
+mod disk;
 
 const HEAD: &str = "gaugefs journal 2";
 /// Follows a plan once its reset is about to be sent.
@@ -34,6 +36,7 @@ const LINE: usize = 160;
 /// Where a gauge's journal is kept.
 #[derive(Clone, Debug)]
 pub struct Journal {
+    disk: Arc<dyn Disk>,
     folder: PathBuf,
     /// Where the gauge is connected; name of the file.
     key: String,
@@ -95,7 +98,8 @@ pub(crate) struct PlannedBlock {
 /// The journal of a write in progress.
 #[derive(Debug)]
 pub(crate) struct OpenJournal {
-    file: File,
+    disk: Arc<dyn Disk>,
+    file: Box<dyn File>,
     path: PathBuf,
 }
 
@@ -103,7 +107,12 @@ impl Journal {
     /// A journal in a folder. `key` identifies where the gauge is connected and must be unique; `gauge` names
     /// it in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
-        Self { folder, key, gauge }
+        Self { disk: Arc::new(disk::Host), folder, key, gauge }
+    }
+
+    /// The same journal on another disk.
+    pub fn on(self, disk: Arc<dyn Disk>) -> Self {
+        Self { disk, ..self }
     }
 
     /// The file of this place.
@@ -115,7 +124,7 @@ impl Journal {
     /// that is there already is not replaced.
     pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
         let path = self.path();
-        if path.symlink_metadata().is_ok() {
+        if self.disk.exists(&path) {
             let why = "an interrupted write is not settled yet; see gaugefs settle";
             return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
         }
@@ -133,53 +142,63 @@ impl Journal {
         );
         // Marks, and a neighbour on either side of each block.
         match self.store(&path, &text, LINE * (3 * blocks + 8)) {
-            Ok(file) => Ok(OpenJournal { file, path }),
+            Ok(file) => Ok(OpenJournal { disk: self.disk.clone(), file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
 
-    fn store(&self, path: &Path, text: &str, room: usize) -> io::Result<File> {
-        DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
+    fn store(&self, path: &Path, text: &str, room: usize) -> io::Result<Box<dyn File>> {
+        self.create_folder(&self.folder)?;
         let temporary = path.with_extension("new");
-        let mut options = File::options();
-        options
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .mode(0o600)
-            .custom_flags(OFlags::NOFOLLOW.bits() as i32);
-        let mut file = options.open(&temporary)?;
-        // If the folder belongs to a service, that service must be able to settle what root leaves there.
-        let owner = fs::metadata(&self.folder)?;
-        let owned =
-            if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
-        let stored = owned.and_then(|()| file.write_all(text.as_bytes())).and_then(|()| {
-            // File systems that cannot reserve space report a full disk later, still before the first block.
-            match fallocate(&file, FallocateFlags::KEEP_SIZE, 0, (text.len() + room) as u64) {
-                Err(error) if io::Error::from(error).kind() != ErrorKind::Unsupported => Err(error.into()),
-                _ => Ok(()),
-            }
+        let stored = self.disk.create(&temporary).and_then(|mut file| {
+            file.append(text.as_bytes())?;
+            file.reserve((text.len() + room) as u64)?;
+            file.sync()?;
+            self.disk.rename(&temporary, path)?;
+            Ok(file)
         });
-        let stored = stored.and_then(|()| file.sync_all()).and_then(|()| fs::rename(&temporary, path));
-        if let Err(error) = stored {
+        if stored.is_err() {
             // The rest would only take up space on a disk that may be full.
-            let _ = fs::remove_file(&temporary);
-            return Err(error);
+            let _ = self.disk.remove(&temporary);
+            return stored;
         }
-        sync(&self.folder)?;
-        Ok(file)
+        self.disk.sync(&self.folder)?;
+        stored
+    }
+
+    /// Creates the folder and those above it. On return they are on disk.
+    fn create_folder(&self, folder: &Path) -> io::Result<()> {
+        let Some(above) = folder.parent().filter(|_| !self.disk.exists(folder)) else { return Ok(()) };
+        self.create_folder(above)?;
+        match self.disk.create_folder(folder) {
+            Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
+            _ => {}
+        }
+        self.disk.sync(above)
     }
 
     /// The entry of an interrupted write, if there is one.
     pub(crate) fn pending(&self) -> Result<Option<Entry>> {
-        read(&self.path())
+        let path = self.path();
+        let name = path.display().to_string();
+        let text = match self.disk.read(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
+        };
+        let why = "not a journal of this version of gaugefs; inspect it and move it away";
+        parse(&text).map(Some).ok_or_else(|| Error::new(name, Cause::BadChecksum(why.into())))
+    }
+
+    /// Whether there is an entry.
+    pub(crate) fn exists(&self) -> bool {
+        self.disk.exists(&self.path())
     }
 
     /// Opens the entry of an interrupted write again.
     pub(crate) fn reopen(&self) -> Result<OpenJournal> {
         let path = self.path();
-        match File::options().append(true).custom_flags(OFlags::NOFOLLOW.bits() as i32).open(&path) {
-            Ok(file) => Ok(OpenJournal { file, path }),
+        match self.disk.open(&path) {
+            Ok(file) => Ok(OpenJournal { disk: self.disk.clone(), file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
     }
@@ -187,7 +206,7 @@ impl Journal {
     /// Takes the entry out of the way and keeps it under another name, which is returned.
     pub(crate) fn dismiss(&self) -> Result<PathBuf> {
         let (path, aside) = (self.path(), self.folder.join(format!("{}.dismissed", self.key)));
-        let moved = fs::rename(&path, &aside).and_then(|()| sync(&self.folder));
+        let moved = self.disk.rename(&path, &aside).and_then(|()| self.disk.sync(&self.folder));
         moved.map_err(|error| Error::io(path.display().to_string(), "cannot move the journal", &error))?;
         Ok(aside)
     }
@@ -197,43 +216,29 @@ impl OpenJournal {
     /// Appends what is about to be written. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
         let text = render(plan);
-        let stored = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_all());
+        let stored = self.file.append(text.as_bytes()).and_then(|()| self.file.sync());
         stored.map_err(|error| refused(&self.path, &error))
     }
 
     /// Notes that the reset is about to be sent. On return that is on disk.
     pub(crate) fn reset_sent(&mut self) -> Result<()> {
-        let stored = self.file.write_all(RESET_SENT.as_bytes()).and_then(|()| self.file.sync_all());
+        let stored = self.file.append(RESET_SENT.as_bytes()).and_then(|()| self.file.sync());
         stored.map_err(|error| refused(&self.path, &error))
     }
 
     /// Removes the entry once its write is complete or settled.
     pub(crate) fn remove(self) -> Result<()> {
-        let removed = fs::remove_file(&self.path);
+        let removed = self.disk.remove(&self.path);
         removed
-            .and_then(|()| self.path.parent().map_or(Ok(()), sync))
+            .and_then(|()| self.path.parent().map_or(Ok(()), |folder| self.disk.sync(folder)))
             .map_err(|error| Error::io(self.path.display().to_string(), "cannot remove the journal", &error))
     }
-}
-
-fn sync(folder: &Path) -> io::Result<()> {
-    File::open(folder)?.sync_all()
 }
 
 fn refused(path: &Path, error: &io::Error) -> Error {
     let what = "cannot write the journal, so nothing was written to the gauge (choose another folder with \
                 --state-dir)";
     Error::io(path.display().to_string(), what, error)
-}
-
-fn read(path: &Path) -> Result<Option<Entry>> {
-    let name = path.display().to_string();
-    let text = match fs::read_to_string(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
-    };
-    let why = "not a journal of this version of gaugefs; inspect it and move it away";
-    parse(&text).map(Some).ok_or_else(|| Error::new(name, Cause::BadChecksum(why.into())))
 }
 
 fn render(plan: &Plan) -> String {

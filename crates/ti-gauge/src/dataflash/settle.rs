@@ -203,7 +203,7 @@ impl DataFlash {
             return self.resolve(gauge, &pending, Some(decision), waited);
         }
         let aside = match &self.journal {
-            Some(journal) if journal.path().exists() => Some(journal.dismiss()?),
+            Some(journal) if journal.exists() => Some(journal.dismiss()?),
             _ => None,
         };
         self.pending = None;
@@ -274,7 +274,7 @@ impl DataFlash {
         (session.now, session.decided) = (None, decision.is_some());
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
-            && journal.path().exists()
+            && journal.exists()
         {
             session.journal = Some(journal.reopen()?);
         }

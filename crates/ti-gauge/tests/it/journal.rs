@@ -24,7 +24,7 @@ use crate::rig::{Rig, cause};
 /// The changes of one transaction, and the seal state in which the gauge is found.
 pub(crate) struct Case {
     pub(crate) chip: &'static str,
-    values: &'static [((u8, u16), &'static str)],
+    pub(crate) values: &'static [((u8, u16), &'static str)],
     pub(crate) found: Seal,
 }
 
