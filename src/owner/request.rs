@@ -220,7 +220,13 @@ impl Owner {
             return Ok(());
         }
         let begun = self.gauge.clock.now();
-        self.back_up(waited)?;
+        if self.dataflash.owed().is_some() {
+            self.pay();
+        }
+        // While something is still owed the write is refused, and what data flash holds is no configuration.
+        if self.dataflash.owed().is_none() {
+            self.back_up(waited)?;
+        }
         let waited = waited + self.gauge.clock.now().saturating_sub(begun);
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
         self.note_debt();

@@ -306,7 +306,9 @@ impl DataFlash {
         }
         // The write may change the serial number.
         self.identity = None;
-        let programmed = program(gauge, session, &dirty, &neighbours, in_window, reset);
+        let change =
+            Planned { dirty: &dirty, neighbours: &neighbours, in_window, reset, was_lost: found.lost };
+        let programmed = program(gauge, session, &change);
         for block in &dirty {
             match programmed {
                 Ok(()) => self.known.note(gauge.chip, block.place, block.new),
@@ -369,15 +371,21 @@ impl DataFlash {
     }
 }
 
-/// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
-fn program(
-    gauge: &mut Gauge,
-    session: &mut Session,
-    dirty: &[Dirty],
-    neighbours: &[Dirty],
+/// A change that has been checked and recorded.
+struct Planned<'a> {
+    dirty: &'a [Dirty],
+    /// The blocks next to them, where they are known.
+    neighbours: &'a [Dirty],
+    /// The only block is in the window already.
     in_window: bool,
     reset: bool,
-) -> Result<()> {
+    /// The gauge's data memory is RAM and was lost before the write.
+    was_lost: bool,
+}
+
+/// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
+fn program(gauge: &mut Gauge, session: &mut Session, change: &Planned<'_>) -> Result<()> {
+    let &Planned { dirty, neighbours, in_window, reset, was_lost } = change;
     gauge.statistics.progress.begin(dirty.len());
     session.begin(gauge)?;
     let (mut touched, mut finished) = (0, false);
@@ -399,7 +407,7 @@ fn program(
         return Err(error);
     }
     session.go_back(gauge);
-    if has_lost_memory(gauge).unwrap_or(false) {
+    if !was_lost && has_lost_memory(gauge).unwrap_or(false) {
         session.forget_mode();
         let why = format!("{error}; the gauge has lost its power, and its data memory with it");
         return Err(Error::new("", Cause::StateUnknown(why)));

@@ -30,6 +30,8 @@ pub(super) struct Found {
     pub(super) status: u16,
     /// Voltage().
     pub(super) voltage_mv: u16,
+    /// The gauge's data memory is RAM and has been lost.
+    pub(super) lost: bool,
     /// The registers from 0x02 on.
     behind: [u8; BEHIND],
 }
@@ -283,9 +285,10 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
     });
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
     let last = modes.chain(flags).fold(voltage, u8::max);
-    let mut found = Found { seal: Seal::Sealed, status: 0, voltage_mv: 0, behind: [0; BEHIND] };
+    let mut found = Found { seal: Seal::Sealed, status: 0, voltage_mv: 0, lost: false, behind: [0; BEHIND] };
     (found.seal, found.status) = gauge.control_status_and(&mut found.behind[..usize::from(last)])?;
     found.voltage_mv = found.register(voltage);
+    found.lost = flags.zip(chip.volatile).is_some_and(|(flags, lost)| found.register(flags) & lost != 0);
     Ok(found)
 }
 
