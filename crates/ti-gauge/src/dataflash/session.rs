@@ -203,13 +203,13 @@ impl Session {
 fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
     let erased = block.is_erased(present);
     let mut wanted = *present;
-    for at in 0..WINDOW {
+    for (at, byte) in wanted.iter_mut().enumerate() {
         let goes_back = match finished && !block.is_neighbour() && !erased {
             true => block.written.has(at),
             false => erased || !block.learned.has(at),
         };
         if goes_back {
-            wanted[at] = block.old[at];
+            *byte = block.old[at];
         }
     }
     wanted

@@ -718,8 +718,7 @@ fn a_bit_error_after_the_reset_rolls_nothing_back() {
         let last_data =
             log.iter().rposition(|record| record.read.len() > 4 || record.write.first() >= Some(&0x40));
         let last_data = last_data.expect("it is verified");
-        for number in reset + 1..=last_data {
-            let record = &log[number];
+        for (number, record) in log.iter().enumerate().take(last_data + 1).skip(reset + 1) {
             for byte in (record.write.len()..record.write.len() + record.read.len()).take(40) {
                 for bit in [0, 4, 7] {
                     let fault = format!("flip {} {byte} {bit}", number + 1);
