@@ -243,12 +243,15 @@ fn auth_order(gauge: &Supply) -> Option<String> {
 
 fn last_error(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
-    let (owed, error) = (&published.owed, &published.last_error);
+    owed_and(&published.owed, &published.last_error)
+}
+
+/// What is owed goes first: it must not be lost among less important errors.
+fn owed_and(owed: &str, error: &str) -> Option<String> {
     match (owed.is_empty(), error.is_empty()) {
         (true, true) => empty(),
         (true, false) => line(error),
-        (false, _) if error.is_empty() || error.contains(&**owed) => line(owed),
-        // What is owed goes first: it must not be lost among less important errors.
+        (false, _) if error.is_empty() || error.contains(owed) => line(owed),
         (false, _) => line(format_args!("{owed}; last error: {error}")),
     }
 }
@@ -373,6 +376,17 @@ mod tests {
                 assert!(names.insert(name.clone()), "{}: gauge/{name}", chip.name);
             }
         }
+    }
+
+    #[test]
+    fn last_error_shows_what_is_owed_until_it_is_paid() {
+        let shown = |owed, error| owed_and(owed, error).expect("the file is there");
+        let (owed, failure) = ("a seal is owed", "df/80/53: a seal is owed");
+        assert_eq!(shown(owed, failure), "a seal is owed\n");
+        assert_eq!(shown(owed, "NACK"), "a seal is owed; last error: NACK\n");
+        assert_eq!(shown(owed, ""), "a seal is owed\n");
+        assert_eq!(shown("", "NACK"), "NACK\n");
+        assert_eq!(shown("", ""), "");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
-use gauge_sim::SimBus;
+use gauge_sim::{Sim, SimBus};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, FLAT, KeyStorage, Kind, Scheme};
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Outcome};
@@ -959,4 +959,121 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
         }
     }
     println!("a second power cut: {settled} settled, {undecided} left to a person");
+}
+
+/// A value that the gauge learns, and a parameter of the same block that a user writes: area, offset.
+struct Beside {
+    chip: &'static str,
+    learned: (u8, u16),
+    written: (u8, u16),
+}
+
+const BESIDE: [Beside; 6] = [
+    // Cycle Count and Design Capacity, Board Offset and Int Temp Offset, Qmax and Design Capacity.
+    Beside { chip: "bq34z100-g1", learned: (48, 6), written: (48, 11) },
+    Beside { chip: "bq34z100-g1", learned: (104, 10), written: (104, 11) },
+    Beside { chip: "bq27520-g3", learned: (104, 10), written: (104, 11) },
+    Beside { chip: "bq27441-g1", learned: (82, 0), written: (82, 10) },
+    Beside { chip: "bq27427", learned: (82, 0), written: (82, 6) },
+    Beside { chip: "bq34110", learned: (FLAT, 0x400C), written: (FLAT, 0x400D) },
+];
+
+/// Changes data flash without the bus.
+fn set(sim: &Sim, (id, offset): (u8, u16), bytes: &[u8]) {
+    let at = usize::from(offset) - if id == FLAT { 0x4000 } else { 0 };
+    sim.set_flash(id.into(), at, bytes);
+}
+
+impl Beside {
+    fn rig(&self) -> Rig {
+        Rig::calibrated(self.chip, Seal::Sealed)
+    }
+
+    /// A value that differs from the one before.
+    fn text(&self, round: usize) -> String {
+        let first = if self.written.0 == 104 || self.chip == "bq34110" { 1 } else { 1100 };
+        (first + round % 20).to_string()
+    }
+
+    fn put(&self, sim: &Sim, byte: u8) {
+        set(sim, self.learned, &[byte]);
+    }
+
+    fn learned(&self, rig: &mut Rig) -> u8 {
+        rig.read(self.learned.0, self.learned.1).expect("a read")[0]
+    }
+}
+
+/// The gauge rewrites its own values at any moment.
+#[test]
+fn writes_beside_learned_values_succeed_while_the_gauge_learns() {
+    for case in &BESIDE {
+        for (knob, value) in
+            [("rewrite_ms", "300"), ("rewrite_ms", "700"), ("rewrite_every", "7"), ("rewrite_every", "1")]
+        {
+            let mut rig = case.rig();
+            rig.set(knob, value);
+            for round in 0..25 {
+                let at = format!("{} {:?}, {knob} {value}, write {round}", case.chip, case.written);
+                let outcome = rig.write(case.written.0, case.written.1, &case.text(round));
+                assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{at}: {outcome:?}");
+                assert_eq!(rig.get("seal"), "sealed", "{at}");
+                rig.pause(5);
+            }
+        }
+    }
+}
+
+/// The value moves at each transfer of a write in turn, which succeeds or is rolled back. It has moved afterwards, unless
+/// that was between the moment when its block was loaded and the commit: a block is programmed as a whole.
+#[test]
+fn neither_a_write_nor_its_rollback_undoes_what_the_gauge_has_learned() {
+    let folder = Folder::new("learned");
+    for case in &BESIDE {
+        for fails_after in ["nothing", "its commit", "the reset"] {
+            let run = |moves_at: u64| {
+                let mut rig = case.rig();
+                case.put(&rig.sim, 1);
+                let (sim, number) = (rig.sim.clone(), Arc::new(AtomicU64::new(0)));
+                let (mut fails, count) = (fails_after != "nothing", number.clone());
+                rig.start_with(&folder, Keys::default(), move |bus, number, write, read| {
+                    count.store(number, Ordering::Relaxed);
+                    if number == moves_at {
+                        case.put(&sim, 2);
+                    }
+                    let done = bus.transfer(write, read);
+                    let is_reset = matches!(write, [0x00, 0x41 | 0x42, 0x00]);
+                    let is_it = if fails_after == "the reset" { is_reset } else { programs(write) };
+                    if fails && is_it {
+                        fails = false;
+                        set(&sim, case.written, &[0x11]);
+                    }
+                    done
+                });
+                let outcome = rig.write(case.written.0, case.written.1, &case.text(0));
+                (rig, outcome, number.load(Ordering::Relaxed))
+            };
+            let (mut plain, outcome, transfers) = run(u64::MAX);
+            let fails = outcome.is_err();
+            assert!(fails == (fails_after != "nothing") || fails_after == "the reset", "{outcome:?}");
+            assert_eq!(case.learned(&mut plain), 1);
+            let mut lost = Vec::new();
+            for number in 1..=transfers {
+                let at = format!("{} {:?}, moves at {number} of {transfers}", case.chip, case.learned);
+                let at = format!("{at}, fails after {fails_after}");
+                let (mut rig, outcome, _) = run(number);
+                match &outcome {
+                    Ok(_) => assert!(!fails, "{at}"),
+                    Err(error) => assert!(fails && cause(error) == "RolledBack", "{at}: {error}"),
+                }
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+                if case.learned(&mut rig) != 2 {
+                    lost.push(number);
+                }
+            }
+            // Of each commit: to select and to look at the block, to send the bytes, and the checksum.
+            let most = if case.learned.0 == FLAT { 0 } else { 4 * (1 + usize::from(fails)) };
+            assert!(lost.len() <= most, "{} {:?}: {lost:?} of {transfers}", case.chip, case.learned);
+        }
+    }
 }
