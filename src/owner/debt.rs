@@ -102,7 +102,75 @@ impl Owner {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Request, Startup};
     use super::*;
+    use gauge_bus::clock::Clock;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
+
+    /// Writes Cell Terminate Voltage.
+    fn write(rig: &mut Rig) -> Result<()> {
+        let subclass = &rig.handle.chip().subclasses[rig.index(80)];
+        let parameter = subclass.parameter(53).expect("a parameter of the table");
+        let change = Change::of_value((subclass, parameter), &Value::Int(3100)).expect("it fits");
+        rig.ask(|done| Request::WriteAll(vec![change], done))
+    }
+
+    /// A gauge that falls silent for a minute when it is to be sealed after a write.
+    fn left_open() -> Rig {
+        let mut plain = Rig::new(Startup::default());
+        plain.owner.open().expect("it answers");
+        plain.sim.keep_log(true);
+        write(&mut plain).expect("no fault");
+        let seal = plain.sim.log().iter().position(|record| record.write == [0x00, 0x20, 0x00]);
+        let mut rig = Rig::open();
+        let fault = format!("silence {} 60000", seal.expect("it is sealed") + 1);
+        rig.sim.set("fault", &fault).expect("a fault");
+        let error = write(&mut rig).expect_err("it is not sealed");
+        assert!(matches!(error.cause(), Cause::StateUnknown(_)), "{error}");
+        rig
+    }
+
+    #[test]
+    fn what_is_owed_stays_published_while_polls_fail_until_it_is_paid() {
+        let mut rig = left_open();
+        let owed = rig.handle.published().owed.to_string();
+        assert!(owed.contains("restoring the sealed state failed"), "{owed}");
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("unsealed"));
+        for _ in 0..2 {
+            rig.owner.poll_on_time();
+            rig.clock.sleep(Duration::from_secs(1));
+            let published = rig.handle.published();
+            assert!(*published.owed == *owed && !published.last_error.contains("sealed state"), "{owed}");
+        }
+        // Nobody asks for anything.
+        let (mut pays, begun) = (0, rig.clock.now());
+        while let Some(due) = rig.owner.debt.due() {
+            assert!(!rig.handle.published().owed.is_empty());
+            rig.clock.sleep(due.saturating_sub(rig.clock.now()));
+            rig.owner.pay();
+            pays += 1;
+        }
+        assert!((2..10).contains(&pays) && rig.clock.now() - begun < Duration::from_secs(100), "{pays}");
+        assert_eq!(*rig.handle.published().owed, *"");
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        assert_eq!(*rig.handle.published().owed, *"");
+    }
+
+    #[test]
+    fn the_next_request_pays_what_is_owed_first() {
+        let mut rig = left_open();
+        write(&mut rig).expect_err("it is still silent");
+        assert!(!rig.handle.published().owed.is_empty());
+        rig.clock.sleep(Duration::from_secs(60));
+        write(&mut rig).expect("it answers");
+        assert_eq!(*rig.handle.published().owed, *"");
+        assert_eq!(rig.owner.debt.due(), None);
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
+    }
 
     #[test]
     fn what_is_owed_is_tried_again_after_growing_pauses_until_it_is_paid() {

@@ -35,6 +35,8 @@ pub(super) struct Session {
     pub(super) now: Option<Seal>,
     /// When it was requested.
     asked: Duration,
+    /// A person has decided, so a neighbour goes back whatever it holds.
+    pub(super) decided: bool,
     /// A mode was started that must be ended on every exit.
     begun: bool,
     /// What would have to be settled if the session ended now.
@@ -53,7 +55,7 @@ pub(super) struct Left {
 impl Session {
     /// A session with a gauge in the state `found`, requested at the time `asked`.
     pub(super) fn new(found: Seal, asked: Duration) -> Self {
-        Self { found, now: Some(found), asked, begun: false, entry: None, journal: None }
+        Self { found, now: Some(found), asked, decided: false, begun: false, entry: None, journal: None }
     }
 
     /// Makes data flash readable.
@@ -145,6 +147,7 @@ impl Session {
         }
         let other = |at: usize| present[at] != block.old[at] && present[at] != 0xff && !block.learned.has(at);
         if block.is_neighbour()
+            && !self.decided
             && let Some(at) = (0..WINDOW).find(|&at| other(at))
         {
             let why = format!("{}, which this write does not touch, has changed", block.place.name(at));

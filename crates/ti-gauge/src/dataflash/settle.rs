@@ -268,7 +268,7 @@ impl DataFlash {
         // A gauge that was unsealed and has been sealed since stays sealed.
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
         let mut session = Session::new(goal, asked);
-        session.now = None;
+        (session.now, session.decided) = (None, decision.is_some());
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
             && journal.exists()
