@@ -12,5 +12,6 @@ mod preflight;
 mod probe;
 mod recovery;
 mod rig;
+mod rules;
 mod tables;
 mod write;

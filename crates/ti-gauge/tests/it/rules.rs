@@ -1,0 +1,347 @@
+//! Rules of the engine that only one transfer, one byte or one moment shows.
+
+use std::time::Duration;
+
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
+use gauge_sim::SimBus;
+use ti_gauge::chip::FLAT;
+use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome};
+use ti_gauge::error::Result;
+use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::keys::Keys;
+
+use crate::journal::{Folder, PowerCut, until_cut};
+use crate::rig::{Rig, cause};
+
+type Transferred = std::result::Result<(), BusError>;
+
+/// A bus that hands each transfer to a function.
+struct Through<F> {
+    bus: SimBus,
+    act: F,
+    claimed: Transferred,
+}
+
+impl<F: FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send> Bus for Through<F> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Transferred {
+        (self.act)(&mut self.bus, write, read)
+    }
+
+    fn claim(&mut self) -> Transferred {
+        self.claimed
+    }
+}
+
+impl Rig {
+    fn through(&mut self, act: impl FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send + 'static) {
+        self.claimed_through(Ok(()), act);
+    }
+
+    fn claimed_through(
+        &mut self,
+        claimed: Transferred,
+        act: impl FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send + 'static,
+    ) {
+        let bus = Through { bus: self.sim.bus(), act, claimed };
+        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), Keys::default(), false);
+    }
+
+    /// Runs `act` right after the first transfer that `at` picks, `count` times.
+    fn after(&mut self, at: fn(&[u8]) -> bool, mut count: u32, act: impl Fn() + Send + 'static) {
+        self.through(move |bus, write, read| {
+            let done = bus.transfer(write, read);
+            if at(write) && count > 0 {
+                count -= 1;
+                act();
+            }
+            done
+        });
+    }
+
+    fn write_values(&mut self, values: &[((u8, u16), &str)]) -> Result<Outcome> {
+        let changes: Vec<Change> =
+            values.iter().map(|((subclass, offset), text)| self.change(*subclass, *offset, text)).collect();
+        self.dataflash.write(&mut self.gauge, &changes, Duration::ZERO)
+    }
+
+    fn set_fault(&self, fault: &str) {
+        self.sim.set("fault", fault).expect("a fault");
+    }
+
+    fn bytes(&self, at: usize, length: usize) -> Vec<u8> {
+        self.sim.flash()[at..at + length].to_vec()
+    }
+
+    /// The position of a place in the image of all data flash.
+    fn position(&self, subclass: u8, offset: usize) -> usize {
+        let probe = Rig::new(self.gauge.chip.name);
+        probe.sim.set_flash(subclass.into(), offset, &[0xa5]);
+        let first = probe.sim.flash();
+        probe.sim.set_flash(subclass.into(), offset, &[0x5a]);
+        let second = probe.sim.flash();
+        (0..first.len()).find(|&at| first[at] != second[at]).expect("a place in data flash")
+    }
+}
+
+/// A read of a whole block with its selection, checksum and what follows.
+fn is_whole(write: &[u8], read: &[u8]) -> bool {
+    write == [0x3e] && read.len() == 36
+}
+
+fn commits(write: &[u8]) -> bool {
+    matches!(write, [0x60, ..])
+}
+
+/// Changes a byte of a block and its checksum.
+fn forge(read: &mut [u8], value: u8) {
+    read[2 + 11] = value;
+    read[34] = !read[2..34].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
+}
+
+/// A block that was not loaded yet looks valid: the window shows the one before, and its checksum.
+#[test]
+fn a_block_that_changes_between_two_looks_is_not_believed() {
+    let expected = Rig::new("bq34z100-g1").read(48, 11).expect("a read");
+    for forged in [1, 2] {
+        let mut rig = Rig::new("bq34z100-g1");
+        let mut looks = 0;
+        rig.through(move |bus, write, read| {
+            let done = bus.transfer(write, read);
+            if is_whole(write, read) {
+                looks += 1;
+                if looks <= forged {
+                    forge(read, looks);
+                }
+            }
+            done
+        });
+        assert_eq!(rig.read(48, 11).as_ref(), Ok(&expected), "{forged} looks");
+    }
+}
+
+/// A wrong selection, twice, with valid blocks that differ.
+#[test]
+fn a_block_that_was_not_selected_is_not_believed() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let mut selections = 0;
+    rig.through(move |bus, write, read| match *write {
+        [0x3e, 48, 0] => {
+            selections += 1;
+            bus.transfer(&[0x3e, if selections == 1 { 80 } else { 82 }, 0], read)
+        }
+        _ => bus.transfer(write, read),
+    });
+    assert_eq!(cause(&rig.read(48, 11).expect_err("two other blocks")), "Protocol");
+}
+
+/// The answer to another address may have a sum that fits the one that was asked for.
+#[test]
+fn a_flat_block_with_a_wrong_address_or_sum_is_not_believed() {
+    let expected = Rig::new("bq34110").read(FLAT, 0x41F5).expect("a read");
+    for which in ["address", "sum"] {
+        let mut rig = Rig::new("bq34110");
+        let mut looks = 0;
+        rig.through(move |bus, write, read| {
+            let done = bus.transfer(write, read);
+            if is_whole(write, read) {
+                let address = u16::from_le_bytes([read[0], read[1]]);
+                let at = 0x41F5_u16.checked_sub(address).filter(|at| *at < 32);
+                if let Some(at) = at.filter(|_| looks < 3) {
+                    looks += 1;
+                    let at = 2 + usize::from(at);
+                    read[at] ^= 0x80;
+                    if which == "address" {
+                        read[at + 1] ^= 0x80;
+                        read[0] ^= 0x80;
+                    }
+                }
+            }
+            done
+        });
+        assert_eq!(rig.read(FLAT, 0x41F5).as_ref(), Ok(&expected), "{which}");
+    }
+}
+
+/// Cycle Count, which the gauge counts, is between the serial number and CC Threshold.
+const COUNT: (u8, usize) = (48, 6);
+
+#[test]
+fn a_learned_byte_between_two_written_ones_is_not_sent() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.sim.clear_log();
+    rig.write_values(&[((48, 4), "0x0707"), ((48, 8), "901")]).expect("no fault");
+    for record in rig.sim.log() {
+        if let [at @ 0x40..0x60, data @ ..] = &record.write[..] {
+            let sent = usize::from(*at) - 0x40..usize::from(*at) - 0x40 + data.len();
+            assert!(!sent.contains(&6) && !sent.contains(&7), "{sent:?}");
+        }
+    }
+}
+
+/// The count rises while another block is programmed, or while its own is, with and without a failure.
+#[test]
+fn a_count_that_rises_during_a_write_is_kept() {
+    for (values, fault) in [
+        (&[((32, 4), "60"), ((48, 8), "901")][..], "none"),
+        (&[((48, 8), "901")], "none"),
+        (&[((48, 8), "901")], "corrupt-commit"),
+        (&[((48, 8), "901")], "drop-commit"),
+    ] {
+        let at = format!("{values:?}, {fault}");
+        let mut rig = Rig::new("bq34z100-g1");
+        let place = rig.position(COUNT.0, COUNT.1);
+        let old = rig.sim.flash();
+        let sim = rig.sim.clone();
+        rig.set_fault(fault);
+        rig.after(commits, 1, move || sim.set_flash(COUNT.0.into(), COUNT.1, &[0, 1]));
+        let outcome = rig.write_values(values);
+        assert_eq!(rig.bytes(place, 2), [0, 1], "{at}: {outcome:?}");
+        match outcome {
+            Ok(Outcome::Written { .. }) => assert_eq!(fault, "none", "{at}"),
+            outcome => {
+                assert_eq!(cause(&outcome.expect_err("it is written")), "RolledBack", "{at}");
+                let mut now = rig.sim.flash();
+                now[place..place + 2].copy_from_slice(&old[place..place + 2]);
+                assert!(now == old && fault != "none", "{at}");
+            }
+        }
+    }
+}
+
+#[test]
+fn after_the_reset_only_what_was_written_is_undone() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let (written, other) = (rig.position(48, 11), rig.position(48, 15));
+    let old = rig.sim.flash();
+    let sim = rig.sim.clone();
+    rig.after(
+        |write| write == [0x00, 0x41, 0x00],
+        1,
+        move || {
+            sim.set_flash(48, 11, &[0x11]);
+            sim.set_flash(48, 15, &[0x22]);
+        },
+    );
+    let error = rig.write_values(&[((48, 11), "2200")]).expect_err("it does not verify");
+    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(
+        (rig.bytes(written, 2), rig.bytes(other, 1)),
+        (old[written..written + 2].to_vec(), vec![0x22])
+    );
+}
+
+/// A neighbour that was erased is restored; one that something else has changed is left as it is.
+#[test]
+fn a_disturbed_neighbour_is_restored_only_where_it_was_erased() {
+    for (byte, expected) in [(0xff, "RolledBack"), (0x42, "StateUnknown")] {
+        let mut rig = Rig::new("bq34z100-g1");
+        rig.read(48, 11).expect("its neighbours are known then");
+        let place = rig.position(48, 33);
+        let mut wanted = rig.sim.flash();
+        let sim = rig.sim.clone();
+        rig.set_fault("corrupt-commit");
+        rig.after(commits, 1, move || sim.set_flash(48, 33, &[byte]));
+        let error = rig.write_values(&[((48, 11), "2200")]).expect_err("it is not stored");
+        assert_eq!(cause(&error), expected, "{byte:02x}: {error}");
+        if byte == 0x42 {
+            wanted[place] = byte;
+            assert_eq!(rig.bytes(place, 1), [byte]);
+        } else {
+            assert!(rig.sim.flash() == wanted, "{byte:02x}");
+        }
+    }
+}
+
+/// The host loses power before the first block is programmed, and a neighbour has been erased since.
+#[test]
+fn a_disturbed_neighbour_is_restored_when_a_write_is_settled() {
+    let folder = Folder::new("neighbour");
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    let old = rig.sim.flash();
+    rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    rig.read(48, 11).expect("its neighbours are known then");
+    rig.through(|bus, write, read| match write {
+        [0x60, _] => std::panic::resume_unwind(Box::new(PowerCut)),
+        _ => bus.transfer(write, read),
+    });
+    let values = [((48, 11), "2200")];
+    assert!(until_cut(|| rig.write_values(&values)).is_none());
+    rig.sim.set_flash(48, 33, &[0xff]);
+    assert!(rig.sim.flash() != old);
+    rig.through(|bus, write, read| bus.transfer(write, read));
+    rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("nothing is in the way");
+    assert!(rig.sim.flash() == old);
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
+}
+
+/// Power is lost while the row is erased, and with it what the gauge has counted.
+#[test]
+fn an_erased_row_is_restored_with_its_learned_bytes() {
+    let folder = Folder::new("erased-count");
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    rig.sim.set_flash(COUNT.0.into(), COUNT.1, &[0, 7]);
+    rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    let old = rig.sim.flash();
+    rig.sim.set("tear", "erased").expect("a knob");
+    rig.set_fault("torn-commit 1");
+    rig.write_values(&[((48, 11), "2200")]).expect_err("it is torn");
+    rig.set_fault("none");
+    rig.sim.set("power", "on").expect("a knob");
+    rig.clock.sleep(Duration::from_secs(3));
+    rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("nothing is in the way");
+    assert!(rig.sim.flash() == old);
+}
+
+#[test]
+fn nothing_is_sent_while_a_kernel_driver_has_the_address() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.claimed_through(Err(BusError::Busy), |bus, write, read| bus.transfer(write, read));
+    rig.sim.clear_log();
+    assert_eq!(cause(&rig.write_values(&[((48, 11), "2200")]).expect_err("it is bound")), "Bus");
+    assert!(rig.log().is_empty());
+}
+
+/// SLUSBZ5D 6.14.
+#[test]
+fn transfers_are_66_us_apart() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let (clock, mut last) = (rig.clock.clone(), None);
+    rig.through(move |bus, write, read| {
+        let begun = clock.now();
+        if let Some(last) = last {
+            assert!(begun - last >= Duration::from_micros(66), "{:?}", begun - last);
+        }
+        let done = bus.transfer(write, read);
+        last = Some(clock.now());
+        done
+    });
+    rig.write_values(&[((48, 11), "2200")]).expect("no fault");
+}
+
+/// Reserved bits of a saved word are not written.
+#[test]
+fn a_saved_word_keeps_the_bits_that_must_not_change() {
+    let mut kept = 0;
+    for chip in ti_gauge::chip::CHIPS {
+        for subclass in chip.subclasses {
+            for parameter in subclass.parameters {
+                let Some(ti_gauge::chip::Safe::Keep(mask, _)) = &parameter.safe else { continue };
+                let mut rig = Rig::new(chip.name);
+                let old = rig.read(subclass.id, parameter.offset).expect("a read");
+                let other = old.iter().map(|byte| !byte).collect();
+                let mut change = Change::of_bytes((subclass, parameter), other);
+                change.saved = true;
+                let outcome = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
+                let now = rig.read(subclass.id, parameter.offset).expect("a read");
+                let word = |bytes: &[u8]| bytes.iter().fold(0, |word, &byte| word << 8 | u64::from(byte));
+                let differ = word(&old) ^ word(&now);
+                assert_eq!(differ & u64::from(*mask), 0, "{}/{}: {outcome:?}", chip.name, parameter.name);
+                kept += usize::from(outcome.is_ok() && differ != 0);
+            }
+        }
+    }
+    assert!(kept > 0);
+}
