@@ -121,7 +121,12 @@ impl DataFlash {
             Err(Error::new(subject, Cause::OutOfRange(why)).at(Step::Check))
         };
         let after = setting(dirty.len());
-        if let Some(shut) = before.shut_after(&after, gate, low, high) {
+        // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is
+        // flash has to stay open if it does not.
+        let only_divider = before.limit == after.limit && before.external == after.external;
+        let stays =
+            (only_divider && before.divider != after.divider).then(|| after.shut(gate, low.into())).flatten();
+        if let Some(shut) = before.shut_after(&after, gate, low, high).or(stays) {
             let why = format!(
                 "with this write {shut}, so flash would be shut for good: write all values of the divider together, \
                  or set the limit to 0 until they are right"

@@ -54,9 +54,11 @@ enum Access {
     Seal,
     /// Changes the unseal key.
     Key,
+    /// What a mount does: asks the gauge what it is, settles what is left, reads its state.
+    Mount,
 }
 
-use Access::{Key, Read, Seal as SealState, Write};
+use Access::{Key, Mount, Read, Seal as SealState, Write};
 
 /// What is done to each chip: each scheme with and without a reset, with one block and with several.
 fn accesses(chip: &str) -> &'static [Access] {
@@ -71,20 +73,33 @@ fn accesses(chip: &str) -> &'static [Access] {
             Read,
             SealState,
             Key,
+            Mount,
         ],
-        "bq27520-g3" => &[Write(&[((48, 10), "1200")]), Read, SealState],
-        "bq27441-g1" => {
-            &[Write(&[((82, 10), "1200")]), Write(&[((82, 10), "1200"), ((82, 16), "3100")]), Read, SealState]
-        }
-        "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read],
-        "bq27427" => &[Write(&[((82, 6), "1200")]), Read],
+        "bq27520-g3" => &[Write(&[((48, 10), "1200")]), Read, SealState, Mount],
+        "bq27441-g1" => &[
+            Write(&[((82, 10), "1200")]),
+            Write(&[((82, 10), "1200"), ((82, 16), "3100")]),
+            Read,
+            SealState,
+            Mount,
+        ],
+        "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read, Mount],
+        "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
         "bq34110" => &[
             Write(&[((FLAT, 0x41F5), "3100")]),
             Write(&[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")]),
             Read,
             SealState,
+            Mount,
         ],
-        _ => &[Write(&[((FLAT, 0x4040), "0x5a")]), Write(&[((FLAT, 0x41FE), "3100")]), Read, SealState, Key],
+        _ => &[
+            Write(&[((FLAT, 0x4040), "0x5a")]),
+            Write(&[((FLAT, 0x41FE), "3100")]),
+            Read,
+            SealState,
+            Key,
+            Mount,
+        ],
     }
 }
 
@@ -257,6 +272,12 @@ impl Run {
             SealState => {
                 dataflash.go_to(gauge, Seal::Unsealed, Duration::ZERO)?;
                 dataflash.go_to(gauge, Seal::Sealed, Duration::ZERO)
+            }
+            Mount => {
+                let answers = gauge.identify()?;
+                dataflash.meet(gauge.chip, &answers);
+                dataflash.settle(gauge, Duration::ZERO)?;
+                gauge.control_status().map(|_| ())
             }
             Key => {
                 let default = self.chip.security.default_unseal;
@@ -558,6 +579,7 @@ fn name_of(access: Access) -> &'static str {
         Read => "read",
         SealState => "seal",
         Key => "key",
+        Mount => "mount",
     }
 }
 

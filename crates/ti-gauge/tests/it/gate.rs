@@ -100,6 +100,8 @@ fn a_divider_that_would_shut_flash_is_refused() {
         "OutOfRange",
         &["72003 mV", "cannot show"],
     );
+    // Should Voltage() not follow the divider, 642 mV would be compared.
+    refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "30000")], "OutOfRange", &["642 mV", "68/0"]);
     refused(&mut at("bq34110", "3500"), &[((FLAT, 0x4010), "100")], "OutOfRange", &["69 mV", "flash/0x4157"]);
     written(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "5100")]);
     written(&mut at("bq34110", "3500"), &[((FLAT, 0x4010), "5100")]);
