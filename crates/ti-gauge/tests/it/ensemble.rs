@@ -23,7 +23,7 @@ use crate::journal::Folder;
 use crate::rig::{Rig, cause};
 
 /// Runs in the everyday test.
-const RUNS: u64 = 6000;
+const RUNS: u64 = 4000;
 
 /// A small generator, so that a seed means the same everywhere.
 struct Random(u64);

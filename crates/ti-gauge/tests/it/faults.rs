@@ -84,11 +84,17 @@ fn faults(n: u64) -> Vec<String> {
         format!("power-cut {n}"),
         format!("power-cut-after {n}"),
     ];
-    for byte in (0..8).chain((8..36).step_by(4)) {
-        faults.push(format!("nack {n} {byte}"));
-        faults.push(format!("stuck {n} {byte}"));
+    // All of them take longer than a test that is run often may; benches/run asks for them.
+    let all = std::env::var_os("GAUGEFS_ALL_FAULTS").is_some();
+    for byte in 0..36 {
+        if all || byte < 4 {
+            faults.push(format!("nack {n} {byte}"));
+            faults.push(format!("stuck {n} {byte}"));
+        }
         for bit in [0, 3, 7] {
-            faults.push(format!("flip {n} {byte} {bit}"));
+            if all || byte < 8 && bit != 3 || byte % 8 == 0 {
+                faults.push(format!("flip {n} {byte} {bit}"));
+            }
         }
     }
     faults

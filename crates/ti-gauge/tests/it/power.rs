@@ -38,7 +38,7 @@ const PARENT: &str = "/var/lib";
 /// What a disk writes in one piece.
 const SECTOR: usize = 512;
 /// Outcomes of a power cut that are tried besides that everything, or nothing, reached the disk.
-const OUTCOMES: u64 = 14;
+const OUTCOMES: u64 = 8;
 
 /// The power of a host: calls and transfers so far, and the number of the one at which it ends, before or after it.
 #[derive(Debug)]
