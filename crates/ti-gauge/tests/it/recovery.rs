@@ -903,7 +903,15 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
         let tears = ["old", "rest-old", "erased", "rest-erased", "neighbour"];
         // A flat part has a neighbour of each neighbour, which is not in the plan.
         let is_flat = Chip::by_name(case.chip).is_some_and(|chip| chip.access.scheme == Scheme::Mac);
-        for tear in tears.into_iter().take(if is_flat { 4 } else { 5 }) {
+        // The keys of a bq35100 are in the row of Operation Config A, and in no journal.
+        let count = if case.chip == "bq35100" {
+            2
+        } else if is_flat {
+            4
+        } else {
+            5
+        };
+        for tear in tears.into_iter().take(count) {
             for words in [0, 5] {
                 let first = || {
                     let mut rig = case.rig();
