@@ -250,11 +250,11 @@ fn mounts_and_locks_are_listed() {
 #[test]
 fn journals_are_listed() {
     let system = System::new();
-    system.write("var/lib/gaugefs/i2c-1-55-0001.journal", "");
-    system.write("home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", "");
+    system.write("var/lib/gaugefs/i2c-1-55.journal", "");
+    system.write("home/ann/.local/state/gaugefs/i2c-2-55.journal", "");
     let says = ["in progress, or was interrupted", "Mount the gauge"];
-    system.says("warning", "/var/lib/gaugefs/i2c-1-55-0001.journal", &says);
-    system.says("warning", "/home/ann/.local/state/gaugefs/i2c-2-55-0001.journal", &says);
+    system.says("warning", "/var/lib/gaugefs/i2c-1-55.journal", &says);
+    system.says("warning", "/home/ann/.local/state/gaugefs/i2c-2-55.journal", &says);
 }
 
 #[test]

@@ -77,7 +77,8 @@ fn journals(host: &Host) -> Vec<Finding> {
         names.map(move |name| format!("{folder}/{name}"))
     });
     let says = "a write to this gauge is in progress, or was interrupted";
-    let remedy = "Mount the gauge, with its key file if it has one: that settles the write. Keep this file.";
+    let remedy = "Mount the gauge, with its key file if it has one: that settles the write, or gauge/last_error says why \
+                  not. Keep this file.";
     paths.map(|path| warning(path, says, remedy)).collect()
 }
 
