@@ -90,7 +90,7 @@ fn is_whole(write: &[u8], read: &[u8]) -> bool {
 }
 
 fn commits(write: &[u8]) -> bool {
-    matches!(write, [0x60, ..])
+    matches!(write, [0x60, _, ..])
 }
 
 /// Changes a byte of a block and its checksum.
@@ -344,4 +344,106 @@ fn a_saved_word_keeps_the_bits_that_must_not_change() {
         }
     }
     assert!(kept > 0);
+}
+
+/// Within the time that gauges need: to program a block, to start after a reset, to show a seal state.
+#[test]
+fn a_gauge_that_needs_its_time_is_awaited() {
+    for knobs in [
+        &[("commit_ms", "218"), ("commit_busy", "old")][..],
+        &[("commit_ms", "218"), ("commit_busy", "nack")],
+        &[("reset_ms", "500"), ("reset_busy", "old")],
+        &[("reset_ms", "500"), ("reset_busy", "nack")],
+        &[("status_ms", "240")],
+    ] {
+        let mut rig = Rig::new("bq34z100-g1");
+        for (knob, value) in knobs {
+            rig.sim.set(knob, value).unwrap_or_else(|error| panic!("{knob}: {error}"));
+        }
+        let resets: u32 = rig.sim.get("resets").expect("a knob").parse().expect("a number");
+        let outcome = rig.write_values(&[((48, 11), "2200")]);
+        assert!(matches!(outcome, Ok(Outcome::Written { reset: true, .. })), "{knobs:?}: {outcome:?}");
+        assert_eq!(rig.sim.get("resets"), Some((resets + 1).to_string()), "{knobs:?}");
+        assert_eq!(rig.seal(), Seal::Sealed, "{knobs:?}");
+        let seals = rig.log().iter().filter(|line| line.contains("00 20 00")).count();
+        assert!(seals <= 1, "{knobs:?}: sealed {seals} times");
+    }
+}
+
+/// Somebody else writes to the second block while the first one is programmed.
+#[test]
+fn a_block_that_has_changed_since_it_was_read_is_not_written() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let mut wanted = rig.sim.flash();
+    let place = rig.position(48, 15);
+    let sim = rig.sim.clone();
+    rig.after(commits, 1, move || sim.set_flash(48, 15, &[0x22]));
+    let error = rig.write_values(&[((32, 4), "60"), ((48, 11), "2200")]).expect_err("it has changed");
+    assert!(error.to_string().contains("has changed since it was read"), "{error}");
+    wanted[place] = 0x22;
+    assert!(rig.sim.flash() == wanted, "{error}");
+}
+
+/// The block is stored wrong, and the first attempt to undo that is not stored at all.
+#[test]
+fn the_old_bytes_are_written_until_they_are_there() {
+    let mut rig = Rig::new("bq34z100-g1");
+    let old = rig.sim.flash();
+    rig.set_fault("corrupt-commit");
+    let mut count = 0;
+    rig.through(move |bus, write, read| {
+        count += u32::from(commits(write));
+        if commits(write) && count == 2 { Ok(()) } else { bus.transfer(write, read) }
+    });
+    let error = rig.write_values(&[((48, 11), "2200")]).expect_err("it is stored wrong");
+    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert!(rig.sim.flash() == old);
+}
+
+/// However slow the bus is, and however late a request is served, it is answered in 30 s.
+#[test]
+fn a_write_of_several_blocks_answers_within_30_s() {
+    let values =
+        [((32, 4), "60"), ((36, 15), "181"), ((48, 11), "2200"), ((49, 0), "160"), ((80, 53), "3100")];
+    let (mut done, mut begun, mut refused) = (0, 0, 0);
+    for (ms, waited) in [50, 100].into_iter().flat_map(|ms| (0..64).map(move |quarter| (ms, quarter * 250))) {
+        let at = format!("{ms} ms for each transfer, served after {waited} ms");
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        let old = rig.sim.flash();
+        let changes = values.map(|((subclass, offset), text)| rig.change(subclass, offset, text));
+        let clock = rig.clock.clone();
+        rig.through(move |bus, write, read| {
+            clock.sleep(Duration::from_millis(ms));
+            bus.transfer(write, read)
+        });
+        // The clock begins with the rig.
+        rig.clock.sleep(Duration::from_secs(60));
+        let waited = Duration::from_millis(waited);
+        let asked = rig.clock.now();
+        let outcome = rig.dataflash.write(&mut rig.gauge, &changes, waited);
+        let took = waited + (rig.clock.now() - asked);
+        assert!(took < Duration::from_secs(30), "{at}: {took:?} until {outcome:?}");
+        match outcome.as_ref().map_err(cause) {
+            Ok(_) => done += 1,
+            Err("RolledBack" | "StateUnknown") => begun += 1,
+            Err(_) => {
+                refused += 1;
+                assert!(rig.sim.flash() == old, "{at}: {outcome:?}");
+            }
+        }
+    }
+    assert!(done > 0 && begun > 0 && refused > 0, "{done} done, {begun} begun, {refused} refused");
+}
+
+/// The host pauses after the first commit, so that there is no time left to go on.
+#[test]
+fn the_way_back_has_time_after_a_pause() {
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    let old = rig.sim.flash();
+    let clock = rig.clock.clone();
+    rig.after(commits, 1, move || clock.sleep(Duration::from_secs(60)));
+    let error = rig.write_values(&[((32, 4), "60"), ((48, 11), "2200")]).expect_err("there is no time left");
+    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert!(rig.sim.flash() == old);
+    assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
 }
