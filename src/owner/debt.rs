@@ -44,7 +44,8 @@ impl Owner {
         self.debt.note(owed.is_some_and(|owed| !owed.needs_decision), self.gauge.clock.now());
         let text = owed.map_or("", |owed| owed.why);
         if *self.shared.published().owed != *text {
-            self.shared.publish(|published| published.owed = text.into());
+            // What was shown of an interrupted write before is out of date.
+            self.shared.publish(|published| (published.owed, published.settling) = (text.into(), "".into()));
         }
     }
 

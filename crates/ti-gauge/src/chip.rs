@@ -251,7 +251,7 @@ pub struct Security {
     /// Subcommand that seals.
     pub seal: u16,
     /// Time without traffic that the gauge needs before it accepts keys after a refusal. The manuals print 4 s
-    /// (10 s for the bq35100), which is measured by the gauge's clock, so there is a margin of a quarter.
+    /// (10 s for the bq35100), which is measured by the gauge's clock, so there is a margin.
     pub key_silence: Duration,
     /// Where the keys are stored, for changing them.
     pub storage: KeyStorage,

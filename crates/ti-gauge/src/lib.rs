@@ -4,7 +4,8 @@
 //! A [`Gauge`](gauge::Gauge) is a table ([`chip`]) on a [`gauge_bus::Bus`]: it reads standard commands, sends Control()
 //! subcommands and changes the seal state. [`DataFlash`](dataflash::DataFlash) is the only way to read and write data
 //! flash: one write is one whole transaction, verified, and put back when it fails. With a
-//! [`Journal`](journal::Journal) it survives a power cut of the host. [`image`] reads and writes configurations as
+//! [`Journal`](journal::Journal) it survives a power cut of the host. What a failure leaves to do is
+//! [owed](dataflash::DataFlash::owed), and the caller tries it again. [`image`] reads and writes configurations as
 //! TOML, gg.csv and FlashStream; [`probe`] finds a gauge without disturbing other devices.
 //!
 //! What it is not: it polls nothing, has no threads, no FUSE and no errno. The program `gaugefs` has those. It does

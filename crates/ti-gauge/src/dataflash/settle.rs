@@ -207,8 +207,11 @@ impl DataFlash {
             _ => None,
         };
         self.pending = None;
-        let owes = pending.entry.is_some_and(|entry| entry.found == Seal::Sealed);
-        let sealed = if owes { gauge.go_to(Seal::Sealed) } else { Ok(()) };
+        let owes = pending.entry.filter(|entry| entry.found == Seal::Sealed);
+        let sealed = if owes.is_some() { gauge.go_to(Seal::Sealed) } else { Ok(()) };
+        if let (Some(entry), Err(error)) = (owes, &sealed) {
+            self.keep(Some(entry), Left { data: false, why: error.to_string() });
+        }
         let kept = aside.map_or(String::new(), |path| format!("; the journal is kept as {}", path.display()));
         sealed.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
     }
