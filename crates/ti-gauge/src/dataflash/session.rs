@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use gauge_bus::BusError;
+
 use super::blocks::{Bytes, Dirty};
 use super::io::{reload, store};
 use super::schemes::sequence;
@@ -181,7 +183,13 @@ impl Session {
             None => gauge.go_to(self.found),
         };
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
-        let left = |data: bool, error: &Error| Some(Left { data, why: error.to_string() });
+        // To a recording nothing is owed.
+        let recorded = [&finished, &closed].into_iter().any(|end| {
+            end.as_ref().is_err_and(|error| {
+                matches!(error.cause(), Cause::Bus(BusError::NotRecorded | BusError::ReadOnly))
+            })
+        });
+        let left = |data: bool, error: &Error| (!recorded).then(|| Left { data, why: error.to_string() });
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {
             (Err(error), Ok(())) => {
