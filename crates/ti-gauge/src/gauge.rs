@@ -619,10 +619,11 @@ impl Gauge {
             }
             self.expected = Some(Seal::Sealed);
             outcome = self.command(self.chip.security.seal).and_then(|()| self.comes_to(Seal::Sealed));
-            if outcome == Ok(Seal::Sealed) {
-                return Ok(());
+            match &outcome {
+                Ok(Seal::Sealed) => return Ok(()),
+                Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
+                _ => self.wait(SEAL_POLL),
             }
-            self.wait(SEAL_POLL);
         }
         let state = outcome.map_err(|error| error.at(Step::Seal))?;
         let why = format!("the gauge was sent SEALED {SEALS} times and is still {}", state.as_str());
