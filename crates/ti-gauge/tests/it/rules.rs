@@ -279,6 +279,29 @@ fn a_disturbed_neighbour_is_restored_when_a_write_is_settled() {
     assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
 }
 
+/// A pack that has counted less than before is another one, though its calibration is the same.
+#[test]
+fn a_write_is_not_settled_on_a_pack_whose_count_has_fallen() {
+    for (count, settles) in [(8, true), (3, false)] {
+        let folder = Folder::new("count");
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        rig.sim.set_flash(COUNT.0.into(), COUNT.1, &[0, 7]);
+        rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        rig.read(48, 11).expect("the count is known then");
+        rig.through(|bus, write, read| match write {
+            [0x60, _] => std::panic::resume_unwind(Box::new(PowerCut)),
+            _ => bus.transfer(write, read),
+        });
+        assert!(until_cut(|| rig.write_values(&[((32, 4), "60")])).is_none());
+        rig.sim.set_flash(COUNT.0.into(), COUNT.1, &[0, count]);
+        rig.through(|bus, write, read| bus.transfer(write, read));
+        rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        let outcome = rig.dataflash.settle(&mut rig.gauge, Duration::ZERO);
+        assert_eq!(outcome.is_ok(), settles, "{count}: {outcome:?}");
+        assert_eq!(folder.files().is_empty(), settles, "{count}: {outcome:?}");
+    }
+}
+
 /// Power is lost while the row is erased, and with it what the gauge has counted.
 #[test]
 fn an_erased_row_is_restored_with_its_learned_bytes() {

@@ -333,6 +333,21 @@ fn ram_that_was_lost_within_a_write_is_reported() {
     assert_eq!(cause(&error), "StateUnknown", "{error}");
 }
 
+/// Its power is lost at the first commit. What it had in RAM cannot be restored.
+#[test]
+fn ram_that_was_lost_at_a_commit_is_not_called_restored() {
+    let mut rig = Rig::new("bq27441-g1");
+    let (sim, clock) = (rig.sim.clone(), rig.clock.clone());
+    rig.after(commits, 1, move || {
+        sim.set("power", "off").expect("a knob");
+        sim.set("power", "on").expect("a knob");
+        clock.sleep(Duration::from_secs(1));
+    });
+    let error = rig.write_values(&[((82, 10), "1500")]).expect_err("its data memory is lost");
+    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert!(error.to_string().contains("its data memory with it"), "{error}");
+}
+
 /// A bus that shows whether transfers are secret.
 struct Hushed(Arc<Mutex<bool>>);
 
