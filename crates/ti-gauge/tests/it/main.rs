@@ -13,5 +13,6 @@ mod probe;
 mod recovery;
 mod rig;
 mod rules;
+mod rules_gauge;
 mod tables;
 mod write;

@@ -81,7 +81,7 @@ impl Rig {
         self.dataflash.write(&mut self.gauge, changes, Duration::ZERO)
     }
 
-    fn set(&self, knob: &str, value: &str) {
+    pub(crate) fn set(&self, knob: &str, value: &str) {
         self.sim.set(knob, value).expect("a knob");
     }
 
