@@ -13,5 +13,6 @@ mod probe;
 mod recovery;
 mod rig;
 mod rules;
+mod rules_settling;
 mod tables;
 mod write;
