@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
+use gauge_sim::SimBus;
 use ti_gauge::chip::{FLAT, Kind};
-use ti_gauge::dataflash::Decision;
+use ti_gauge::dataflash::{Change, Decision, Place};
 use ti_gauge::gauge::Seal;
 use ti_gauge::keys::Keys;
 
@@ -19,6 +20,7 @@ use crate::rig::{Rig, cause};
 const CHIP: &str = "bq34z100-g1";
 /// Counted by the gauge, in the block of Design Capacity.
 const CYCLE_COUNT: (u16, usize) = (48, 6);
+const UNDOCUMENTED: u8 = 200;
 
 impl Folder {
     /// Changes the journal's text.
@@ -72,6 +74,45 @@ fn a_journal_of_another_part_or_firmware_is_left_to_a_person() {
         });
         rig.is_undecided(other);
     }
+}
+
+/// A subclass that no table has, with the blocks of subclass 58.
+fn with_undocumented(bus: &mut SimBus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+    match *write {
+        [0x3E, UNDOCUMENTED, block] => bus.transfer(&[0x3E, 58, block], read),
+        [0x3E] => {
+            bus.transfer(write, read)?;
+            if read[0] == 58 {
+                read[0] = UNDOCUMENTED;
+            }
+            Ok(())
+        }
+        _ => bus.transfer(write, read),
+    }
+}
+
+#[test]
+fn an_interrupted_write_to_an_undocumented_subclass_is_settled() {
+    let folder = Folder::new("undocumented");
+    let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
+    let old = rig.sim.flash();
+    let place = Place { subclass: UNDOCUMENTED, offset: 3 };
+    let raw = Change { place, bytes: vec![0x5a], row: None, saved: false };
+    let changes = [rig.change(48, 11, "2200"), raw];
+    rig.start_with(&folder, Keys::default(), |bus, _, write, read| {
+        let done = with_undocumented(bus, write, read);
+        if programs(write) {
+            resume_unwind(Box::new(PowerCut));
+        }
+        done
+    });
+    assert!(until_cut(|| rig.write_all(&changes)).is_none());
+    assert!(rig.sim.flash() != old);
+    rig.start_with(&folder, Keys::default(), |bus, _, write, read| with_undocumented(bus, write, read));
+    rig.pause(5);
+    rig.arrive().expect("nothing is in the way").expect("there is a journal");
+    assert!(rig.sim.flash() == old);
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
 }
 
 #[test]
