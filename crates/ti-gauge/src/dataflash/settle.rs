@@ -15,7 +15,7 @@ use super::preflight::read_word;
 use super::schemes::sequence;
 use super::session::{Left, Session, in_time};
 use super::{DataFlash, Place};
-use crate::chip::{Chip, FLAT, Kind, Role, Scheme, Word};
+use crate::chip::{Chip, Kind, Role, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
@@ -446,10 +446,6 @@ impl Task<'_> {
                 "a write was interrupted, and the gauge has since lost power and with it its data memory";
             return Ok(Verdict::Done(why.into()));
         }
-        if !self.plan.blocks.iter().all(|block| exists(chip, block)) {
-            let why = "its journal names blocks that this part does not have";
-            return Ok(Verdict::Undecided(why.into()));
-        }
         let seen = look(gauge, self.plan)?;
         let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
         let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
@@ -569,16 +565,6 @@ impl Task<'_> {
             session.finish(gauge)?;
         }
         seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
-    }
-}
-
-/// Whether the part has a block that a journal names.
-fn exists(chip: &Chip, block: &PlannedBlock) -> bool {
-    let flat = chip.access.scheme == Scheme::Mac;
-    let mut alike = chip.subclasses.iter().filter(|row| row.id == block.subclass);
-    match flat {
-        true => block.subclass == FLAT,
-        false => block.subclass != FLAT && alike.any(|row| block.base < row.stored().max(WINDOW as u16)),
     }
 }
 

@@ -14,5 +14,6 @@ mod recovery;
 mod rig;
 mod rules;
 mod rules_gauge;
+mod rules_settling;
 mod tables;
 mod write;

@@ -94,7 +94,7 @@ enum Step {
 
 /// A file system in memory.
 #[derive(Clone, Debug, Default)]
-struct State {
+pub(crate) struct State {
     files: Vec<Content>,
     durable: BTreeMap<PathBuf, usize>,
     now: BTreeMap<PathBuf, usize>,
@@ -111,13 +111,19 @@ impl State {
         self.now.get(path).copied().ok_or_else(|| ErrorKind::NotFound.into())
     }
 
+    /// The journal's text.
+    pub(crate) fn journal(&self) -> Option<String> {
+        let number = self.find(&Path::new(FOLDER).join("i2c-1-55.journal")).ok()?;
+        Some(String::from_utf8_lossy(&self.files[number].now).into_owned())
+    }
+
     /// Whether a power cut now has only one outcome.
     fn is_synced(&self) -> bool {
         self.steps.is_empty() && self.files.iter().all(|file| file.durable == file.now)
     }
 
     /// What is left after a power cut. `chance` says for each piece that was not synced whether it is lost.
-    fn after_cut(&self, mut chance: impl FnMut() -> bool) -> Self {
+    pub(crate) fn after_cut(&self, mut chance: impl FnMut() -> bool) -> Self {
         let mut names = self.durable.clone();
         for step in &self.steps {
             if !chance() {
@@ -295,7 +301,7 @@ impl File for OpenFile {
 
 /// Runs a host with the disk until it is done or loses power. Returns the engine's result, or `None` where there is
 /// none, how many calls and transfers there were, and the disk before its losses.
-fn host<T>(
+pub(crate) fn host<T>(
     rig: &Rig,
     disk: State,
     cut: Option<(u64, bool)>,

@@ -50,12 +50,12 @@ where
 
 impl Rig {
     /// A program starts at the place of that folder's journal.
-    fn start(&mut self, folder: &Folder) {
+    pub(crate) fn start(&mut self, folder: &Folder) {
         self.start_with(folder, Keys::default(), |bus, _, write, read| bus.transfer(write, read));
     }
 
     /// The same with keys, on a bus that hands each transfer to a function.
-    fn start_with(
+    pub(crate) fn start_with(
         &mut self,
         folder: &Folder,
         keys: Keys,
@@ -67,17 +67,17 @@ impl Rig {
     }
 
     /// The gauge arrives, and what is owed to it is settled.
-    fn arrive(&mut self) -> Result<Option<String>> {
+    pub(crate) fn arrive(&mut self) -> Result<Option<String>> {
         let answers = self.gauge.identify()?;
         self.dataflash.meet(self.gauge.chip, &answers);
         self.settle()
     }
 
-    fn settle(&mut self) -> Result<Option<String>> {
+    pub(crate) fn settle(&mut self) -> Result<Option<String>> {
         self.dataflash.settle(&mut self.gauge, Duration::ZERO)
     }
 
-    fn write_all(&mut self, changes: &[Change]) -> Result<Outcome> {
+    pub(crate) fn write_all(&mut self, changes: &[Change]) -> Result<Outcome> {
         self.dataflash.write(&mut self.gauge, changes, Duration::ZERO)
     }
 
@@ -85,39 +85,44 @@ impl Rig {
         self.sim.set(knob, value).expect("a knob");
     }
 
-    fn get(&self, knob: &str) -> String {
+    pub(crate) fn get(&self, knob: &str) -> String {
         self.sim.get(knob).expect("a knob")
     }
 
     /// Power is lost and comes back.
-    fn power_cycle(&self) {
+    pub(crate) fn power_cycle(&self) {
         self.set("power", "off");
         self.set("power", "on");
         self.clock.sleep(Duration::from_secs(3));
     }
 
-    fn pause(&self, seconds: u64) {
+    pub(crate) fn pause(&self, seconds: u64) {
         self.clock.sleep(Duration::from_secs(seconds));
     }
 }
 
 impl Folder {
-    fn text(&self) -> Option<String> {
+    pub(crate) fn text(&self) -> Option<String> {
         fs::read_to_string(self.journal().path()).ok()
     }
 }
 
-fn programs(write: &[u8]) -> bool {
+pub(crate) fn programs(write: &[u8]) -> bool {
     matches!(write, [0x60, _, ..])
 }
 
 /// A change of two blocks, the first of which is that of the serial number.
-fn two_blocks(rig: &Rig) -> [Change; 2] {
+pub(crate) fn two_blocks(rig: &Rig) -> [Change; 2] {
     [rig.change(48, 11, "2200"), rig.change(80, 53, "3100")]
 }
 
 /// The host loses power right after the first transfer of a write for which `at` holds.
-fn cut(rig: &mut Rig, folder: &Folder, changes: &[Change], at: impl Fn(&[u8]) -> bool + Send + 'static) {
+pub(crate) fn cut(
+    rig: &mut Rig,
+    folder: &Folder,
+    changes: &[Change],
+    at: impl Fn(&[u8]) -> bool + Send + 'static,
+) {
     rig.start_with(folder, Keys::default(), move |bus, _, write, read| {
         let done = bus.transfer(write, read);
         if at(write) {
@@ -132,7 +137,7 @@ fn cut(rig: &mut Rig, folder: &Folder, changes: &[Change], at: impl Fn(&[u8]) ->
 }
 
 /// The first of two blocks is new, and the second one is old.
-fn half_way(rig: &mut Rig, folder: &Folder) {
+pub(crate) fn half_way(rig: &mut Rig, folder: &Folder) {
     let changes = two_blocks(rig);
     cut(rig, folder, &changes, programs);
 }
@@ -666,7 +671,7 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
     assert!(left_open > 100, "{left_open} times the host left it open");
 }
 
-const RESET: [u8; 3] = [0x00, 0x41, 0x00];
+pub(crate) const RESET: [u8; 3] = [0x00, 0x41, 0x00];
 
 /// The value that fails to verify after the reset is the gauge's Design Capacity, which a register shows.
 #[test]

@@ -76,7 +76,7 @@ impl Sequence for Block {
                 let mut bytes = [0; 2 + WINDOW];
                 let wanted = &mut bytes[..2 + at + 2];
                 gauge.read(DATA_FLASH_CLASS, wanted).map_err(|error| error.at(Step::ReadBlock))?;
-                let echoed = wanted[..2] == [place.subclass, block_of(place)];
+                let echoed = wanted[..2] == [place.subclass, block_of(place)?];
                 let now = echoed.then(|| u16::from_be_bytes([wanted[2 + at], wanted[3 + at]]));
                 match now {
                     Some(word) if now == before => return Ok(word),
@@ -119,12 +119,16 @@ impl Sequence for Block {
     }
 }
 
-fn block_of(place: Window) -> u8 {
-    u8::try_from(usize::from(place.base) / WINDOW).expect("a subclass has few blocks")
+fn block_of(place: Window) -> Result<u8> {
+    // Only a journal that was written for another kind of part can name one.
+    u8::try_from(usize::from(place.base) / WINDOW).map_err(|_| {
+        let why = format!("{}: there is no such block", place.name(0));
+        Error::new("", Cause::Invalid(why)).at(Step::ReadBlock)
+    })
 }
 
 fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
-    let selected = gauge.write(DATA_FLASH_CLASS, &[place.subclass, block_of(place)]);
+    let selected = gauge.write(DATA_FLASH_CLASS, &[place.subclass, block_of(place)?]);
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
@@ -153,7 +157,7 @@ fn read_window(gauge: &mut Gauge, place: Window) -> Result<(([u8; WINDOW], bool)
     }
     let (sum, reported) = (checksum(&window), bytes[2 + WINDOW]);
     if sum == reported {
-        return Ok(((window, bytes[..2] == [place.subclass, block_of(place)]), sum));
+        return Ok(((window, bytes[..2] == [place.subclass, block_of(place)?]), sum));
     }
     let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
     Err(Error::new("", Cause::BadChecksum(why)).at(Step::ReadBlock))
