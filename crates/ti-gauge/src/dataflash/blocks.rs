@@ -142,7 +142,7 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
             block.learned.0 &= !block.written.0;
         }
     }
-    // Windows of a part with flat addresses may overlap: each is verified before the next one is written.
+    // In the order of the manual's table, which is that of the addresses.
     dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
 }
