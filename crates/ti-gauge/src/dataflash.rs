@@ -250,15 +250,9 @@ impl DataFlash {
     /// Ends a session, and keeps what it leaves to be settled.
     fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
         let (outcome, left) = session.close(gauge, outcome);
-        let (entry, journal) = (session.entry.take(), session.journal.take());
         match left {
-            None => {
-                // An entry that remains is settled before the next write or at the next start.
-                if let Some(Err(error)) = journal.map(|journal| journal.remove()) {
-                    log::warn!("{error}");
-                }
-            }
-            Some(left) => self.keep(entry, left),
+            None => session.remove_journal(),
+            Some(left) => self.keep(session.entry.take(), left),
         }
         outcome
     }

@@ -32,8 +32,21 @@ impl Bytes {
         self.0 >> at & 1 != 0
     }
 
+    /// Its positions, in ascending order.
+    pub(crate) fn iter(self) -> impl Iterator<Item = usize> {
+        (0..WINDOW).filter(move |&at| self.has(at))
+    }
+
     fn insert(&mut self, at: usize) {
         self.0 |= 1 << at;
+    }
+
+    fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    pub(super) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
     }
 }
 
@@ -96,6 +109,12 @@ impl Dirty {
 }
 
 impl Window {
+    /// The positions of `count` bytes from an offset on, as far as they are in the window.
+    fn covers(self, offset: u16, count: usize) -> Bytes {
+        let (base, start) = (usize::from(self.base), usize::from(offset));
+        Bytes::of(|at| (start..start + count).contains(&(base + at)))
+    }
+
     /// Names the byte at a position of the window, for a message.
     pub(super) fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
@@ -139,7 +158,7 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
             let kept = if change.saved { kept_bits(change, number) } else { 0 };
             block.new[at] = byte & !kept | block.old[at] & kept;
             block.written.insert(at);
-            block.learned.0 &= !block.written.0;
+            block.learned = block.learned.without(block.written);
         }
     }
     // In the order of the manual's table, which is that of the addresses.
@@ -150,29 +169,21 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
 /// The bytes of a window that the gauge itself updates.
 pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
     let rows = chip.subclasses.iter().filter(|row| row.id == place.subclass);
-    let learned: Vec<&Parameter> =
-        rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned).collect();
-    Bytes::of(|at| {
-        let offset = usize::from(place.base) + at;
-        learned.iter().any(|parameter| {
-            let start = usize::from(parameter.offset);
-            (start..start + parameter.kind.size()).contains(&offset)
-        })
-    })
+    let learned = rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned);
+    learned
+        .map(|parameter| place.covers(parameter.offset, parameter.kind.size()))
+        .fold(Bytes::default(), Bytes::with)
 }
 
-/// Whether a byte of a window belongs to a key. Only a flat window can extend beyond its own subclass.
-pub(super) fn is_secret(chip: &Chip, place: Window, at: usize) -> bool {
-    let address = usize::from(place.base) + at;
-    chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass).any(|row| {
-        let start = if row.id == FLAT { usize::from(row.start()) } else { 0 };
-        (start..start + usize::from(row.length)).contains(&address)
-    })
+/// The bytes of a window that belong to keys. Only a flat window can extend beyond its own subclass.
+pub(super) fn secrets(chip: &Chip, place: Window) -> Bytes {
+    let rows = chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == place.subclass);
+    rows.map(|row| place.covers(row.start(), row.length.into())).fold(Bytes::default(), Bytes::with)
 }
 
 /// Whether a window holds keys: of a flat part, also one that is read for what is beside them.
 pub(super) fn holds_keys(chip: &Chip, place: Window) -> bool {
-    (0..WINDOW).any(|at| is_secret(chip, place, at))
+    secrets(chip, place) != Bytes::default()
 }
 
 /// The bits of byte `number` of a change that a write must not change.

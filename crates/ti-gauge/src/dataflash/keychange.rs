@@ -23,7 +23,6 @@ use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
-use crate::journal::OpenJournal;
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
@@ -117,11 +116,7 @@ impl DataFlash {
                 let left = Left { data: false, why: error.to_string() };
                 self.keep(session.entry.take(), left);
             }
-            _ => {
-                if let Some(Err(error)) = session.journal.take().map(OpenJournal::remove) {
-                    log::warn!("{error}");
-                }
-            }
+            _ => session.remove_journal(),
         }
         outcome
     }

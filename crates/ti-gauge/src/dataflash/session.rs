@@ -60,6 +60,14 @@ impl Session {
         Self { found, now: Some(found), asked, decided: false, begun: false, entry: None, journal: None }
     }
 
+    /// Removes the journal: nothing is left to settle. One that remains is settled before the next write or at the
+    /// next start.
+    pub(super) fn remove_journal(&mut self) {
+        if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
+            log::warn!("{error}");
+        }
+    }
+
     /// Makes data flash readable.
     pub(super) fn open(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.found == Seal::Sealed {

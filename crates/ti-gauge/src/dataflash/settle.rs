@@ -8,7 +8,7 @@
 
 use std::time::Duration;
 
-use super::blocks::{Bytes, Dirty, Window, is_secret, learned};
+use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{reload, store, verify_written};
 use super::pack::{Match, compare};
 use super::preflight::read_word;
@@ -293,11 +293,7 @@ impl DataFlash {
         };
         let (outcome, left) = session.close(gauge, outcome);
         match (&outcome, left) {
-            (Ok(Verdict::Done(_)), None) => {
-                if let Some(Err(error)) = session.journal.take().map(|journal| journal.remove()) {
-                    log::warn!("{error}");
-                }
-            }
+            (Ok(Verdict::Done(_)), None) => session.remove_journal(),
             (Ok(Verdict::Plausible(message)), None) => {
                 let Some(journal) = self.journal.as_ref().filter(|_| session.journal.is_some()) else {
                     return outcome;
@@ -337,7 +333,7 @@ pub(super) fn plan(
 ) -> Plan {
     let blocks = dirty.iter().chain(neighbours).map(|block| {
         let (mut old, mut new) = (block.old, block.new);
-        for at in (0..WINDOW).filter(|&at| is_secret(gauge.chip, block.place, at)) {
+        for at in secrets(gauge.chip, block.place).iter() {
             (old[at], new[at]) = (0, 0);
         }
         let Window { subclass, base } = block.place;
@@ -371,13 +367,20 @@ fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
 }
 
+impl PlannedBlock {
+    fn place(&self) -> Window {
+        Window { subclass: self.subclass, base: self.base }
+    }
+}
+
 /// Unseals the gauge, also if its keys were erased with a row of the plan.
 fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
     let refused = match gauge.unseal() {
         Err(error) if matches!(error.cause(), Cause::NotPermitted(_) | Cause::NotNow(_)) => error,
         done => return done,
     };
-    if plan.blocks.iter().any(|block| !secrets(gauge.chip, block).is_empty())
+    // No journal has the keys.
+    if plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
         && gauge.takes(ERASED_KEY, Seal::Unsealed)?
     {
         return Ok(());
@@ -385,21 +388,15 @@ fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
     Err(refused)
 }
 
-/// The positions of a planned block that hold keys, which no journal has.
-fn secrets(chip: &Chip, block: &PlannedBlock) -> Vec<usize> {
-    let place = Window { subclass: block.subclass, base: block.base };
-    (0..WINDOW).filter(|&at| is_secret(chip, place, at)).collect()
-}
-
 /// The blocks of a plan as the gauge has them now.
 fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {
-        let place = Window { subclass: block.subclass, base: block.base };
+        let place = block.place();
         let stored = sequence(gauge).load(gauge, place)?;
-        let learned = Bytes(learned(gauge.chip, place).0 & !block.written.0);
+        let learned = learned(gauge.chip, place).without(block.written);
         let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
-        for at in (0..WINDOW).filter(|&at| is_secret(gauge.chip, place, at)) {
+        for at in secrets(gauge.chip, place).iter() {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
         let held = classify(&block, &stored);
@@ -485,9 +482,9 @@ impl Task<'_> {
         let unknown = |error: Error| {
             Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
         };
-        let erased = seen.iter().zip(&self.plan.blocks).any(|(seen, block)| {
-            let secrets = secrets(chip, block);
-            !secrets.is_empty() && secrets.iter().all(|&at| seen.stored[at] == 0xff)
+        let erased = seen.iter().any(|seen| {
+            let secrets = secrets(chip, seen.block.place);
+            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
         });
         let keys = match erased {
             true => {
