@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use nix::errno::Errno;
 
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::owner::{Done, Handle};
 
 mod attribute;
@@ -45,6 +45,10 @@ pub use root::free_name;
 pub use sim_dir::SimItem;
 use supply::Supply;
 pub use supply::SupplyItem;
+
+/// The kernel passes a write(2) on in pieces, each of which ends with a page of the file or with the data. Pages
+/// that are larger are multiples of this.
+const PAGE: usize = 4096;
 
 /// Target of `subsystem`, by which programs recognise a power supply.
 const SUBSYSTEM: &str = "/sys/class/power_supply";
@@ -391,10 +395,32 @@ impl Fs {
         self.ask(node, |node| node.is_stream())
     }
 
-    /// Writes to a file. `done` is called with the outcome, either at once or from the thread that owns the
-    /// gauge.
-    pub fn write(&self, node: Node, data: &[u8], done: Done<()>) {
-        self.ask(node, |node| node.write(data, done));
+    /// Writes to a file. `offset` is where the data begins in the file. `done` is called with the outcome, either at
+    /// once or from the thread that owns the gauge.
+    pub fn write(&self, node: Node, offset: u64, data: &[u8], done: Done<()>) {
+        match self.refusal(node, offset, data) {
+            None => self.ask(node, |node| node.write(data, done)),
+            Some(why) => {
+                let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
+                match node {
+                    Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(error, done),
+                    _ => done(Err(error)),
+                }
+            }
+        }
+    }
+
+    /// Why data that may be a part of what somebody has written is refused.
+    fn refusal(&self, node: Node, offset: u64, data: &[u8]) -> Option<&'static str> {
+        let is_cut = data.len() >= PAGE || (offset + data.len() as u64).is_multiple_of(PAGE as u64);
+        if self.is_stream(node) {
+            (!data.ends_with(b"\n"))
+                .then_some("the last line has no newline, so it may not be whole; end it with one")
+        } else {
+            is_cut.then_some(
+                "too long for a value, so it may not be whole; write the value alone, without padding",
+            )
+        }
     }
 
     /// Where a symbolic link leads.

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use super::supply::Supply;
-use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, raw, transaction};
+use super::transaction::{self, Staged};
+use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Done, Request};
 use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
@@ -17,8 +18,12 @@ use ti_gauge::value::Value;
 
 /// The size that a file shows before it has been read: as in sysfs.
 const UNREAD: u64 = 4096;
-/// A line of `df/index` or of `df/transaction` is shorter than this.
+/// A line of `df/index` is shorter than this.
 const LINE: u64 = 256;
+/// What `df/transaction` shows of a parameter, or of a block of undocumented bytes, is shorter than this.
+const STAGED: u64 = 512;
+/// A transaction of more parameters and blocks than this is shown when it is read, and not at each lookup.
+const SHOWN_AT_ONCE: usize = 64;
 /// What `df/transaction` holds while no transaction is open.
 const IDLE: &[u8] = b"idle\n";
 
@@ -141,10 +146,14 @@ impl Operations for Of<'_, DfItem> {
                     Some((done, all)) => format!("committing {done}/{all}\n").into_bytes(),
                     None => IDLE.to_vec(),
                 }),
-                Some(staged) if self.supply.unread(&staged).is_empty() => {
-                    Content::Bytes(self.supply.staged_text(&staged))
+                Some(staged) if staged.len() <= SHOWN_AT_ONCE => {
+                    let changes = staged.changes();
+                    match self.supply.unread(&changes).is_empty() {
+                        true => Content::Bytes(self.supply.staged_text(&changes)),
+                        false => Content::Unread(STAGED * (1 + staged.len() as u64)),
+                    }
                 }
-                Some(staged) => Content::Unread(UNREAD + LINE * staged.len() as u64),
+                Some(staged) => Content::Unread(STAGED * (1 + staged.len() as u64)),
             },
             _ => Content::Absent,
         }
@@ -176,6 +185,7 @@ impl Operations for Of<'_, DfItem> {
             }
             DfItem::Transaction => {
                 let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
+                let staged = staged.changes();
                 handle.submit(Request::Read(
                     supply.unread(&staged),
                     Box::new(move |read| {
@@ -255,7 +265,7 @@ impl Supply {
     }
 
     /// The changes of the open transaction.
-    fn staged(&self) -> Option<Vec<Change>> {
+    fn staged(&self) -> Option<Arc<Staged>> {
         self.transaction.staged(self.handle.now())
     }
 
@@ -277,15 +287,14 @@ impl Supply {
     /// `df/transaction`: a line for each staged change.
     fn staged_text(&self, staged: &[Change]) -> Vec<u8> {
         let mut lines = String::new();
-        for run in staged.chunk_by(raw::follows) {
-            let Change { place, bytes, row, .. } = &run[0];
-            let kept = self.index_of(&run[0]).and_then(|at| self.handle.kept(at));
+        for change in staged {
+            let Change { place, bytes, row, .. } = change;
+            let kept = self.index_of(change).and_then(|at| self.handle.kept(at));
             lines += &match row {
                 None => {
                     let offset = usize::from(place.offset);
-                    let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + run.len()]));
-                    let new: Vec<u8> = run.iter().map(|change| change.bytes[0]).collect();
-                    format!("raw {place}: {old} -> {}\n", text::hex(&new))
+                    let old = kept.map_or("-".into(), |kept| text::hex(&kept[offset..offset + bytes.len()]));
+                    format!("raw {place}: {old} -> {}\n", text::hex(bytes))
                 }
                 Some((subclass, parameter)) => {
                     let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));

@@ -1,9 +1,11 @@
 //! `df/transaction`: lines that stage changes, and one commit that writes them all.
 //!
 //! The gauge hears of nothing before the commit. A write(2) is staged whole or not at all: a line that
-//! is refused leaves the transaction as it was before that write.
+//! is refused leaves the transaction as it was before that write. Everything here runs on the thread that answers
+//! readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
 
-use std::sync::{Mutex, MutexGuard};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -11,23 +13,24 @@ use nix::errno::Errno;
 use super::raw;
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::{Chip, Kind, Parameter, Subclass};
-use ti_gauge::dataflash::Change;
+use ti_gauge::codec::WINDOW;
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
 
-/// A transaction that is left open so long is dropped.
+/// A transaction that is open for longer than this is dropped.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// A write of this size may be a piece of a larger one; where it ends inside a line, nobody knows what
-/// the line would have been.
-const PIECE: usize = 512;
+/// Most blocks with undocumented bytes that a transaction can have, 128 KiB: more than any gauge stores, and little
+/// enough for the daemon. The chip's table limits the number of parameters.
+const RAW_BLOCKS: usize = 4096;
 
 /// What a gauge's transaction is at.
 #[derive(Default)]
 pub(super) struct Transaction(Mutex<Option<Open>>);
 
-#[derive(Clone)]
 struct Open {
     since: Duration,
-    staged: Vec<Change>,
+    /// Shared with those who are reading it.
+    staged: Arc<Staged>,
 }
 
 impl Open {
@@ -36,14 +39,108 @@ impl Open {
     }
 }
 
+/// What is staged. Something that is staged twice has the later value.
+#[derive(Clone, Default)]
+pub(super) struct Staged {
+    /// Parameters, and blocks with undocumented bytes, each with the number of its last line.
+    entries: BTreeMap<Key, (u64, Entry)>,
+    raw_blocks: usize,
+    lines: u64,
+}
+
+/// Whether it is a block, its subclass, and its offset there. Subclasses may share their rows.
+type Key = (bool, u8, u16);
+
+#[derive(Clone)]
+enum Entry {
+    Parameter(Change),
+    /// Bytes of a block, and a bit for each that is staged. A byte takes 64 times as much as a change of its own.
+    Raw {
+        bytes: [u8; WINDOW],
+        is_staged: u32,
+    },
+}
+
+impl Staged {
+    /// How many parameters and blocks are staged.
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// All changes, those of the latest line last. Adjacent undocumented bytes of a block are one change.
+    pub(super) fn changes(&self) -> Vec<Change> {
+        let mut entries: Vec<_> = self.entries.iter().collect();
+        entries.sort_by_key(|(_, (line, _))| *line);
+        let mut changes = Vec::with_capacity(entries.len());
+        for (&(_, subclass, base), (_, entry)) in entries {
+            match entry {
+                Entry::Parameter(change) => changes.push(change.clone()),
+                Entry::Raw { bytes, is_staged } => {
+                    let offsets: Vec<usize> = (0..WINDOW).filter(|at| is_staged & 1 << at != 0).collect();
+                    changes.extend(offsets.chunk_by(|one, next| one + 1 == *next).map(|run| Change {
+                        place: Place { subclass, offset: base + run[0] as u16 },
+                        bytes: bytes[run[0]..][..run.len()].to_vec(),
+                        row: None,
+                        saved: false,
+                    }));
+                }
+            }
+        }
+        changes
+    }
+
+    fn stage(&mut self, key: Key, entry: Entry) {
+        self.lines += 1;
+        match (self.entries.get_mut(&key), entry) {
+            (Some((line, Entry::Raw { bytes, is_staged })), Entry::Raw { bytes: new, is_staged: more }) => {
+                for at in (0..WINDOW).filter(|at| more & 1 << at != 0) {
+                    bytes[at] = new[at];
+                }
+                (*line, *is_staged) = (self.lines, *is_staged | more);
+            }
+            (Some(before), entry) => *before = (self.lines, entry),
+            (None, entry) => {
+                self.raw_blocks += usize::from(key.0);
+                self.entries.insert(key, (self.lines, entry));
+            }
+        }
+    }
+
+    /// Stages all that `later` has.
+    fn extend(&mut self, later: Self) {
+        let mut entries: Vec<_> = later.entries.into_iter().collect();
+        entries.sort_by_key(|(_, (line, _))| *line);
+        for (key, (_, entry)) in entries {
+            self.stage(key, entry);
+        }
+    }
+}
+
+/// What the lines of one write(2) lead to. It is put into effect when all of them have been accepted.
+struct Next {
+    is_open: bool,
+    /// The transaction that was open before has ended.
+    is_new: bool,
+    commits: bool,
+    added: Staged,
+    /// Blocks that `added` has and the transaction did not have before.
+    new_blocks: usize,
+}
+
 impl Transaction {
     fn lock(&self) -> MutexGuard<'_, Option<Open>> {
         self.0.lock().expect("no thread panics while it holds the lock")
     }
 
-    /// The staged changes; `None` while no transaction is open.
-    pub(super) fn staged(&self, now: Duration) -> Option<Vec<Change>> {
-        self.lock().as_ref().filter(|open| !open.is_old(now)).map(|open| open.staged.clone())
+    /// What is staged; `None` while no transaction is open.
+    pub(super) fn staged(&self, now: Duration) -> Option<Arc<Staged>> {
+        let mut open = self.lock();
+        let open = open.as_mut()?;
+        if open.is_old(now) {
+            open.staged = Arc::default();
+            return None;
+        }
+        Some(open.staged.clone())
     }
 
     /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
@@ -55,75 +152,106 @@ impl Transaction {
         data: &[u8],
     ) -> Result<Option<Vec<Change>>> {
         let mut open = self.lock();
-        let mut next = open.clone();
-        let committed = lines(data)?.try_fold(None, |committed, (number, line)| {
-            let at = |error: Error| error.within(&format!("line {number}"));
-            if committed.is_some() {
-                return Err(at(invalid("nothing may follow `commit` in one write")));
-            }
-            take(&mut next, chip, allow_unproven, now, line).map_err(at)
-        });
-        let outcome = committed.map_err(|error| error.within("df/transaction"));
-        if outcome.is_ok() {
-            *open = next;
-        } else if open.as_ref().is_some_and(|open| open.is_old(now)) {
+        let was_old = open.as_ref().is_some_and(|open| open.is_old(now));
+        let before = open.as_ref().filter(|_| !was_old).map(|open| &*open.staged);
+        let next = read_lines(chip, allow_unproven, before, was_old, data);
+        let next = next.map_err(|error| error.within("df/transaction"));
+        if was_old || next.as_ref().is_ok_and(|next| next.is_new) {
             *open = None;
         }
-        outcome
+        let next = next?;
+        if next.is_open || next.commits {
+            let now_open = open.get_or_insert_with(|| Open { since: now, staged: Arc::default() });
+            // Copied only while somebody is reading it.
+            Arc::make_mut(&mut now_open.staged).extend(next.added);
+        }
+        if !next.commits {
+            return Ok(None);
+        }
+        Ok(open.take().map(|open| open.staged.changes()))
     }
 }
 
-/// The lines that are not empty, numbered from 1.
-fn lines(data: &[u8]) -> Result<impl Iterator<Item = (usize, &str)>> {
-    let text = std::str::from_utf8(data).map_err(|_| invalid("not text").within("df/transaction"))?;
-    if text.len() >= PIECE && !text.ends_with('\n') {
-        let why = format!("a write of {PIECE} bytes and more has to end with a line's newline");
-        return Err(invalid(&why).within("df/transaction"));
+/// Checks the lines of one write(2), which continue the transaction `before`.
+fn read_lines(
+    chip: &'static Chip,
+    allow_unproven: bool,
+    before: Option<&Staged>,
+    was_old: bool,
+    data: &[u8],
+) -> Result<Next> {
+    let text = std::str::from_utf8(data).map_err(|_| invalid("not text"))?;
+    let mut next = Next {
+        is_open: before.is_some(),
+        is_new: false,
+        commits: false,
+        added: Staged::default(),
+        new_blocks: 0,
+    };
+    let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty());
+    for (number, line) in lines {
+        let taken = take(&mut next, chip, allow_unproven, before, was_old, line);
+        taken.map_err(|error| error.within(&format!("line {number}")))?;
     }
-    let lines = (1..).zip(text.lines().map(str::trim));
-    Ok(lines.filter(|(_, line)| !line.is_empty()))
+    Ok(next)
 }
 
 fn take(
-    open: &mut Option<Open>,
+    next: &mut Next,
     chip: &'static Chip,
     allow_unproven: bool,
-    now: Duration,
+    before: Option<&Staged>,
+    was_old: bool,
     line: &str,
-) -> Result<Option<Vec<Change>>> {
-    if line == "begin" {
-        if open.as_ref().is_some_and(|open| !open.is_old(now)) {
-            return Err(busy());
-        }
-        *open = Some(Open { since: now, staged: Vec::new() });
-        return Ok(None);
+) -> Result<()> {
+    if next.commits {
+        return Err(invalid("nothing may follow `commit` in one write"));
     }
     let none = |why: &str| Error::host("", Errno::ENODATA, why);
-    match open {
-        None => Err(none("no transaction is open; write `begin` first")),
-        Some(open) if open.is_old(now) => {
-            Err(none("it was open for 10 minutes and was dropped; nothing was written"))
+    match line {
+        "begin" if next.is_open => return Err(busy()),
+        "begin" => (next.is_open, next.is_new) = (true, true),
+        _ if !next.is_open && was_old && !next.is_new => {
+            return Err(none("it was open for 10 minutes and was dropped; nothing was written"));
         }
-        Some(_) if line == "abort" => {
-            *open = None;
-            Ok(None)
+        _ if !next.is_open => return Err(none("no transaction is open; write `begin` first")),
+        "abort" => {
+            (next.is_open, next.is_new) = (false, true);
+            (next.added, next.new_blocks) = (Staged::default(), 0);
         }
-        Some(Open { staged, .. }) if line == "commit" => {
-            let changes = std::mem::take(staged);
-            *open = None;
-            Ok(Some(changes))
-        }
-        Some(Open { staged, .. }) => {
-            let changes = match line.strip_prefix("raw ") {
-                Some(raw) => raw::changes(chip, raw)?,
-                None => vec![change(chip, allow_unproven, line)?],
+        "commit" => (next.is_open, next.commits) = (false, true),
+        line => {
+            let (key, entry) = match line.strip_prefix("raw ") {
+                Some(raw) => raw_entry(raw::bytes(chip, raw)?),
+                None => {
+                    let change = change(chip, allow_unproven, line)?;
+                    ((false, change.place.subclass, change.place.offset), Entry::Parameter(change))
+                }
             };
-            // What is staged twice has the later value. Subclasses may share their rows.
-            staged.retain(|other| !changes.iter().any(|change| change.place == other.place));
-            staged.extend(changes);
-            Ok(None)
+            let before = before.filter(|_| !next.is_new);
+            let is_known = before.is_some_and(|staged| staged.entries.contains_key(&key));
+            if key.0 && !is_known && !next.added.entries.contains_key(&key) {
+                next.new_blocks += 1;
+            }
+            if before.map_or(0, |staged| staged.raw_blocks) + next.new_blocks > RAW_BLOCKS {
+                let why =
+                    format!("no more than {RAW_BLOCKS} blocks with raw bytes can be staged; commit first");
+                return Err(Error::host("", Errno::EFBIG, why));
+            }
+            next.added.stage(key, entry);
         }
     }
+    Ok(())
+}
+
+fn raw_entry((place, new): (Place, Vec<u8>)) -> (Key, Entry) {
+    let at = usize::from(place.offset) % WINDOW;
+    let (mut bytes, mut is_staged) = ([0; WINDOW], 0);
+    bytes[at..at + new.len()].copy_from_slice(&new);
+    for at in at..at + new.len() {
+        is_staged |= 1 << at;
+    }
+    ((true, place.subclass, place.offset - at as u16), Entry::Raw { bytes, is_staged })
 }
 
 /// `80/53 3100`, checked as a write to that file is.
@@ -181,7 +309,7 @@ mod tests {
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         assert!(transaction.write(chip, true, Duration::ZERO, lines).expect("lines").is_none());
-        let staged = transaction.staged(Duration::ZERO).expect("open");
+        let staged = transaction.staged(Duration::ZERO).expect("open").changes();
         let staged: Vec<_> = staged.iter().map(|change| (change.place.subclass, change.bytes[0])).collect();
         assert_eq!(staged, [(91, 0x55), (92, 0x00)]);
     }

@@ -307,6 +307,7 @@ impl Filesystem for Adapter {
         let (table, answers, fs) = (self.table.clone(), self.answers.clone(), self.fs.clone());
         self.fs.write(
             node,
+            offset,
             data,
             Box::new(move |outcome| {
                 answers.push(Box::new(move || {

@@ -739,6 +739,90 @@ fn a_transaction_can_be_sent_in_several_writes() {
     assert_eq!(mount.echo("3200", "df/80/53"), Ok(()));
 }
 
+/// The kernel passes a long write(2) on in pieces. None of them counts as the whole.
+#[test]
+fn a_piece_that_the_kernel_cuts_is_no_value() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let padded = |before: usize, text: &str| " ".repeat(before) + text;
+    for (append, path, text) in [
+        (false, "df/48/11", padded(4094, "2200")),
+        (true, "df/48/11", padded(4094, "2200")),
+        (false, "df/48/11", padded(4094, "2200\n")),
+        (false, "df/48/11", padded(3 * 4096 + 4094, "2200\n")),
+        (false, "df/48/11", padded((1 << 20) + 4094, "2200\n")),
+        (true, "df/48/11", padded(4093, "22\n00\n")),
+        (false, "gauge/poll_interval", padded(4095, "30")),
+        (false, "gauge/seal", padded(4088, "unsealed\n")),
+    ] {
+        let mut options = OpenOptions::new();
+        options.write(true).append(append);
+        let before = mount.cat(path);
+        let written = options.open(mount.path(path)).expect("opens").write(text.as_bytes());
+        assert_eq!(written.map_err(errno), Err(Errno::EINVAL), "{path}, {} bytes", text.len());
+        assert!(mount.cat("gauge/last_error").contains("may not be whole"));
+        assert_eq!(mount.cat(path), before);
+    }
+    // Every position of the cut within a line, the newline included.
+    let line = "48/11 2200\n";
+    for before in 4096 - line.len() - 1..=4096 {
+        mount.echo("begin", "df/transaction").expect("a transaction");
+        let text = padded(before, line) + &" ".repeat(100) + "\n";
+        let written = fs::write(mount.path("df/transaction"), &text).map_err(errno);
+        let staged = mount.cat("df/transaction");
+        let all = "Design Capacity: 1000 -> 2200";
+        assert!(
+            written.is_ok() && staged == all || written == Err(Errno::EINVAL) && staged.is_empty(),
+            "{before}: {staged}"
+        );
+        mount.echo("abort", "df/transaction").expect("the end of it");
+    }
+    assert_eq!(mount.cat("df/48/11"), "1000");
+    assert_eq!(statistic(&mount.handle, "flash_writes"), 0);
+    assert_eq!(
+        fs::write(mount.path("df/48/11"), "2200").map_err(errno),
+        Ok(()),
+        "without a newline, but whole"
+    );
+    assert_eq!(mount.cat("df/48/11"), "2200");
+}
+
+/// A user who may write must not be able to stop the others from reading, or to fill the memory.
+#[test]
+fn staging_is_linear_and_its_memory_is_given_back() {
+    let Some(mount) = quiet("bq27520-g3") else { return };
+    let resident = || {
+        let pages = fs::read_to_string("/proc/self/statm").expect("it is there");
+        pages.split(' ').nth(1).and_then(|pages| pages.parse::<usize>().ok()).expect("a number") * 4096
+    };
+    let lines = |from: usize, to: usize| {
+        let begin = Instant::now();
+        for at in from..to {
+            let line = format!("raw {}/{} {}", 200 + at / 256, 32 * (at % 256), "5a".repeat(32));
+            mount.echo(&line, "df/transaction").expect("staged");
+        }
+        begin.elapsed()
+    };
+    mount.echo("begin", "df/transaction").expect("a transaction");
+    lines(0, 100);
+    let before = resident();
+    let first = lines(100, 1000);
+    let _ = lines(1000, 3029);
+    let last = lines(3029, 3929);
+    let full = resident();
+    assert_eq!(mount.cat("df/transaction").lines().count(), 3929);
+    let begin = Instant::now();
+    mount.cat("voltage_now");
+    let read = begin.elapsed();
+    mount.echo("abort", "df/transaction").expect("the end of it");
+    assert_eq!(mount.cat("df/transaction"), "idle");
+    let after = resident();
+    eprintln!(
+        "900 lines in {first:?}, and {last:?} after 3029; read in {read:?}; {before} bytes, {full}, {after}"
+    );
+    assert!(last < first * 4, "the first 900 lines took {first:?}, the last 900 {last:?}");
+    assert!(full < before + (8 << 20) && after < before + (4 << 20), "{before} bytes, {full}, {after}");
+}
+
 #[test]
 fn a_challenge_is_answered_sealed_and_unsealed() {
     let Some(mount) = quiet("bq34z100-g1") else { return };

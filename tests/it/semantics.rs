@@ -238,6 +238,12 @@ fn semantics_of_the_errnos() {
     let Some(mount) = Mount::new("bq34z100-g1", &["--read-only"]) else { return };
     occurs("mounted read-only", mount.echo("3100", parameter));
     drop(mount);
+    let Some(mount) = Mount::new("bq27520-g3", &[]) else { return };
+    let raw = |block: usize| format!("raw {}/{} 00\n", 200 + block / 256, 32 * (block % 256));
+    mount.echo("begin", "df/transaction").expect("a transaction");
+    let too_many = (0..=4096).try_for_each(|block| mount.echo(raw(block).trim(), "df/transaction"));
+    occurs("too many raw bytes", too_many);
+    drop(mount);
     let Some(mount) = Mount::new("bq34110", &[]) else { return };
     let index = mount.cat("df/index");
     let row = index.lines().find(|line| line.contains("unproven")).expect("there are some");

@@ -47,12 +47,13 @@ impl Tree {
     fn write(&self, path: &str, text: &str) -> Result<(), Errno> {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
-        self.fs.write(self.node(path), text.as_bytes(), answer);
+        self.fs.write(self.node(path), 0, text.as_bytes(), answer);
         is_done.recv().expect("an answer").map_err(|error| error.errno())
     }
 
+    /// Writes lines, the last of which gets its newline here.
     fn stage(&self, lines: &str) -> Result<(), Errno> {
-        self.write("df/transaction", lines)
+        self.write("df/transaction", &format!("{}\n", lines.trim_end_matches('\n')))
     }
 
     fn read(&self, path: &str) -> Result<String, Errno> {
@@ -132,8 +133,11 @@ fn lines_are_checked_at_once() {
         assert_eq!(tree.stage(line), Err(errno), "{line}");
         assert_eq!(tree.read("df/transaction").as_deref(), Ok(""), "{line}");
     }
-    let long = "80/53 3100\n".repeat(50) + "80/53 31";
-    assert_eq!(tree.stage(&long), Err(Errno::EINVAL), "the last line may go on");
+    for text in ["80/53 3100", "80/53 3100\n80/53 31", "abort", "commit", " "] {
+        assert_eq!(tree.write("df/transaction", text), Err(Errno::EINVAL), "the last line may go on");
+        assert!(tree.handle.published().last_error.contains("end it with one"));
+        assert_eq!(tree.read("df/transaction").as_deref(), Ok(""), "{text}");
+    }
     assert_eq!(tree.write("df/80/53", "3100"), Err(Errno::EBUSY));
     assert_eq!(tree.stage("80/53 3200\n\n 80/53  0xc1c \n"), Ok(()));
     assert_eq!(tree.stage("abort"), Ok(()));
@@ -233,7 +237,7 @@ fn raw_lines_reach_undocumented_bytes_only() {
         ("raw 112/0 00000000", Errno::EPERM, "keys"),
         ("raw 80/53 0c1c", Errno::EINVAL, "Cell Terminate Voltage is stored there"),
         ("raw 2/9 0000", Errno::EINVAL, "is stored there"),
-        ("raw 2/31 0000", Errno::EINVAL, "one block, which ends at offset 31"),
+        ("raw 2/31 0000", Errno::EINVAL, "one block of 32 bytes"),
         ("raw 2/32 00", Errno::EINVAL, "subclass 2 ends with offset 31"),
         ("raw 200/8192 00", Errno::EINVAL, "subclass 200 ends with offset 8191"),
         ("raw 0/0 00", Errno::EINVAL, "in subclasses only"),
@@ -254,4 +258,88 @@ fn raw_lines_reach_undocumented_bytes_only() {
     assert_eq!(tree.count("transfers"), transfers, "nothing was sent");
     let flat = self::tree("bq34110");
     assert_eq!(flat.stage("begin\nraw flash/0x41f5 00\n"), Err(Errno::EINVAL));
+}
+
+/// The kernel passes on what does not fit a page in pieces. A piece never counts as a value.
+#[test]
+fn a_piece_of_a_write_is_no_value() {
+    let tree = tree("bq34z100-g1");
+    let flash = tree.sim.flash();
+    let padded = |length: usize, value: &str| " ".repeat(length - value.len()) + value;
+    for path in
+        ["df/48/11", "gauge/poll_interval", "gauge/seal", "gauge/control", "gauge/settle", "gauge/keys"]
+    {
+        let value = match path {
+            "gauge/seal" => "unsealed",
+            "gauge/control" => "CONTROL_STATUS",
+            "gauge/settle" => "show",
+            "gauge/keys" => "unseal 0414 3672 6fa1 92d4",
+            _ => "22",
+        };
+        for (offset, length) in
+            [(0, 4096), (0, 4097), (0, 8192), (0, 65536), (4090, 4102), (4000, 96), (65436, 100)]
+        {
+            let (done, is_done) = mpsc::channel();
+            let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
+            tree.fs.write(tree.node(path), offset, padded(length, value).as_bytes(), answer);
+            let error = is_done.recv().expect("an answer").expect_err("a piece");
+            assert_eq!(error.errno(), Errno::EINVAL, "{path}: {length} bytes at {offset}");
+            assert!(tree.handle.published().last_error.contains("may not be whole"), "{error}");
+        }
+    }
+    assert!(tree.sim.flash() == flash);
+    assert_eq!(tree.write("df/48/11", &padded(4095, "2200")), Ok(()));
+    assert_eq!(tree.read("df/48/11").as_deref(), Ok("2200\n"));
+}
+
+/// A write is refused as a whole, wherever the kernel cuts it, or counts as a whole.
+#[test]
+fn lines_are_cut_at_every_position() {
+    let tree = tree("bq34z100-g1");
+    let text = "begin\n48/11 2200\n80/53 3100\ncommit\n";
+    for cut in 1..text.len() {
+        let (head, tail) = text.split_at(cut);
+        let first = tree.write("df/transaction", head);
+        assert_eq!(first.is_ok(), head.ends_with('\n'), "{head:?}");
+        if first.is_err() {
+            assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"), "{head:?}");
+            continue;
+        }
+        assert_eq!(tree.write("df/transaction", tail), Ok(()), "{tail:?}");
+        assert_eq!(
+            (tree.read("df/48/11").as_deref(), tree.read("df/80/53").as_deref()),
+            (Ok("2200\n"), Ok("3100\n"))
+        );
+    }
+}
+
+/// Raw bytes are limited, because the table does not limit them as it does parameters; the limit counts blocks,
+/// however often they are staged.
+#[test]
+fn a_transaction_has_a_limit() {
+    let tree = tree("bq27520-g3");
+    let block = |at: usize| format!("raw {}/{} {}\n", 200 + at / 256, 32 * (at % 256), "5a".repeat(32));
+    let lines: String = (0..4096).map(block).collect();
+    assert_eq!(tree.stage("begin"), Ok(()));
+    assert_eq!(tree.stage(&lines), Ok(()));
+    let shown = tree.read("df/transaction").expect("readable");
+    assert_eq!(shown.lines().count(), 4096);
+    assert_eq!(tree.stage(&lines), Ok(()), "the same blocks again");
+    assert_eq!(tree.stage(&block(4096)), Err(Errno::EFBIG));
+    assert!(tree.handle.published().last_error.contains("4096 blocks"));
+    assert_eq!(tree.stage(&format!("abort\nbegin\n{lines}{}", block(4096))), Err(Errno::EFBIG));
+    assert_eq!(tree.read("df/transaction").expect("readable"), shown, "nothing of it counts");
+    assert_eq!(tree.stage("abort"), Ok(()));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+}
+
+#[test]
+fn bytes_staged_later_replace_the_bytes_that_they_name() {
+    let tree = tree("bq27520-g3");
+    assert_eq!(tree.stage("begin\nraw 82/0 000102030405\nraw 82/2 aabb\nraw 82/9 09\nabort\nbegin"), Ok(()));
+    assert_eq!(tree.stage("raw 82/0 000102030405\nraw 82/2 aabb\nraw 82/9 09"), Ok(()));
+    let shown = "raw 82/0: - -> 0001aabb0405\nraw 82/9: - -> 09\n";
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok(shown));
+    assert_eq!(tree.stage("raw 82/1 ff"), Ok(()));
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok(shown.replace("0001", "00ff").as_str()));
 }
