@@ -4,6 +4,7 @@ use std::{fmt, io};
 
 use nix::errno::Errno;
 pub use ti_gauge::error::{Cause, Step};
+use ti_gauge::text;
 
 use crate::errno;
 
@@ -70,9 +71,10 @@ impl Error {
     }
 }
 
+/// One line without control characters: names of files and processes in it may be anybody's.
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.inner.fmt(f)
+        f.write_str(&text::printable(&self.inner.to_string()))
     }
 }
 
@@ -106,5 +108,16 @@ impl From<gauge_sim::Error> for Error {
             Kind::Io(kind) => Cause::Io(kind, text),
         };
         Self::new(subject, cause)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_one_line_without_control_characters() {
+        let error = Error::new("/tmp/a\nb", Cause::Busy("process 1 (\x1b]0;x\x07)\nwarning: forged".into()));
+        assert_eq!(error.to_string(), r"/tmp/a\nb: process 1 (\u{1b}]0;x\u{7})\nwarning: forged");
     }
 }

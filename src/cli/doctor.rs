@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::{print, print_json};
 use crate::error::Result;
+use ti_gauge::text::printable;
 
 mod bus;
 mod config;
@@ -107,9 +108,10 @@ fn text(findings: &[Finding]) -> String {
     let mut text = String::new();
     for Finding { state, what, says, remedy } in findings {
         // Writing to a String does not fail.
-        let _ = writeln!(text, "{:7}  {what}: {says}", state.as_str());
+        let line = printable(&format!("{what}: {says}"));
+        let _ = writeln!(text, "{:7}  {line}", state.as_str());
         if let Some(remedy) = remedy {
-            let _ = writeln!(text, "         {remedy}");
+            let _ = writeln!(text, "         {}", printable(remedy));
         }
     }
     let count = |wanted| findings.iter().filter(|finding| finding.state == wanted).count();

@@ -12,6 +12,7 @@ use std::path::Path;
 use env_logger::{Builder, Env, Target};
 use jiff::Timestamp;
 use log::{Level, Record};
+use ti_gauge::text;
 
 use crate::error::{Error, Result};
 
@@ -36,14 +37,14 @@ pub fn start(to: Destination<'_>) -> Result<()> {
     let mut builder = Builder::from_env(Env::default().default_filter_or(FILTER));
     match to {
         Destination::Stderr => {
-            builder.format(|out, record| writeln!(out, "gaugefs: {}{}", word(record), record.args()));
+            builder.format(|out, record| writeln!(out, "gaugefs: {}{}", word(record), message(record)));
         }
         Destination::File(path) => {
             let failed = |error| Error::io(path.display().to_string(), "cannot write the log", &error);
             let file = File::options().append(true).create(true).mode(0o640).open(path).map_err(failed)?;
             builder.target(Target::Pipe(Box::new(file)));
             builder.format(|out, record| {
-                writeln!(out, "{:.0} {}{}", Timestamp::now(), word(record), record.args())
+                writeln!(out, "{:.0} {}{}", Timestamp::now(), word(record), message(record))
             });
         }
         Destination::Syslog => {
@@ -51,7 +52,7 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             let pid = std::process::id();
             builder.format(move |out, record| {
                 let priority = DAEMON | severity(record.level());
-                write!(out, "<{priority}>gaugefs[{pid}]: {}{}", word(record), record.args())
+                write!(out, "<{priority}>gaugefs[{pid}]: {}{}", word(record), message(record))
             });
         }
     }
@@ -68,6 +69,11 @@ fn word(record: &Record<'_>) -> &'static str {
         Level::Debug => "debug: ",
         Level::Trace => "trace: ",
     }
+}
+
+/// A message is one line, whatever names of files and processes it contains.
+fn message(record: &Record<'_>) -> String {
+    text::printable(&record.args().to_string())
 }
 
 fn severity(level: Level) -> u8 {

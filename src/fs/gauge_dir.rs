@@ -345,14 +345,15 @@ fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {
     }
 }
 
+/// An error does not repeat the text, which may be a key.
 fn interval(data: &[u8]) -> Result<Duration> {
-    let word = text(data);
-    let seconds: f64 = word.parse().map_err(|_| {
-        Error::new("poll_interval", Cause::Invalid(format!("`{word}` is not a number of seconds")))
+    let seconds: f64 = text(data).parse().map_err(|_| {
+        let why = "not a number of seconds; write 0.5 to 3600";
+        Error::new("poll_interval", Cause::Invalid(why.into()))
     })?;
     if !(0.5..=3600.0).contains(&seconds) {
-        let why = format!("{seconds} s is outside 0.5 to 3600 s");
-        return Err(Error::new("poll_interval", Cause::OutOfRange(why)));
+        let why = "the number of seconds is outside 0.5 to 3600";
+        return Err(Error::new("poll_interval", Cause::OutOfRange(why.into())));
     }
     Ok(Duration::from_secs_f64(seconds))
 }

@@ -614,6 +614,23 @@ fn a_mount_in_use_is_not_unmounted_but_a_signal_ends_it() {
     drop(held);
 }
 
+/// A program's name may be anybody's, and must not control the terminal of whoever unmounts.
+#[test]
+fn the_name_of_a_user_of_the_mount_is_printed_without_control_characters() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, program) = (folder.file("m"), folder.file("a\x1b[31m\nb"));
+    fs::copy("/bin/sleep", &program).expect("a program");
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let mut user = Command::new(&program).arg("60").current_dir(&at).spawn().expect("it runs");
+    let ran = gaugefs(&["umount", &at]);
+    user.kill().and_then(|()| user.wait()).expect("it ends");
+    ran.failed(&["in use by process", r"(a\u{1b}[31m\nb)"]);
+    gaugefs(&["umount", &at]).done();
+}
+
 #[test]
 fn the_mount_of_a_killed_daemon_is_removed() {
     if !can_mount() {

@@ -238,7 +238,7 @@ fn refused_writes_return_their_errno_and_change_nothing() {
     assert_eq!(mount.echo("abc", "df/80/53"), Err(Errno::EINVAL));
     assert_eq!(mount.echo("", "df/80/53"), Err(Errno::EINVAL));
     assert_eq!(mount.echo("3701", "df/80/53"), Err(Errno::ERANGE));
-    assert!(mount.cat("gauge/last_error").contains("3701 is outside 1000 to 3700 mV"));
+    assert!(mount.cat("gauge/last_error").contains("the value is outside 1000 to 3700 mV"));
     assert_eq!(mount.echo("0x0", "df/112/0"), Err(Errno::EPERM));
     assert_eq!(fs::read(mount.path("df/112/0")).map_err(errno), Err(Errno::EPERM));
     assert_eq!(mount.echo("0x0f00", "gauge/control"), Err(Errno::EINVAL));
@@ -784,6 +784,57 @@ fn a_piece_that_the_kernel_cuts_is_no_value() {
         "without a newline, but whole"
     );
     assert_eq!(mount.cat("df/48/11"), "2200");
+}
+
+/// What was written may be a key, and may contain what forges a line of the log.
+#[test]
+fn refused_text_is_not_repeated_in_last_error() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    for text in [
+        "8d3e b7c5",
+        "0x8d3eb7c5",
+        "9d17c2e85ba3f6047e91d80c3b6fa25e",
+        "8d3e\nb7c5",
+        "8d3e\x1b[2Jb7c5",
+        "36158",
+    ] {
+        for path in [
+            "df/80/53",
+            "df/48/11",
+            "df/48/32",
+            "df/transaction",
+            "gauge/seal",
+            "gauge/control",
+            "gauge/settle",
+            "gauge/keys",
+            "gauge/authenticate",
+            "gauge/poll_interval",
+        ] {
+            if path == "df/transaction" {
+                mount.echo("begin", path).expect("a transaction");
+                for line in [format!("80/53 {text}"), format!("raw 80/60 {text}"), format!("raw {text}")] {
+                    mount.echo(&line, path).expect_err("refused");
+                    let told = mount.cat("gauge/last_error");
+                    assert!(
+                        !["8d3e", "b7c5", "9d17", "36158"].iter().any(|word| told.contains(word)),
+                        "{line:?}: {told}"
+                    );
+                }
+                mount.echo(&format!("abort\n{text}"), path).expect_err("refused");
+                mount.echo("abort", path).expect("the end of it");
+                continue;
+            }
+            if mount.echo(text, path).is_ok() {
+                continue;
+            }
+            let told = mount.cat("gauge/last_error");
+            assert!(!told.is_empty() && !told.contains(char::is_control), "{path}: {told:?}");
+            assert!(
+                !["8d3e", "b7c5", "9d17", "36158"].iter().any(|word| told.contains(word)),
+                "{path}: {told}"
+            );
+        }
+    }
 }
 
 /// A user who may write must not be able to stop the others from reading, or to fill the memory.

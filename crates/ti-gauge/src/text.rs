@@ -1,4 +1,6 @@
-//! Values to the text of a `df` file and back. Pure: no bus, no file.
+//! Values to the text of a `df` file and back, and text that is safe to show. Pure: no bus, no file.
+
+use std::fmt::Write;
 
 use crate::chip::{Parameter, Range};
 use crate::codec;
@@ -47,9 +49,10 @@ pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
 
 fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
-    let outside = |what: &str, min: String, max: String| {
+    // What was written is not repeated: it may be a key that was meant for another file.
+    let outside = |min: String, max: String| {
         let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
-        Error::new(parameter.name, Cause::OutOfRange(format!("{what} is outside {min} to {max}{unit}")))
+        Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
     };
     let Some(text) = std::str::from_utf8(text).ok().map(str::trim).filter(|text| text.len() < 100) else {
         return Err(invalid(format!("not a value of type {}", parameter.kind)));
@@ -67,20 +70,20 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
         }
         (Type::F4, range) => {
             let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
-            let value = value.ok_or_else(|| invalid(format!("`{text}` is not a number")))?;
+            let value = value.ok_or_else(|| invalid("the value is not a number".into()))?;
             if let Some(Range::Float { min, max, .. }) = range
                 && !(*min..=*max).contains(&value)
             {
-                return Err(outside(text, min.to_string(), max.to_string()));
+                return Err(outside(min.to_string(), max.to_string()));
             }
             if codec::encode(Type::F4, &Value::Float(value)).is_none() {
-                return Err(outside(text, "-1.7e38".into(), "1.7e38".into()));
+                return Err(outside("-1.7e38".into(), "1.7e38".into()));
             }
             Ok(Value::Float(value))
         }
         (kind, range) => {
             let value = integer(text)
-                .ok_or_else(|| invalid(format!("`{text}` is not a whole number; write decimal, 0x or 0b")))?;
+                .ok_or_else(|| invalid("the value is not a whole number; write decimal, 0x or 0b".into()))?;
             let bounds = match range {
                 Some(Range::Int { min, max, .. }) => Some((*min, *max)),
                 Some(Range::Float { .. } | Range::Text { .. }) | None => kind.bounds(),
@@ -90,7 +93,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
                 Some(value) if (min..=max).contains(&value) => Ok(Value::Int(value)),
                 _ => {
                     let show = |bound| render(kind, &Value::Int(bound));
-                    Err(outside(text, show(min), show(max)))
+                    Err(outside(show(min), show(max)))
                 }
             }
         }
@@ -114,6 +117,31 @@ fn integer(text: &str) -> Option<Option<i64>> {
     }
     let magnitude = i64::from_str_radix(digits, radix).ok();
     Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
+}
+
+/// Longest text of a message, in characters.
+const LONGEST: usize = 2000;
+
+/// A text of unknown origin, such as the name of a file or a process, as it may be shown on a terminal or in a line of
+/// a log: a character that would begin a line, control a terminal or reorder what is shown becomes an escape such as
+/// `\n` or `\u{1b}`. Other characters remain. A text that is too long ends with `...`. Applying it twice changes nothing.
+pub fn printable(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for letter in text.chars().take(LONGEST + 4) {
+        match letter {
+            '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' => {
+                // Writing to a String does not fail.
+                let _ = write!(shown, "{}", letter.escape_unicode());
+            }
+            _ if letter.is_control() => shown.extend(letter.escape_default()),
+            _ => shown.push(letter),
+        }
+    }
+    if shown.chars().nth(LONGEST + 3).is_some() {
+        let end = shown.char_indices().nth(LONGEST).map_or(shown.len(), |(at, _)| at);
+        shown.replace_range(end.., "...");
+    }
+    shown
 }
 
 /// Two hexadecimal digits a byte.
@@ -243,6 +271,54 @@ mod tests {
         assert_eq!(render(Type::S(12), &Value::Text(b"Texas Inst.".to_vec())), "Texas Inst.");
         assert_eq!(render(Type::S(12), &Value::Text(b"a$(id)`\x1b".to_vec())), "a__id___");
         assert_eq!(parse(&CONFIG, b"0x01e1"), Ok(Value::Int(0x1e1)));
+    }
+
+    /// It may be a key that was meant for another file.
+    #[test]
+    fn an_error_does_not_repeat_what_was_written() {
+        for parameter in [&VOLTAGE, &CONFIG, &GAIN, &NAME] {
+            for text in [
+                "8d3e b7c5",
+                "0x8d3eb7c5",
+                "36158",
+                "-8735",
+                "8d3e",
+                "47b2\nd90e",
+                "01234567890123456789012345678901",
+            ] {
+                if let Err(error) = parse(parameter, text.as_bytes()) {
+                    let shown = error.to_string();
+                    let mut words = text.split_whitespace();
+                    assert!(
+                        !words.any(|word| shown.contains(word.trim_start_matches("0x"))),
+                        "{text}: {shown}"
+                    );
+                }
+            }
+        }
+        assert_eq!(
+            refusal(&VOLTAGE, "3701").to_string(),
+            "Cell Terminate Voltage: the value is outside 1000 to 3700 mV"
+        );
+    }
+
+    #[test]
+    fn printable_text_is_one_line_without_control_characters() {
+        let text = "Größe 5 µV ✓\n\r\t\x1b[2J\x07\0\x7f\u{85}\u{9b}\u{202e}\u{2028}\\n";
+        let shown = "Größe 5 µV ✓\\n\\r\\t\\u{1b}[2J\\u{7}\\u{0}\\u{7f}\\u{85}\\u{9b}\\u{202e}\\u{2028}\\n";
+        assert_eq!(printable(text), shown);
+        proptest!(cases(256), |(text: String)| {
+            let shown = printable(&text);
+            prop_assert!(!shown.contains(char::is_control));
+            prop_assert_eq!(printable(&shown), shown);
+        });
+        for length in [LONGEST - 1, LONGEST, LONGEST + 3, LONGEST + 4, 10 * LONGEST] {
+            let shown = printable(&"é".repeat(length));
+            assert_eq!(shown.chars().count(), length.min(LONGEST + 3));
+            assert_eq!(shown.ends_with("..."), length > LONGEST + 3);
+            assert_eq!(printable(&shown), shown);
+        }
+        assert_eq!(printable(&"\x1b".repeat(LONGEST)).chars().count(), LONGEST + 3);
     }
 
     #[test]

@@ -17,7 +17,7 @@ use super::{draw, picture};
 
 /// 2026-01-01T12:00:00Z
 const NOON: f64 = 1_767_268_800.0;
-const ERROR: &str = "Cell Terminate Voltage: 9999 is outside 1000 to 3700 mV";
+const ERROR: &str = "Cell Terminate Voltage: the value is outside 1000 to 3700 mV";
 
 /// A folder with the files of a mounted gauge.
 struct Tree(PathBuf);

@@ -342,7 +342,7 @@ mod tests {
             (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, but the header names 4"),
             (
                 &format!("{order}Gas Gauging,IT Cfg,Cell Terminate Voltage,low\n"),
-                "line 2: Cell Terminate Voltage: `low` is not a whole number",
+                "line 2: Cell Terminate Voltage: the value is not a whole number",
             ),
         ] {
             let error = entries(text).expect_err(text).to_string();

@@ -173,9 +173,12 @@ mod tests {
             ),
             (
                 "[it-cfg]\ncell-terminate-voltage = 1.5",
-                "line 3: Cell Terminate Voltage: `1.5` is not a whole number",
+                "line 3: Cell Terminate Voltage: the value is not a whole number",
             ),
-            ("[it-cfg]\ncell-terminate-voltage = 40000", "line 3: Cell Terminate Voltage: 40000 is outside"),
+            (
+                "[it-cfg]\ncell-terminate-voltage = 40000",
+                "line 3: Cell Terminate Voltage: the value is outside",
+            ),
             ("x = 1", "line 2: x: only chip, device_type and firmware"),
             ("[it-cfg\n", "line 2: not TOML"),
             ("firmware = 70000", "line 2: firmware: not a 16-bit number"),
