@@ -43,7 +43,8 @@ impl Auth {
     /// The text for a genuine pack, or an error for any other.
     fn ask(&self) -> Result<String> {
         let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
-        let Some(key) = &keys.authentication else {
+        let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());
+        let Some(key) = key else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
         };

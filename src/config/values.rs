@@ -7,7 +7,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{CHIPS, Chip};
-use ti_gauge::keys;
+use ti_gauge::keys::{self, Name, Secret};
 
 /// Key words, which are not shown again.
 #[derive(Clone)]
@@ -33,7 +33,8 @@ pub(super) fn chip(name: &str) -> Result<&'static Chip, String> {
 }
 
 pub(super) fn key(text: &str) -> Result<Key, String> {
-    keys::words(text).map(Key).ok_or_else(|| "expected two words, such as '0414 3672'".into())
+    let key = Secret::parse(Name::Unseal, text).map(|key| Key(key.words()));
+    key.ok_or_else(|| "expected two words, such as '0414 3672'".into())
 }
 
 pub(super) fn order(text: &str) -> Result<Order, String> {

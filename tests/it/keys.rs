@@ -319,6 +319,68 @@ fn writable_memory(process: u32) -> std::io::Result<Vec<u8>> {
     Ok(all)
 }
 
+/// Where keys are in memory, as bytes in each order or as text: the key, its form and the place.
+fn places<'a>(memory: &[u8], keys: &[&'a str]) -> Vec<(&'a str, &'static str, usize)> {
+    let forms = keys.iter().flat_map(|&key| {
+        let raw = hexadecimal(key);
+        let words: Vec<u8> = raw.chunks(2).flat_map(|word| [word[1], word[0]]).collect();
+        let reversed: Vec<u8> = raw.iter().rev().copied().collect();
+        let stored: Vec<u8> = raw.chunks(2).rev().flatten().copied().collect();
+        let tight: String = key.split(' ').collect();
+        [
+            (key, "bytes", raw),
+            (key, "words", words),
+            (key, "reversed", reversed),
+            (key, "as stored", stored),
+            (key, "text", tight.into_bytes()),
+            (key, "text with spaces", key.into()),
+        ]
+    });
+    // Most of the memory is skipped by its first byte, because the search is slow without optimization.
+    let mut by_first: Vec<Vec<_>> = vec![Vec::new(); 256];
+    for (key, form, bytes) in forms {
+        by_first[usize::from(bytes[0])].push((key, form, bytes));
+    }
+    let mut found = Vec::new();
+    for (at, first) in memory.iter().enumerate() {
+        let forms = by_first[usize::from(*first)].iter();
+        let form = forms.into_iter().find(|(_, _, bytes)| memory[at..].starts_with(bytes));
+        found.extend(form.map(|(key, form, _)| (*key, *form, at)));
+    }
+    found
+}
+
+/// A key is in one allocation of the daemon, from which it is wiped. A key of another gauge is nowhere.
+#[test]
+fn keys_that_are_not_used_are_in_memory_once() {
+    if !can_mount() {
+        return;
+    }
+    let (folder, secret) = (Folder::new(), Folder::new());
+    let [at, keys] = [folder.file("m"), secret.file("keys")];
+    let own = ["8d3e b7c5", "47b2 d90e", "9d17c2e85ba3f6047e91d80c3b6fa25e"];
+    let others = ["6fa1 92d4", "51e8 7ac3", "44d1f08a6c2e97b35a0e7fd1c8b26493"];
+    let section = |[unseal, full, authentication]: [&str; 3]| {
+        format!("unseal = {unseal}\nfull_access = {full}\nauthentication = {authentication}\n")
+    };
+    write_keys(&keys, &format!("{}[BAT0]\n{}[BAT9]\n{}", section(others), section(own), section(others)));
+    gaugefs(&["mount", "--sim", CHIP, "--key-file", &keys, &at]).done();
+    let process = daemon(&at).expect("the daemon runs");
+    let memory = writable_memory(process);
+    gaugefs(&["umount", &at]).done();
+    let memory = match memory {
+        Ok(memory) => memory,
+        Err(error) => return eprintln!("SKIPPED: the daemon's memory cannot be looked at: {error}"),
+    };
+    let found = places(&memory, &[own, others].concat());
+    for key in own {
+        let places: Vec<_> = found.iter().filter(|(other, ..)| *other == key).collect();
+        assert!(matches!(places[..], [(_, "bytes", _)]), "{key} in {} bytes: {places:?}", memory.len());
+    }
+    let foreign: Vec<_> = found.iter().filter(|(key, ..)| others.contains(key)).collect();
+    assert!(foreign.is_empty(), "no keys of this gauge: {foreign:?}");
+}
+
 /// Uses and changes every key, with success and without. Afterwards the keys are in their files and nowhere
 /// else.
 #[test]

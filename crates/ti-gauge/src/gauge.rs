@@ -10,7 +10,7 @@ use std::time::Duration;
 pub use crate::chip::Answers;
 use crate::chip::{Chip, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
-use crate::keys::{Keys, Name, Secret};
+use crate::keys::{Keys, Name, Secret, wipe_stack};
 pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError, wire_bytes};
@@ -490,12 +490,8 @@ impl Gauge {
     pub fn unseal(&mut self) -> Result<()> {
         let refuse =
             |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
-        let key = match self.keys.unseal {
-            Some(key) => key,
-            None if self.keys.no_default => {
-                return Err(refuse("SEALED, and no key is given; name a file with --key-file"));
-            }
-            None => self.chip.security.default_unseal,
+        let Some(key) = self.key(Name::Unseal) else {
+            return Err(refuse("SEALED, and no key is given; name a file with --key-file"));
         };
         if self.refused {
             return Err(refuse(
@@ -503,7 +499,7 @@ impl Gauge {
             ));
         }
         let failures = self.failures;
-        if self.takes(key, Seal::Unsealed)? {
+        if self.takes(&key, Seal::Unsealed)? {
             self.proven = true;
             return Ok(());
         }
@@ -533,15 +529,14 @@ impl Gauge {
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
     pub fn full_access(&mut self) -> Result<()> {
-        let key =
-            self.keys.full_access.or(if self.keys.no_default { None } else { Some(DEFAULT_FULL_ACCESS) });
         let refuse =
             |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
         if !self.chip.security.full_access {
             return Err(refuse("this part has no FULL ACCESS"));
         }
+        let key = self.key(Name::FullAccess);
         let key = key.ok_or_else(|| refuse("no full-access key is given; name a file with --key-file"))?;
-        if self.takes(key, Seal::FullAccess)? {
+        if self.takes(&key, Seal::FullAccess)? {
             return Ok(());
         }
         Err(Error::new(self.chip.model, Cause::NotPermitted("the gauge refused the full-access key".into()))
@@ -549,7 +544,7 @@ impl Gauge {
     }
 
     /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.
-    pub fn takes(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
+    pub fn takes(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
         if self.try_key(key, goal)? {
             return Ok(true);
         }
@@ -558,11 +553,12 @@ impl Gauge {
     }
 
     /// Sends both words of a key and returns whether the state followed.
-    pub fn try_key(&mut self, key: [u16; 2], goal: Seal) -> Result<bool> {
+    pub fn try_key(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
         self.set_secret(true);
         // A word that was not acknowledged is sent again at once: nothing may come between the two.
-        let mut send = |word: &u16| self.again(|gauge| gauge.write_once(CONTROL, &word.to_le_bytes()));
-        let sent = key.iter().try_for_each(&mut send);
+        let mut send = |word: &[u8]| self.again(|gauge| gauge.write_once(CONTROL, &[word[1], word[0]]));
+        let sent = key.bytes().chunks_exact(2).try_for_each(&mut send);
+        wipe_stack();
         self.set_secret(false);
         // A word that was not acknowledged counts as a refused key; the state read below shows it.
         if let Err(bus) = sent
@@ -644,7 +640,7 @@ impl Gauge {
             Name::FullAccess => Some(DEFAULT_FULL_ACCESS),
             Name::Authentication => None,
         };
-        let default = default.filter(|_| !self.keys.no_default).map(Secret::of_words);
+        let default = default.filter(|_| !self.keys.no_default).map(Secret::from);
         self.keys.secret(name).or(default)
     }
 

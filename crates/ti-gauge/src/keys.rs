@@ -1,9 +1,10 @@
 //! Key words, which appear nowhere: not in a log, a trace, an error or a process list.
 //!
 //! Errors about a key file name the file and the line, never its content: a line that is not understood
-//! may still be a key. The words are wiped from memory when they are dropped.
+//! may still be a key. A key is in one allocation, which is wiped when the last of its owners is dropped.
 
 use std::fmt;
+use std::sync::Arc;
 
 use zeroize::{Zeroize, Zeroizing};
 
@@ -52,33 +53,50 @@ impl Name {
 }
 
 /// One key as it is typed: two words in the order in which they are sent, each with its most significant
-/// byte first, or the 16 bytes of an authentication key. On the heap, so that a move leaves no copy behind.
-#[derive(PartialEq, Eq)]
-pub struct Secret(Zeroizing<Vec<u8>>);
+/// byte first, or the 16 bytes of an authentication key. Clones share the allocation, and a move leaves no copy behind.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(Arc<Zeroizing<Vec<u8>>>);
+
+/// A key of two words.
+impl From<[u16; 2]> for Secret {
+    fn from([first, second]: [u16; 2]) -> Self {
+        let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
+        Self::of_bytes(&[a, b, c, d])
+    }
+}
 
 impl Secret {
     /// Reads what was typed.
     pub fn parse(name: Name, text: &str) -> Option<Self> {
-        Some(match name {
-            Name::Unseal | Name::FullAccess => Self::of_words(words(text)?),
-            Name::Authentication => Self(Zeroizing::new(Zeroizing::new(digits(text)?).to_vec())),
-        })
+        let words = text.split_ascii_whitespace();
+        match name {
+            Name::Unseal | Name::FullAccess => {
+                let mut words = words.map(|word| word.strip_prefix("0x").unwrap_or(word));
+                let is_key = words.clone().count() == 2 && words.all(|word| word.len() == 4);
+                let digits = text.split_ascii_whitespace();
+                let digits = digits.flat_map(|word| word.strip_prefix("0x").unwrap_or(word).bytes());
+                if is_key { Self::of_digits(digits, 4) } else { None }
+            }
+            Name::Authentication => Self::of_digits(words.flat_map(str::bytes), 16),
+        }
     }
 
-    /// A copy of the key.
-    pub fn clone_of(other: &Self) -> Self {
-        Self(other.0.clone())
+    /// Reads that many bytes in hexadecimal, directly into the allocation.
+    fn of_digits(mut digits: impl Iterator<Item = u8>, length: usize) -> Option<Self> {
+        let mut bytes = Zeroizing::new(Vec::with_capacity(length));
+        let half = |digit: u8| char::from(digit).to_digit(16).map(|half| half as u8);
+        while let Some(digit) = digits.next() {
+            if bytes.len() == length {
+                return None;
+            }
+            bytes.push(half(digit)? << 4 | half(digits.next()?)?);
+        }
+        (bytes.len() == length).then(|| Self(Arc::new(bytes)))
     }
 
     /// A key of these bytes.
     pub fn of_bytes(bytes: &[u8]) -> Self {
-        Self(Zeroizing::new(bytes.to_vec()))
-    }
-
-    /// A key of two words.
-    pub fn of_words([first, second]: [u16; 2]) -> Self {
-        let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
-        Self(Zeroizing::new(vec![a, b, c, d]))
+        Self(Arc::new(Zeroizing::new(bytes.to_vec())))
     }
 
     /// Its bytes.
@@ -160,21 +178,13 @@ impl KeyChange {
 #[derive(Clone, Default)]
 pub struct Keys {
     /// The two words that unseal, in the order they are sent.
-    pub unseal: Option<[u16; 2]>,
+    pub unseal: Option<Secret>,
     /// The two words that lead from UNSEALED to FULL ACCESS.
-    pub full_access: Option<[u16; 2]>,
+    pub full_access: Option<Secret>,
     /// The key with which the gauge computes the answer to a challenge.
-    pub authentication: Option<[u8; 16]>,
+    pub authentication: Option<Secret>,
     /// Whether the manual's default keys must not be tried where none is given.
     pub no_default: bool,
-}
-
-impl Drop for Keys {
-    fn drop(&mut self) {
-        self.unseal.zeroize();
-        self.full_access.zeroize();
-        self.authentication.zeroize();
-    }
 }
 
 impl fmt::Debug for Keys {
@@ -193,6 +203,12 @@ impl Keys {
     /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section apply to
     /// all gauges; those below `[NAME]` apply to the gauge of that name and take precedence.
     pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
+        let keys = Self::parse_lines(name, text, gauge);
+        wipe_stack();
+        keys
+    }
+
+    fn parse_lines(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
         let (mut general, mut own) = (Self::default(), Self::default());
         let mut sections: Vec<&str> = Vec::new();
         // The keys of the present section, to find those that are given twice.
@@ -243,21 +259,20 @@ impl Keys {
     /// The key of that name.
     pub fn secret(&self, name: Name) -> Option<Secret> {
         match name {
-            Name::Unseal => self.unseal.map(Secret::of_words),
-            Name::FullAccess => self.full_access.map(Secret::of_words),
-            Name::Authentication => {
-                self.authentication.as_ref().map(|key| Secret(Zeroizing::new(key.to_vec())))
-            }
+            Name::Unseal => self.unseal.clone(),
+            Name::FullAccess => self.full_access.clone(),
+            Name::Authentication => self.authentication.clone(),
         }
     }
 
     /// Replaces the key of that name.
     pub fn set(&mut self, name: Name, secret: &Secret) {
-        match name {
-            Name::Unseal => self.unseal = Some(secret.words()),
-            Name::FullAccess => self.full_access = Some(secret.words()),
-            Name::Authentication => self.authentication = secret.bytes().try_into().ok(),
-        }
+        let key = match name {
+            Name::Unseal => &mut self.unseal,
+            Name::FullAccess => &mut self.full_access,
+            Name::Authentication => &mut self.authentication,
+        };
+        *key = Some(secret.clone());
     }
 }
 
@@ -269,32 +284,6 @@ pub fn is_name(text: &str) -> bool {
 
 const WORDS: &str = "expected two words of four hexadecimal digits, such as 0414 3672";
 const DIGITS: &str = "expected 32 hexadecimal digits";
-
-/// Two key words such as `0414 3672`, in the order they are sent.
-pub fn words(text: &str) -> Option<[u16; 2]> {
-    let mut words = text.split_ascii_whitespace().map(|word| {
-        let word = word.strip_prefix("0x").unwrap_or(word);
-        let hexadecimal = word.len() == 4 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
-        hexadecimal.then(|| u16::from_str_radix(word, 16).ok()).flatten()
-    });
-    let key = [words.next()??, words.next()??];
-    words.next().is_none().then_some(key)
-}
-
-fn digits(text: &str) -> Option<[u8; 16]> {
-    // Reserved at once: growing would leave copies behind that are not wiped.
-    let mut tight = Zeroizing::new(String::with_capacity(text.len()));
-    text.split_ascii_whitespace().for_each(|word| tight.push_str(word));
-    let text = tight;
-    if text.len() != 32 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return None;
-    }
-    let mut key = [0; 16];
-    for (at, byte) in key.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).ok()?;
-    }
-    Some(key)
-}
 
 #[cfg(test)]
 mod tests {
@@ -309,9 +298,9 @@ mod tests {
         let text = "# pack 7\nunseal = 0414 3672\n\nfull_access=FFFF ffff # as it came\r\n\
                     authentication = 0123456789abcdef FEDCBA9876543210";
         let keys = Keys::parse("keys", text.as_bytes(), "BAT0").expect("a good key file");
-        assert_eq!(keys.unseal, Some([0x0414, 0x3672]));
-        assert_eq!(keys.full_access, Some([0xffff, 0xffff]));
-        assert_eq!(keys.authentication.map(|key| (key[0], key[8])), Some((0x01, 0xfe)));
+        assert_eq!(keys.unseal, Some([0x0414, 0x3672].into()));
+        assert_eq!(keys.full_access, Some([0xffff, 0xffff].into()));
+        assert_eq!(keys.authentication.map(|key| (key.bytes()[0], key.bytes()[8])), Some((0x01, 0xfe)));
         assert!(Keys::parse("keys", b"", "BAT0").expect("an empty one").unseal.is_none());
     }
 
@@ -339,12 +328,12 @@ mod tests {
         let text = b"unseal = 1111 2222\nfull_access = 3333 4444\n[BAT0]\nunseal = 5555 6666 # its own\n\n\
                      [ PACK-7 ]\nauthentication = 000102030405060708090a0b0c0d0e0f\n";
         let keys = |gauge| Keys::parse("keys", text, gauge).expect("a good key file");
-        assert_eq!(keys("BAT0").unseal, Some([0x5555, 0x6666]));
-        assert_eq!(keys("BAT0").full_access, Some([0x3333, 0x4444]));
+        assert_eq!(keys("BAT0").unseal, Some([0x5555, 0x6666].into()));
+        assert_eq!(keys("BAT0").full_access, Some([0x3333, 0x4444].into()));
         assert!(keys("BAT0").authentication.is_none());
-        assert_eq!(keys("PACK-7").unseal, Some([0x1111, 0x2222]));
-        assert_eq!(keys("PACK-7").authentication.map(|key| key[15]), Some(15));
-        assert_eq!(keys("BAT").unseal, Some([0x1111, 0x2222]));
+        assert_eq!(keys("PACK-7").unseal, Some([0x1111, 0x2222].into()));
+        assert_eq!(keys("PACK-7").authentication.map(|key| key.bytes()[15]), Some(15));
+        assert_eq!(keys("BAT").unseal, Some([0x1111, 0x2222].into()));
     }
 
     #[test]
@@ -404,7 +393,7 @@ mod tests {
 
     #[test]
     fn keys_do_not_show_themselves() {
-        let keys = Keys { unseal: Some([0xbeef, 0xcafe]), ..Keys::default() };
+        let keys = Keys { unseal: Some([0xbeef, 0xcafe].into()), ..Keys::default() };
         assert_eq!(format!("{keys:?}"), "Keys { hidden }");
         let change = KeyChange::parse(b"unseal 0414 3672 beef cafe").expect("a change");
         assert_eq!(format!("{change:?}"), "KeyChange { name: Unseal, old: hidden, new: hidden }");

@@ -287,7 +287,7 @@ impl Task<'_> {
         let is_stored = |key: &Secret| self.is_stored(window, key, self.at);
         for key in [old, new] {
             if is_stored(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
-                return Ok(Secret::clone_of(key));
+                return Ok(key.clone());
             }
         }
         let present = &window[self.at..self.at + old.bytes().len()];
@@ -306,7 +306,7 @@ impl Task<'_> {
     fn ring(&self, gauge: &Gauge, key: &Secret) -> Result<Ring> {
         let get = |name: Name| {
             if name == self.change.name {
-                return Ok(Secret::clone_of(key));
+                return Ok(key.clone());
             }
             gauge.key(name).ok_or_else(|| {
                 let why =
@@ -324,7 +324,7 @@ impl Task<'_> {
                 continue;
             }
             self.moved = true;
-            if !gauge.takes(key.words(), goal)? {
+            if !gauge.takes(key, goal)? {
                 let which = if name == self.change.name { "this" } else { "the mount's" };
                 let why = format!("the gauge refused {which} {} key", name.as_str());
                 return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Unseal));
@@ -340,8 +340,8 @@ impl Task<'_> {
             Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other, error.to_string()))
         })?;
         let digest = authentication::answered(gauge, &challenge, self.order)?;
-        let key = Zeroizing::new(key.bytes().try_into().expect("an authentication key has 16 bytes"));
-        if authentication::fits(&key, &challenge, &digest, self.order).is_some() {
+        let key = key.bytes().try_into().expect("an authentication key has 16 bytes");
+        if authentication::fits(key, &challenge, &digest, self.order).is_some() {
             return Ok(());
         }
         let why = "the answer to a challenge does not match this key";
@@ -549,8 +549,8 @@ impl Task<'_> {
     /// The key that leads to a seal state. Of the one that is changed that is the old one, the new one, or
     /// what is left of both where power failed between one word and the next.
     fn find(&self, gauge: &mut Gauge, name: Name, key: &Secret, goal: Seal) -> Result<Option<Secret>> {
-        if gauge.takes(key.words(), goal)? {
-            return Ok(Some(Secret::clone_of(key)));
+        if gauge.takes(key, goal)? {
+            return Ok(Some(key.clone()));
         }
         if name != self.change.name {
             return Ok(None);
@@ -563,8 +563,9 @@ impl Task<'_> {
         };
         for words in candidates {
             gauge.wait(gauge.chip.security.key_silence);
-            if gauge.try_key(words, goal)? {
-                return Ok(Some(Secret::of_words(words)));
+            let candidate = Secret::from(words);
+            if gauge.try_key(&candidate, goal)? {
+                return Ok(Some(candidate));
             }
         }
         Ok(None)

@@ -381,7 +381,7 @@ fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
     };
     // No journal has the keys.
     if plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
-        && gauge.takes(ERASED_KEY, Seal::Unsealed)?
+        && gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)?
     {
         return Ok(());
     }

@@ -501,7 +501,7 @@ fn a_wrong_key_is_sent_twice_and_then_never_again() {
     let folder = Folder::new("wrong");
     for (chip, (id, offset)) in PARTS {
         let mut rig = Rig::new(chip);
-        let keys = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+        let keys = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
         rig.start_with(&folder, keys, |bus, _, write, read| bus.transfer(write, read));
         rig.sim.clear_log();
         rig.arrive().expect("nothing to settle");
@@ -522,7 +522,7 @@ fn a_wrong_key_is_sent_twice_and_then_never_again() {
 #[test]
 fn a_write_whose_reset_would_lock_out_the_host_is_refused() {
     let folder = Folder::new("lockout");
-    let wrong = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+    let wrong = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
     for found in [Seal::Unsealed, Seal::FullAccess] {
         let mut rig = Rig::found("bq34z100-g1", found);
         let flash = rig.sim.flash();

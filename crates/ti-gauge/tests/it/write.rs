@@ -150,7 +150,7 @@ fn refusals_change_nothing() {
 #[test]
 fn without_a_key_a_sealed_gauge_stays_sealed() {
     let none = Keys { no_default: true, ..Keys::default() };
-    let wrong = Keys { unseal: Some([0x1234, 0x5678]), ..Keys::default() };
+    let wrong = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
     for keys in [none, wrong] {
         let mut rig = Rig::with("bq34z100-g1", keys, false);
         let before = rig.sim.flash();
