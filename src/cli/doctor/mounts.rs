@@ -3,69 +3,61 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
-use std::time::Duration;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::daemon::mountpoint::{entries, is_dead, ours};
+use crate::daemon::look::Look;
+use crate::daemon::mountpoint::{Entry, entries, ours};
 use crate::lock::{Holder, holder};
 
 /// Where the service mounts.
 const PLACE: &str = "/run/gaugefs";
-/// How long a daemon may take to answer.
-const PATIENCE: Duration = Duration::from_secs(2);
 /// Where root's daemons keep journals.
 const JOURNALS: &str = "/var/lib/gaugefs";
 
 pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = fs::read(host.at("/proc/self/mountinfo")).unwrap_or_default();
     let all: Vec<_> = entries(&table).collect();
+    // Daemons that do not answer are waited for at the same time.
+    let look = |mount: &Entry| Look::begin(&host.at(&mount.path.display().to_string())).ok();
+    let looks = all.iter().map(|mount| ours(&mount.kind, &mount.source).then(|| look(mount)).flatten());
+    let looks: Vec<_> = looks.collect();
     let mut findings = Vec::new();
-    for (index, (path, kind, source)) in all.iter().enumerate() {
+    for (index, (Entry { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
         let what = path.display().to_string();
-        let above = all[index + 1..].iter().find(|(above, ..)| above == path);
+        let above = all[index + 1..].iter().find(|above| above.path == *path);
         if !ours(kind, source) {
             if path.starts_with(PLACE) {
                 let says = format!("{kind} ({source}) is mounted where the service mounts gauges");
                 findings.push(problem(&what, says, format!("Unmount it as root: umount {what}")));
             }
-        } else if let Some((_, kind, source)) = above {
+        } else if let Some(Entry { kind, source, .. }) = above {
             let says = format!("a gaugefs is hidden below {kind} ({source})");
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
-            findings.push(match answer(host.at(&what)) {
-                Some(Answer::Alive) => ok(&what, "a gaugefs is mounted there"),
-                Some(Answer::Dead) => {
-                    let remedy = format!("Unmount it: gaugefs umount {what}");
-                    problem(&what, "a gaugefs whose process is gone", remedy)
-                }
-                None => {
-                    let says = "a gaugefs whose process does not answer";
-                    problem(&what, says, "Find out what stops the process, or kill it.")
-                }
+            let found = look.map(Look::end).unwrap_or_default();
+            findings.push(if found.late {
+                let says = "a gaugefs whose process does not answer";
+                let remedy = format!(
+                    "Find out what stops the process, or remove the mount by force: gaugefs umount {what}"
+                );
+                problem(&what, says, remedy)
+            } else if found.dead == Some(true) {
+                let remedy = format!("Unmount it: gaugefs umount {what}");
+                problem(&what, "a gaugefs whose process is gone", remedy)
+            } else {
+                ok(&what, "a gaugefs is mounted there")
             });
         }
     }
-    if !all.iter().any(|(_, kind, source)| ours(kind, source)) {
+    if !all.iter().any(|mount| ours(&mount.kind, &mount.source)) {
         findings.push(ok("mounts", "no gaugefs is mounted"));
     }
-    let mounted = |path: &Path| all.iter().any(|(at, kind, source)| at == path && ours(kind, source));
+    let mounted =
+        |path: &Path| all.iter().any(|mount| mount.path == path && ours(&mount.kind, &mount.source));
     findings.extend(locks(host, &mounted));
     findings.extend(journals(host));
     findings
-}
-
-enum Answer {
-    Alive,
-    Dead,
-}
-
-/// How the daemon of a mount answers, if it does. A thread asks: one that hangs would block doctor too.
-fn answer(path: PathBuf) -> Option<Answer> {
-    let (sender, receiver) = mpsc::channel();
-    std::thread::spawn(move || sender.send(if is_dead(&path) { Answer::Dead } else { Answer::Alive }));
-    receiver.recv_timeout(PATIENCE).ok()
 }
 
 /// Journals of writes that are in progress, or were interrupted.
