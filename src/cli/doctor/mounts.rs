@@ -1,14 +1,14 @@
 //! Mounts, alive or dead, and who holds which gauge.
 
 use std::fs;
-use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use crate::daemon::look::Look;
 use crate::daemon::mountpoint::{Entry, entries, ours};
-use crate::lock::{Holder, holder};
+use crate::lock::{holding, mountpoint_of, process};
+use gauge_bus::regular;
 
 /// Where the service mounts.
 const PLACE: &str = "/run/gaugefs";
@@ -76,27 +76,29 @@ fn journals(host: &Host) -> Vec<Finding> {
 
 /// Locks that are held, and whether their holders have mounted the gauge.
 fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
-    let uid = host.uid;
-    let folders = [PLACE.into(), format!("/run/user/{uid}/gaugefs"), format!("/tmp/gaugefs-{uid}")];
+    let state = format!("{}/.local/state/gaugefs", host.home());
+    let folders = [PLACE.into(), JOURNALS.into(), format!("/run/user/{}/gaugefs", host.uid), state];
+    let listed = host.text("/proc/locks");
     let (mut findings, mut left) = (Vec::new(), 0);
     for folder in folders {
         for name in host.names(&folder) {
             let Some(key) = name.strip_suffix(".lock") else { continue };
             let path = host.at(&format!("{folder}/{name}"));
-            if !is_held(host, &path) {
+            // It is looked up, because trying it would take it.
+            let Some(pid) = fs::metadata(&path).ok().and_then(|status| holding(&listed, &status)) else {
                 left += 1;
                 continue;
-            }
+            };
             let what = format!("lock {key}");
-            let found = fs::File::open(&path).ok().and_then(|mut file| holder(&mut file));
-            findings.push(match found {
-                None => ok(what, "held by a process that is starting or ending"),
-                Some(Holder { pid, mountpoint }) if mounted(&mountpoint) => {
-                    ok(what, format!("held by process {pid}, mounted at {}", mountpoint.display()))
+            let who = process(host.root(), pid);
+            let file = regular::open(fs::File::options().read(true), &path);
+            findings.push(match file.ok().and_then(|mut file| mountpoint_of(&mut file, pid)) {
+                None => ok(what, format!("held by {who}")),
+                Some(place) if mounted(&place) => {
+                    ok(what, format!("held by {who}, mounted at {}", place.display()))
                 }
-                Some(Holder { pid, mountpoint }) => {
-                    let place = mountpoint.display();
-                    let says = format!("held by process {pid}, but nothing is mounted at {place}");
+                Some(place) => {
+                    let says = format!("held by {who}, but nothing is mounted at {}", place.display());
                     let remedy = format!("The process is starting or ending; if that takes long: kill {pid}");
                     warning(what, says, remedy)
                 }
@@ -107,14 +109,4 @@ fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
         findings.push(ok("locks", format!("{left} left over, held by no process; harmless")));
     }
     findings
-}
-
-/// Whether a process holds the lock. It is looked up, because trying it would take it.
-fn is_held(host: &Host, path: &PathBuf) -> bool {
-    let Ok(status) = fs::metadata(path) else { return false };
-    host.text("/proc/locks").lines().any(|line| {
-        let words: Vec<_> = line.split_ascii_whitespace().collect();
-        let inode = words.get(5).and_then(|place| place.rsplit(':').next()?.parse().ok());
-        words.get(1) == Some(&"FLOCK") && inode == Some(status.ino())
-    })
 }
