@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::daemon::{look, service};
 use crate::error::Result;
+use crate::key_file;
 
 mod auth;
 mod chips;
@@ -66,6 +67,12 @@ enum Command {
     /// Remove the mounts of services that have ended; systemd's units run it as root
     #[command(hide = true)]
     Detach,
+    /// Check that nobody else may read the key file of a service; systemd's units run it as root
+    #[command(hide = true)]
+    CheckKeys {
+        /// The key file
+        file: PathBuf,
+    },
     /// Print a full path and whether its daemon is gone; the other commands run it with a time limit
     #[command(hide = true)]
     Look {
@@ -95,6 +102,7 @@ impl Command {
             Self::Man(command) => command.run(),
             Self::Attach(command) => command.run(),
             Self::Detach => service::detach().map(|()| ExitCode::SUCCESS),
+            Self::CheckKeys { file } => key_file::check(&file).map(|()| ExitCode::SUCCESS),
             Self::Look { path } => look::answer(&path).map(|()| ExitCode::SUCCESS),
         }
     }
