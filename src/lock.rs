@@ -25,7 +25,7 @@ use nix::fcntl::{Flock, FlockArg};
 use nix::sys::stat::{major, minor};
 use nix::unistd::{Uid, User, geteuid};
 
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
@@ -194,7 +194,7 @@ impl fmt::Display for Holder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&process(Path::new("/"), self.pid))?;
         match &self.mountpoint {
-            Some(place) => write!(f, " for {0}; end it with: gaugefs umount {0}", place.display()),
+            Some(place) => write!(f, " for {0}; end it with: gaugefs umount {0}", shown(place)),
             None => write!(f, "; if it is a gaugefs, unmount it, otherwise end it: kill {}", self.pid),
         }
     }

@@ -18,7 +18,7 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::geteuid;
 
 use super::look::{self, Found, Look};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Result, shown};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
 
@@ -150,7 +150,7 @@ pub fn unmount(path: &Path) -> Result<()> {
         }),
         Mounted::Dead | Mounted::Hung => force(&path),
         Mounted::Nothing => {
-            let there: Vec<_> = list().iter().map(|path| path.display().to_string()).collect();
+            let there: Vec<_> = list().iter().map(|path| shown(path)).collect();
             let why = match there.len() {
                 0 => "no gaugefs is mounted there, or anywhere else".to_string(),
                 _ => format!("no gaugefs is mounted there; there is one at {}", there.join(", ")),
@@ -355,7 +355,7 @@ fn users(path: &Path) -> Vec<String> {
         });
     let named = using.map(|process| {
         let name = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-        format!("process {} ({})", process.file_name().display(), name.trim())
+        format!("process {} ({})", process.file_name().display(), name.trim().escape_debug())
     });
     named.collect()
 }

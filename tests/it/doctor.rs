@@ -253,6 +253,19 @@ fn mounts_and_locks_are_listed() {
     system.says("ok", "locks", &["1 left over"]);
 }
 
+/// A user may mount wherever they like.
+#[test]
+fn a_mount_point_cannot_add_a_line_to_the_report() {
+    let system = System::new();
+    system.write(
+        "proc/self/mountinfo",
+        "40 22 0:36 / /home/bob/x\\012problem\\040\\040Linux:\\040gone rw - fuse.gaugefs gaugefs rw\n",
+    );
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert!(text.contains("/home/bob/x\\nproblem  Linux: gone: a gaugefs is mounted there\n"), "{text}");
+    assert!(!text.contains("\nproblem"), "{text}");
+}
+
 #[test]
 fn journals_are_listed() {
     let system = System::new();

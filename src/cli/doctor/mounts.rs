@@ -7,6 +7,7 @@ use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use crate::daemon::look::Look;
 use crate::daemon::mountpoint::{Entry, entries, ours};
+use crate::error::shown;
 use crate::lock::{holding, mountpoint_of, process};
 use gauge_bus::regular;
 
@@ -19,12 +20,12 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = fs::read(host.at("/proc/self/mountinfo")).unwrap_or_default();
     let all: Vec<_> = entries(&table).collect();
     // Daemons that do not answer are waited for at the same time.
-    let look = |mount: &Entry| Look::begin(&host.at(&mount.path.display().to_string())).ok();
+    let look = |mount: &Entry| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();
     let looks = all.iter().map(|mount| ours(&mount.kind, &mount.source).then(|| look(mount)).flatten());
     let looks: Vec<_> = looks.collect();
     let mut findings = Vec::new();
     for (index, (Entry { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
-        let what = path.display().to_string();
+        let what = shown(path);
         let above = all[index + 1..].iter().find(|above| above.path == *path);
         if !ours(kind, source) {
             if path.starts_with(PLACE) {
@@ -95,10 +96,10 @@ fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
             findings.push(match file.ok().and_then(|mut file| mountpoint_of(&mut file, pid)) {
                 None => ok(what, format!("held by {who}")),
                 Some(place) if mounted(&place) => {
-                    ok(what, format!("held by {who}, mounted at {}", place.display()))
+                    ok(what, format!("held by {who}, mounted at {}", shown(&place)))
                 }
                 Some(place) => {
-                    let says = format!("held by {who}, but nothing is mounted at {}", place.display());
+                    let says = format!("held by {who}, but nothing is mounted at {}", shown(&place));
                     let remedy = format!("The process is starting or ending; if that takes long: kill {pid}");
                     warning(what, says, remedy)
                 }
