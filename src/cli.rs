@@ -2,14 +2,15 @@
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 
-use crate::daemon::service;
+use crate::daemon::{look, service};
 use crate::error::Result;
+use crate::key_file;
 
 mod auth;
 mod chips;
@@ -66,6 +67,18 @@ enum Command {
     /// Remove the mounts of services that have ended; systemd's units run it as root
     #[command(hide = true)]
     Detach,
+    /// Check that nobody else may read the key file of a service; systemd's units run it as root
+    #[command(hide = true)]
+    CheckKeys {
+        /// The key file
+        file: PathBuf,
+    },
+    /// Print a full path and whether its daemon is gone; the other commands run it with a time limit
+    #[command(hide = true)]
+    Look {
+        /// The path
+        path: PathBuf,
+    },
 }
 
 impl Command {
@@ -89,6 +102,8 @@ impl Command {
             Self::Man(command) => command.run(),
             Self::Attach(command) => command.run(),
             Self::Detach => service::detach().map(|()| ExitCode::SUCCESS),
+            Self::CheckKeys { file } => key_file::check(&file).map(|()| ExitCode::SUCCESS),
+            Self::Look { path } => look::answer(&path).map(|()| ExitCode::SUCCESS),
         }
     }
 }

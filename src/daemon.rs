@@ -16,6 +16,7 @@ pub mod background;
 mod gauges;
 mod journal_dir;
 pub mod log;
+pub(crate) mod look;
 pub mod mountpoint;
 pub mod node;
 pub mod service;

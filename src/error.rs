@@ -1,5 +1,6 @@
 //! Errors of the program: the core's, with an errno, and those of the host.
 
+use std::path::Path;
 use std::{fmt, io};
 
 use nix::errno::Errno;
@@ -10,6 +11,18 @@ use crate::errno;
 
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// A path in a message. Where another user has chosen it, such as a mount point, it may contain line ends.
+pub(crate) fn shown(path: &Path) -> String {
+    let mut text = String::new();
+    for letter in path.to_string_lossy().chars() {
+        match letter.is_control() {
+            true => text.extend(letter.escape_default()),
+            false => text.push(letter),
+        }
+    }
+    text
+}
 
 /// One failure: one line that a technician can act on, and the errno that a file operation answers with.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! Where keys come from: a file that nobody else may read, or a systemd credential.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, Read};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
@@ -13,6 +13,8 @@ use crate::error::{Cause, Error, Result};
 
 /// Name of the systemd credential that takes the place of a key file.
 pub const CREDENTIAL: &str = "gaugefs-keys";
+/// Environment variable with the file that a unit's credential is a copy of, for messages.
+const SOURCE: &str = "GAUGEFS_KEYS";
 /// A key file has a few lines a gauge; more than this is some other file.
 const LONGEST: usize = 16384;
 
@@ -20,8 +22,25 @@ const LONGEST: usize = 16384;
 pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
     let name = path.display().to_string();
     let (file, status) = open(path, &name)?;
+    private(&status, &name)?;
+    Ok(Keys::parse(&name, &read(file, &name)?, gauge)?)
+}
+
+/// Checks, for root, the file that systemd copies to a service's credential: the copy does not show who may read
+/// the original. A file that does not exist is none that others can read.
+pub fn check(path: &Path) -> Result<()> {
+    let name = path.display().to_string();
+    match open(path, &name) {
+        Ok((_, status)) => private(&status, &name),
+        Err(error) if error.errno() == Errno::ENOENT => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+/// Refuses a key file that belongs to another user, or that others may read.
+fn private(status: &Metadata, name: &str) -> Result<()> {
     let me = nix::unistd::geteuid().as_raw();
-    let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
+    let refuse = |why: String| Err(Error::new(name, Cause::NotPermitted(why)));
     if status.uid() != me && status.uid() != 0 {
         return refuse(format!("the key file belongs to user {}; it must be yours or root's", status.uid()));
     }
@@ -29,23 +48,28 @@ pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
         let mode = status.mode() & 0o777;
         return refuse(format!("others may read the key file (mode {mode:03o}); chmod 600 {name}"));
     }
-    Ok(Keys::parse(&name, &read(file, &name)?, gauge)?)
+    Ok(())
 }
 
-/// The keys that systemd hands to the service for the gauge of that name, where it does. Who may read
-/// them is its business.
+/// The keys that systemd hands to the service for the gauge of that name, where it does. The unit has checked
+/// the original with [`check`].
 pub fn from_credential(gauge: &str) -> Result<Option<Keys>> {
-    let Some(folder) = std::env::var_os("CREDENTIALS_DIRECTORY") else { return Ok(None) };
-    let path = PathBuf::from(folder).join(CREDENTIAL);
-    if !path.exists() {
-        return Ok(None);
-    }
-    let name = path.display().to_string();
+    let Some(path) = credential().filter(|path| path.exists()) else { return Ok(None) };
+    let name = of_credential().unwrap_or_else(|| path.display().to_string());
     let (file, _) = open(&path, &name)?;
     Ok(Some(Keys::parse(&name, &read(file, &name)?, gauge)?))
 }
 
-fn open(path: &Path, name: &str) -> Result<(File, std::fs::Metadata)> {
+/// The file that the credential is a copy of, where this process has a credential and the unit names its file.
+pub fn of_credential() -> Option<String> {
+    credential().and_then(|_| std::env::var(SOURCE).ok())
+}
+
+fn credential() -> Option<PathBuf> {
+    std::env::var_os("CREDENTIALS_DIRECTORY").map(|folder| PathBuf::from(folder).join(CREDENTIAL))
+}
+
+fn open(path: &Path, name: &str) -> Result<(File, Metadata)> {
     let failed = |error: io::Error| Error::io(name, "cannot read the key file", &error);
     // A fifo must not keep the open waiting.
     let mut options = File::options();

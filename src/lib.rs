@@ -8,6 +8,7 @@ mod config;
 pub mod daemon;
 mod errno;
 pub mod error;
+mod folders;
 pub mod fs;
 pub mod fuse;
 pub mod key_file;

@@ -1,56 +1,71 @@
 //! A lock for each gauge, so that a second gaugefs is refused, with the process of the first.
 //!
-//! The lock is a file in `/run/gaugefs`, or in the user's own runtime folder. It is named after the
-//! adapter's number and the address, so that two paths of one adapter are the same gauge. The kernel
-//! releases the lock when its holder ends, for whatever reason; the file remains without meaning.
-//! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`.
+//! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is
+//! named after the adapter's number and the address, so that two paths of one adapter are the same gauge. The
+//! kernel releases the lock when its holder ends, for whatever reason; the holder removes the file, and one that
+//! is left behind has no effect.
+//!
+//! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`, for which write
+//! access to the bus is needed. Before that, the locks of root and of the services are looked up, to name them.
+//!
+//! Who holds a lock is what the kernel lists in `/proc/locks`, not what the file says.
 
 use std::ffi::OsStr;
-use std::fs::{self, DirBuilder, File};
-use std::io::{Read, Seek, Write};
+use std::fmt;
+use std::fs::{self, DirBuilder, File, Metadata};
+use std::io::{self, Read, Seek, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
-use nix::libc;
-use nix::unistd::geteuid;
+use nix::sys::stat::{major, minor};
+use nix::unistd::{Uid, User, geteuid};
 
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Result, shown};
+use crate::folders;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
+use gauge_bus::regular;
 
-/// Folder for the locks of root's daemons.
-const SHARED: &str = "/run/gaugefs";
 /// How long a holder that is about to end is waited for, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
 const STEP: Duration = Duration::from_millis(50);
 
+/// The files of the locks that this process holds, for [`remove_all`].
+static HELD: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
 /// Held while the gauge is in use.
 #[derive(Debug)]
-pub struct Lock(#[expect(dead_code, reason = "the lock is released when it is dropped")] Flock<File>);
+pub struct Lock {
+    path: PathBuf,
+    #[expect(dead_code, reason = "the lock is released when it is dropped")]
+    file: Flock<File>,
+}
 
-/// The holder of a gauge's lock.
+/// The process that holds a gauge's lock.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Holder {
-    /// Its process.
+    /// Its number.
     pub pid: i32,
-    /// Where it has mounted the gauge, or is going to.
-    pub mountpoint: PathBuf,
+    /// Where it has mounted the gauge, or is going to, if it is a gaugefs that this user may ask.
+    pub mountpoint: Option<PathBuf>,
 }
 
 impl Lock {
     /// Locks the gauge at an address of an adapter, to be mounted at `mountpoint`.
     ///
-    /// If the lock is held, `ending` decides whether its holder is about to end and is waited for.
+    /// If the lock is held, `ending` decides from its holder's mount point whether the holder is about to end
+    /// and is waited for.
     pub fn gauge(
         adapter: &Adapter,
         address: u8,
         mountpoint: &Path,
         clock: &dyn Clock,
-        ending: impl Fn(&Holder) -> bool,
+        ending: impl Fn(&Path) -> bool,
     ) -> Result<Self> {
         Self::take(
             &key_of_gauge(adapter, address),
@@ -66,7 +81,7 @@ impl Lock {
         state: &Path,
         mountpoint: &Path,
         clock: &dyn Clock,
-        ending: impl Fn(&Holder) -> bool,
+        ending: impl Fn(&Path) -> bool,
     ) -> Result<Self> {
         Self::take(&key_of_state(state), &state.display().to_string(), mountpoint, clock, ending)
     }
@@ -76,7 +91,7 @@ impl Lock {
         subject: &str,
         mountpoint: &Path,
         clock: &dyn Clock,
-        ending: impl Fn(&Holder) -> bool,
+        ending: impl Fn(&Path) -> bool,
     ) -> Result<Self> {
         let start = clock.now();
         loop {
@@ -84,14 +99,12 @@ impl Lock {
                 Ok(lock) => return Ok(lock),
                 Err(holder) => holder,
             };
-            let wait = holder.as_ref().is_none_or(&ending);
+            let mountpoint = holder.as_ref().and_then(|holder| holder.mountpoint.as_deref());
+            let wait = mountpoint.is_none_or(&ending);
             if !wait || clock.now().saturating_sub(start) > PATIENCE {
                 let why = match holder {
-                    Some(Holder { pid, mountpoint }) => format!(
-                        "in use by another gaugefs, process {pid}, for {0}; end it with: gaugefs umount {0}",
-                        mountpoint.display()
-                    ),
-                    None => "in use by another gaugefs".into(),
+                    Some(holder) => format!("in use by {holder}"),
+                    None => "in use by another process, which /proc/locks does not show".into(),
                 };
                 return Err(Error::new(subject, Cause::Busy(why)));
             }
@@ -103,37 +116,100 @@ impl Lock {
     fn attempt(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
         let name = format!("{key}.lock");
         let folder = folder()?;
-        if folder != Path::new(SHARED) {
-            // The locks of root's daemons are only checked.
-            if let Ok(file) = File::open(Path::new(SHARED).join(&name))
-                && let Err((mut file, Errno::EWOULDBLOCK)) = Flock::lock(file, FlockArg::LockSharedNonblock)
-            {
-                return Ok(Err(holder(&mut file)));
-            }
+        // A lock of another account is not for this one to take, but the kernel lists it.
+        for other in folders::SYSTEM_LOCKS.map(Path::new).iter().filter(|other| ***other != folder) {
+            let path = other.join(&name);
+            let Some(pid) = fs::metadata(&path).ok().and_then(|status| holding(&listed(), &status)) else {
+                continue;
+            };
+            let file = regular::open(File::options().read(true), &path);
+            let mountpoint = file.ok().and_then(|mut file| mountpoint_of(&mut file, pid));
+            return Ok(Err(Some(Holder { pid, mountpoint })));
         }
         let path = folder.join(name);
         let failed = |error| Error::io(path.display().to_string(), "cannot lock the gauge", &error);
         let mut options = File::options();
-        options
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .mode(0o644)
-            .custom_flags(libc::O_NOFOLLOW);
-        let file = options.open(&path).map_err(failed)?;
-        match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
-            Ok(mut file) => {
-                file.set_len(0).map_err(failed)?;
-                let mut line = format!("{} ", std::process::id()).into_bytes();
-                line.extend_from_slice(mountpoint.as_os_str().as_bytes());
-                file.write_all(&line).map_err(failed)?;
-                Ok(Ok(Self(file)))
+        options.read(true).write(true).create(true).truncate(false).mode(0o600);
+        loop {
+            let file = regular::open(&options, &path).map_err(failed)?;
+            let status = file.metadata().map_err(failed)?;
+            let same = |there: Metadata| (there.dev(), there.ino()) == (status.dev(), status.ino());
+            let is_there = || fs::symlink_metadata(&path).is_ok_and(same);
+            if status.mode() & 0o077 != 0 && is_there() {
+                // Somebody else may have it open, and lock it at will.
+                remove(&path).map_err(failed)?;
+                continue;
             }
-            Err((mut file, Errno::EWOULDBLOCK)) => Ok(Err(holder(&mut file))),
-            Err((_, errno)) => Err(failed(errno.into())),
+            let mut file = match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
+                Ok(file) => file,
+                Err((mut file, Errno::EWOULDBLOCK)) => return Ok(Err(holder(&mut file))),
+                Err((_, errno)) => return Err(failed(errno.into())),
+            };
+            // Its last holder may have removed it since it was opened; then the lock excludes nobody.
+            if !is_there() {
+                continue;
+            }
+            file.set_len(0).map_err(failed)?;
+            let mut line = format!("{} ", std::process::id()).into_bytes();
+            line.extend_from_slice(mountpoint.as_os_str().as_bytes());
+            file.write_all(&line).map_err(failed)?;
+            held().push(path.clone());
+            return Ok(Ok(Self { path, file }));
         }
     }
+}
+
+impl Drop for Lock {
+    /// Removes the file before the lock is released, so that it is never another's.
+    fn drop(&mut self) {
+        let mut held = held();
+        if let Some(at) = held.iter().position(|path| *path == self.path) {
+            held.swap_remove(at);
+            let _ = remove(&self.path);
+        }
+    }
+}
+
+/// Removes the files of all locks that this process holds. To be called right before it exits; the locks are
+/// released then.
+pub fn remove_all() {
+    for path in held().drain(..) {
+        let _ = remove(&path);
+    }
+}
+
+fn held() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
+    HELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes a file that may be gone already.
+fn remove(path: &Path) -> io::Result<()> {
+    fs::remove_file(path).or_else(|error| match error.kind() {
+        io::ErrorKind::NotFound => Ok(()),
+        _ => Err(error),
+    })
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&process(Path::new("/"), self.pid))?;
+        match &self.mountpoint {
+            Some(place) => write!(f, " for {0}; end it with: gaugefs umount {0}", shown(place)),
+            None => write!(f, "; if it is a gaugefs, unmount it, otherwise end it: kill {}", self.pid),
+        }
+    }
+}
+
+/// A process of the system below `root`, with its program and its user: `process 12 (gaugefs of root)`.
+pub fn process(root: &Path, pid: i32) -> String {
+    let folder = root.join(format!("proc/{pid}"));
+    let program = fs::read_to_string(folder.join("comm")).ok();
+    let user = fs::metadata(&folder).ok().map(|status| status.uid());
+    let (Some(program), Some(uid)) = (program, user) else { return format!("process {pid}") };
+    let user =
+        User::from_uid(Uid::from_raw(uid)).ok().flatten().map_or(format!("user {uid}"), |user| user.name);
+    // Every process chooses its own name.
+    format!("process {pid} ({} of {user})", program.trim_end_matches('\n').escape_debug())
 }
 
 /// A name for the gauge at an address of an adapter, unique at any one time.
@@ -156,26 +232,51 @@ pub fn key_of_state(state: &Path) -> String {
     format!("sim-{hash:016x}")
 }
 
-/// The process that wrote the lock's file last, which is the holder of a lock that is held.
-pub fn holder(file: &mut File) -> Option<Holder> {
+/// The holder of a lock that is held, if the kernel shows it.
+fn holder(file: &mut File) -> Option<Holder> {
+    let pid = holding(&listed(), &file.metadata().ok()?)?;
+    Some(Holder { pid, mountpoint: mountpoint_of(file, pid) })
+}
+
+/// The mount point of the process that holds a lock, if that process has written the lock's file.
+pub fn mountpoint_of(file: &mut File, pid: i32) -> Option<PathBuf> {
     let mut line = Vec::new();
     file.rewind().ok()?;
     file.take(8192).read_to_end(&mut line).ok()?;
     let space = line.iter().position(|&byte| byte == b' ')?;
-    let pid = std::str::from_utf8(&line[..space]).ok()?.parse().ok()?;
-    Some(Holder { pid, mountpoint: PathBuf::from(OsStr::from_bytes(&line[space + 1..])) })
+    let writer: i32 = str::from_utf8(&line[..space]).ok()?.parse().ok()?;
+    (writer == pid).then(|| PathBuf::from(OsStr::from_bytes(&line[space + 1..])))
+}
+
+/// The locks of all processes.
+fn listed() -> String {
+    fs::read_to_string("/proc/locks").unwrap_or_default()
+}
+
+/// The process that holds the lock of a file, in the kernel's list.
+pub fn holding(listed: &str, file: &Metadata) -> Option<i32> {
+    let inode = format!("{:02x}:{:02x}:{}", major(file.dev()), minor(file.dev()), file.ino());
+    listed.lines().find_map(|line| {
+        // `1: FLOCK  ADVISORY  WRITE 359 00:13:11691 0 EOF`; a process that waits has an arrow in the second column.
+        let [_, "FLOCK", _, _, pid, place, ..] = line.split_ascii_whitespace().collect::<Vec<_>>()[..] else {
+            return None;
+        };
+        if place == inode { pid.parse().ok() } else { None }
+    })
 }
 
 /// The folder for locks, to which no other user can write.
 fn folder() -> Result<PathBuf> {
     let me = geteuid();
-    let (folder, mode) = match std::env::var_os("XDG_RUNTIME_DIR") {
-        _ if me.is_root() => (PathBuf::from(SHARED), 0o755),
-        Some(runtime) if Path::new(&runtime).is_absolute() => (Path::new(&runtime).join("gaugefs"), 0o700),
-        _ => (PathBuf::from(format!("/tmp/gaugefs-{me}")), 0o700),
+    let folder = folders::locks().ok_or_else(|| {
+        let why = "this account has no home for the lock; set XDG_RUNTIME_DIR to a folder of its own";
+        Error::host("lock", Errno::ENOENT, why)
+    })?;
+    let mode = if me.is_root() { 0o755 } else { 0o700 };
+    let failed = |error| {
+        let what = "cannot create the folder for locks; XDG_RUNTIME_DIR names another one";
+        Error::io(folder.display().to_string(), what, &error)
     };
-    let failed =
-        |error| Error::io(folder.display().to_string(), "cannot create the folder for locks", &error);
     DirBuilder::new().recursive(true).mode(mode).create(&folder).map_err(failed)?;
     let status = fs::symlink_metadata(&folder).map_err(failed)?;
     if !status.is_dir() || status.uid() != me.as_raw() || status.mode() & 0o022 != 0 {
@@ -190,21 +291,91 @@ mod tests {
     use super::*;
     use gauge_bus::clock::SimClock;
 
+    fn state(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("gaugefs-lock-{name}-{}", std::process::id()))
+    }
+
+    fn file(state: &Path) -> PathBuf {
+        folder().expect("a folder").join(format!("{}.lock", key_of_state(state)))
+    }
+
     #[test]
     fn a_second_lock_is_refused_with_the_holder_of_the_first() {
-        let state = std::env::temp_dir().join(format!("gaugefs-lock-{}", std::process::id()));
+        let state = state("second");
         let clock = SimClock::new();
         let lock = |ending: bool| Lock::state(&state, Path::new("/mnt/with space"), &clock, |_| ending);
         let first = lock(false).expect("not held");
+        let mode = fs::metadata(file(&state)).expect("a file").mode();
+        assert_eq!(mode & 0o777, 0o600, "others could hold it");
         let refused = lock(false).expect_err("held by the first");
         assert_eq!(refused.errno(), Errno::EBUSY);
-        let pid = std::process::id();
-        let text = refused.to_string();
-        assert!(text.contains(&format!("process {pid}, for /mnt/with space;")), "{text}");
+        let (text, pid) = (refused.to_string(), std::process::id());
+        assert!(text.contains(&format!("in use by process {pid} (")), "{text}");
+        assert!(
+            text.contains(") for /mnt/with space; end it with: gaugefs umount /mnt/with space"),
+            "{text}"
+        );
         assert_eq!(clock.now(), Duration::ZERO);
         lock(true).expect_err("held by one that does not end");
         assert!(clock.now() > PATIENCE);
         drop(first);
+        assert!(!file(&state).exists(), "the file is left behind");
         lock(false).expect("released");
+    }
+
+    #[test]
+    fn the_holder_is_the_process_that_holds_the_lock_and_not_the_one_in_the_file() {
+        let state = state("holder");
+        let path = file(&state);
+        let mut options = File::options();
+        options.write(true).create(true).truncate(true).mode(0o600);
+        let held = options.open(&path).expect("a file");
+        fs::write(&path, "1 /mnt").expect("a line");
+        let held = Flock::lock(held, FlockArg::LockExclusiveNonblock).expect("not held");
+        let refused = Lock::state(&state, Path::new("/mnt"), &SimClock::new(), |_| false);
+        let text = refused.expect_err("held").to_string();
+        assert!(text.contains(&format!("in use by process {} (", std::process::id())), "{text}");
+        assert!(!text.contains("/mnt"), "{text}");
+        drop(held);
+        fs::remove_file(path).expect("it is left");
+    }
+
+    /// An older version made it with mode 644, so that any user could keep a shared lock on it.
+    #[test]
+    fn a_file_that_others_can_open_is_replaced() {
+        let state = state("shared");
+        let path = file(&state);
+        fs::write(&path, "1 /mnt").expect("a file");
+        fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o644)).expect("its mode");
+        let reader = Flock::lock(File::open(&path).expect("opens"), FlockArg::LockSharedNonblock);
+        let lock =
+            Lock::state(&state, Path::new("/mnt"), &SimClock::new(), |_| false).expect("it is replaced");
+        assert_eq!(fs::metadata(&path).expect("a file").mode() & 0o777, 0o600);
+        drop((lock, reader));
+        assert!(!path.exists());
+    }
+
+    /// The file is removed while another process has opened it, but not yet locked it.
+    #[test]
+    fn at_no_time_do_two_hold_the_lock() {
+        let state = state("race");
+        let holders = std::sync::atomic::AtomicU32::new(0);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..200 {
+                        let Ok(Ok(lock)) = Lock::attempt(&key_of_state(&state), Path::new("/mnt")) else {
+                            continue;
+                        };
+                        let others = holders.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+                        assert_eq!(others, 0);
+                        std::thread::yield_now();
+                        holders.fetch_sub(1, std::sync::atomic::Ordering::SeqCst);
+                        drop(lock);
+                    }
+                });
+            }
+        });
+        assert!(!file(&state).exists());
     }
 }

@@ -49,6 +49,8 @@ pub use request::{Done, Request};
 pub struct Settings {
     /// Its keys.
     pub keys: Keys,
+    /// Where they are to be put, for messages.
+    pub key_file: Option<String>,
     /// Time between polls.
     pub interval: Duration,
     /// Write one byte a transfer.
@@ -71,6 +73,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             keys: Keys::default(),
+            key_file: None,
             interval: Duration::from_secs(30),
             byte_writes: false,
             allow_unproven: false,
@@ -173,7 +176,10 @@ impl Owner {
     ) -> (Self, Arc<Shared>) {
         let keys = std::mem::take(&mut settings.keys);
         let now = clock.now();
-        let gauge = Gauge::new(chip, bus, clock, keys, settings.byte_writes);
+        let mut gauge = Gauge::new(chip, bus, clock, keys, settings.byte_writes);
+        if let Some(file) = settings.key_file.take() {
+            gauge.key_file = file;
+        }
         let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, signal));
         let owner = Self {
             gauge,

@@ -145,6 +145,10 @@ impl Opening {
         };
         let settings = Settings {
             keys,
+            key_file: gauge
+                .key_file
+                .as_ref()
+                .map_or_else(key_file::of_credential, |path| Some(path.display().to_string())),
             interval: gauge.interval(),
             byte_writes: gauge.byte_writes.unwrap_or_default() || chip.is_slower_than(clock_hz),
             allow_unproven: gauge.allow_unproven.unwrap_or_default(),

@@ -15,6 +15,7 @@ use log::{Level, Record};
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
+use gauge_bus::regular;
 
 /// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library.
 const FILTER: &str = "info,fuser=warn";
@@ -26,7 +27,7 @@ const DAEMON: u8 = 3 << 3;
 pub enum Destination<'a> {
     /// Standard error, where systemd or a person adds the time.
     Stderr,
-    /// A file; every line begins with the time.
+    /// A regular file; every line begins with the time.
     File(&'a Path),
     /// syslog.
     Syslog,
@@ -41,7 +42,9 @@ pub fn start(to: Destination<'_>) -> Result<()> {
         }
         Destination::File(path) => {
             let failed = |error| Error::io(path.display().to_string(), "cannot write the log", &error);
-            let file = File::options().append(true).create(true).mode(0o640).open(path).map_err(failed)?;
+            let mut options = File::options();
+            options.append(true).create(true).mode(0o640);
+            let file = regular::open(&options, path).map_err(failed)?;
             builder.target(Target::Pipe(Box::new(file)));
             builder.format(|out, record| {
                 writeln!(out, "{:.0} {}{}", Timestamp::now(), word(record), message(record))

@@ -1,8 +1,9 @@
-//! Mount points: what is mounted where, preparing one, what it covers, and unmounting, also after a daemon
-//! has died.
+//! Mount points: what is mounted where, preparing one, what it covers, and unmounting, also if a daemon has
+//! died or does not answer.
 //!
-//! Only statvfs is called on a mounted file system, and only if mountinfo lists it as a gaugefs: a call to
-//! another one, such as a network mount without its server, could hang.
+//! mountinfo says what is mounted without a call to any mounted file system. A call that may reach one is made
+//! by [`look`], with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
+//! without its server, holds up nobody.
 
 use std::ffi::OsString;
 use std::fs;
@@ -14,20 +15,22 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
-use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use nix::sys::statvfs::statvfs;
 use nix::unistd::geteuid;
 
-use crate::error::{Cause, Error, Result};
+use super::look::{self, Found, Look};
+use crate::error::{Cause, Error, Result, shown};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
 
+const TABLE: &str = "/proc/self/mountinfo";
 /// The source of every mount of gaugefs, as mountinfo shows it.
 pub const SOURCE: &str = "gaugefs";
 
 /// How long an unmount waits for users of the mount, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_millis(500);
 const STEP: Duration = Duration::from_millis(20);
+/// Time limit for fusermount3.
+const FUSERMOUNT: Duration = Duration::from_secs(5);
 
 /// What is mounted at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,14 +40,16 @@ pub(super) enum Mounted {
     Alive,
     /// A gaugefs whose daemon is gone.
     Dead,
+    /// A gaugefs whose daemon does not answer.
+    Hung,
     /// Something else: file system and source.
     Other(String),
 }
 
 /// Whether a gaugefs is mounted there, dead or alive.
 pub fn is_ours(path: &Path) -> bool {
-    let Ok(table) = fs::read("/proc/self/mountinfo") else { return false };
-    matches!(topmost(&table, path), Some((kind, source)) if ours(&kind, &source))
+    let Ok(table) = table() else { return false };
+    topmost(&table, path).is_some_and(|mount| ours(&mount.kind, &mount.source))
 }
 
 /// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
@@ -55,6 +60,12 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
     match mounted {
         Mounted::Alive => {
             let why = format!("a gaugefs is mounted there; end it with: gaugefs umount {subject}");
+            return Err(Error::new(subject, Cause::Busy(why)));
+        }
+        Mounted::Hung => {
+            let why = format!(
+                "a gaugefs is mounted there whose process does not answer; remove it with: gaugefs umount {subject}"
+            );
             return Err(Error::new(subject, Cause::Busy(why)));
         }
         Mounted::Other(what) => {
@@ -77,17 +88,34 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
 }
 
 /// Detaches mounts whose daemon is gone. Returns the full path, and what is mounted there now.
-pub(super) fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
-    let path = resolve(path)?;
+fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
     // Several of them may be on top of each other.
     loop {
-        let mounted = mounted(&path)?;
+        let (path, mounted) = examine(path)?;
         if mounted != Mounted::Dead {
             return Ok((path, mounted));
         }
         log::info!("{}: detaching a mount whose daemon is gone", path.display());
-        detach(&path, true)?;
+        force(&path)?;
     }
+}
+
+/// Detaches all mounts whose daemon is gone. Mounts whose daemon does not answer are not touched, and together
+/// they delay it for the time limit of one look.
+pub(super) fn clear_all() -> Result<()> {
+    let mut places = list();
+    places.sort_unstable();
+    places.dedup();
+    let looks: Vec<_> = places.iter().map(|place| (place, Look::begin(place))).collect();
+    let mut outcome = Ok(());
+    for (place, look) in looks {
+        let cleared = look.and_then(|look| match look.end().dead {
+            Some(true) => clear(place).map(drop),
+            _ => Ok(()),
+        });
+        outcome = outcome.and(cleared);
+    }
+    outcome
 }
 
 /// Creates the folder if it is missing.
@@ -98,16 +126,18 @@ pub fn make(path: &Path) -> Result<()> {
 
 /// The kernel's power supplies, if a mount at that path would hide them.
 pub fn covered(path: &Path) -> Result<Option<Covered>> {
-    let is_theirs = path.ends_with("class/power_supply")
-        && statfs(path).is_ok_and(|status| status.filesystem_type() == SYSFS_MAGIC);
+    if !path.ends_with("class/power_supply") {
+        return Ok(None);
+    }
+    let is_theirs = containing(&table()?, path).is_some_and(|kind| kind == "sysfs");
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// Unmounts a gaugefs.
+/// Unmounts a gaugefs. One whose daemon does not answer is removed by force.
 pub fn unmount(path: &Path) -> Result<()> {
-    let path = resolve(path)?;
+    let (path, mounted) = examine(path)?;
     let subject = path.display().to_string();
-    match mounted(&path)? {
+    match mounted {
         Mounted::Alive => retry_busy(|| detach(&path, false)).map_err(|error| {
             if error.errno() != Errno::EBUSY {
                 return error;
@@ -118,9 +148,9 @@ pub fn unmount(path: &Path) -> Result<()> {
                 format!("in use{who}; try again when it is free, or detach it with: umount -l {subject}");
             Error::new(&subject, Cause::Busy(why))
         }),
-        Mounted::Dead => detach(&path, true),
+        Mounted::Dead | Mounted::Hung => force(&path),
         Mounted::Nothing => {
-            let there: Vec<_> = list().iter().map(|path| path.display().to_string()).collect();
+            let there: Vec<_> = list().iter().map(|path| shown(path)).collect();
             let why = match there.len() {
                 0 => "no gaugefs is mounted there, or anywhere else".to_string(),
                 _ => format!("no gaugefs is mounted there; there is one at {}", there.join(", ")),
@@ -144,33 +174,59 @@ fn retry_busy(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
     }
 }
 
-/// Removes the topmost mount; with `lazily`, even if it is in use.
+/// Removes the topmost mount; with `lazily`, even if it is in use. Requests under way are still answered.
 pub fn detach(path: &Path, lazily: bool) -> Result<()> {
-    let subject = path.display().to_string();
-    let failed = |errno: Errno| Error::io(&subject, "cannot unmount it", &errno.into());
     if geteuid().is_root() {
-        let flags = MntFlags::UMOUNT_NOFOLLOW | if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() };
-        return umount2(path, flags).map_err(failed);
+        return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
+    let subject = path.display().to_string();
     let mut command = Command::new("fusermount3");
-    command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path);
-    let output = command.output().map_err(|error| {
+    command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
+    let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)
     })?;
-    if output.status.success() {
-        return Ok(());
+    match run {
+        Some((true, _)) => Ok(()),
+        Some((false, said)) if said.to_lowercase().contains("busy") => Err(failed(path, Errno::EBUSY)),
+        Some((false, said)) => {
+            let why = format!("only root and the user who mounted it may unmount it ({})", said.trim());
+            Err(Error::new(subject, Cause::NotPermitted(why)))
+        }
+        None => {
+            let limit = FUSERMOUNT.as_secs();
+            let why = format!(
+                "fusermount3 has not unmounted it within {limit} s; as root: gaugefs umount {subject}"
+            );
+            Err(Error::host(subject, Errno::ETIMEDOUT, why))
+        }
     }
-    let said = String::from_utf8_lossy(&output.stderr);
-    let said = said.trim();
-    if said.to_lowercase().contains("busy") {
-        return Err(failed(Errno::EBUSY));
-    }
-    let why = format!("only root and the user who mounted it may unmount it ({said})");
-    Err(Error::new(subject, Cause::NotPermitted(why)))
 }
 
-/// The full path, found without access to what is mounted there, which may be dead.
-fn resolve(path: &Path) -> Result<PathBuf> {
+/// Removes the topmost mount without its daemon: every request fails at once, also those under way. What the
+/// daemon does with its gauges it completes nevertheless, if it runs again.
+fn force(path: &Path) -> Result<()> {
+    if geteuid().is_root() {
+        return remove(path, MntFlags::MNT_FORCE | MntFlags::MNT_DETACH);
+    }
+    // Users have no MNT_FORCE, but the same for the connections of their own mounts. Where this is not
+    // available the mount is removed, and processes that wait for the daemon keep waiting.
+    if let Some(connection) = topmost(&table()?, path).and_then(|mount| mount.connection) {
+        let _ = fs::write(format!("/sys/fs/fuse/connections/{connection}/abort"), "1");
+    }
+    detach(path, true)
+}
+
+fn remove(path: &Path, flags: MntFlags) -> Result<()> {
+    umount2(path, flags | MntFlags::UMOUNT_NOFOLLOW).map_err(|errno| failed(path, errno))
+}
+
+fn failed(path: &Path, errno: Errno) -> Error {
+    Error::io(path.display().to_string(), "cannot unmount it", &errno.into())
+}
+
+/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
+/// does not answer, so only a child process calls this, or a process whose child has.
+pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
     let absolute = std::path::absolute(path).map_err(failed)?;
     let plain = absolute.components().collect::<PathBuf>();
@@ -187,21 +243,34 @@ fn resolve(path: &Path) -> Result<PathBuf> {
     }
 }
 
-fn mounted(path: &Path) -> Result<Mounted> {
-    let table = fs::read("/proc/self/mountinfo")
-        .map_err(|error| Error::io("/proc/self/mountinfo", "cannot read it", &error))?;
-    Ok(match topmost(&table, path) {
-        None => Mounted::Nothing,
-        Some((kind, source)) if !ours(&kind, &source) => Mounted::Other(format!("{kind} ({source})")),
-        Some(_) if is_dead(path) => Mounted::Dead,
-        Some(_) => Mounted::Alive,
-    })
+/// The full path, and what is mounted there.
+fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
+    let Found { path: found, dead, late } = look::at(path)?;
+    let path = match found {
+        Some(found) => found,
+        None if late => {
+            let why =
+                "does not answer: it is in a mount whose process or server is stopped; choose another folder";
+            return Err(Error::host(path.display().to_string(), Errno::ETIMEDOUT, why));
+        }
+        // The child has failed, so this reports why.
+        None => resolve(path)?,
+    };
+    let mounted = match (topmost(&table()?, &path), dead) {
+        (None, _) => Mounted::Nothing,
+        (Some(Entry { kind, source, .. }), _) if !ours(&kind, &source) => {
+            Mounted::Other(format!("{kind} ({source})"))
+        }
+        (_, Some(true)) => Mounted::Dead,
+        (_, None) if late => Mounted::Hung,
+        (_, Some(false) | None) => Mounted::Alive,
+    };
+    Ok((path, mounted))
 }
 
-/// Whether the daemon of the gaugefs that is mounted there is gone.
-pub fn is_dead(path: &Path) -> bool {
-    // Only STATFS is never answered from the kernel's cache.
-    matches!(statvfs(path), Err(Errno::ENOTCONN | Errno::ECONNABORTED))
+/// The mounts of this process.
+fn table() -> Result<Vec<u8>> {
+    fs::read(TABLE).map_err(|error| Error::io(TABLE, "cannot read it", &error))
 }
 
 /// Whether a file system of that type and source is a gaugefs.
@@ -211,25 +280,46 @@ pub fn ours(kind: &str, source: &str) -> bool {
 
 /// Where gaugefs is mounted.
 pub fn list() -> Vec<PathBuf> {
-    let table = fs::read("/proc/self/mountinfo").unwrap_or_default();
-    let ours = entries(&table).filter(|(_, kind, source)| ours(kind, source));
-    ours.map(|(path, ..)| path).collect()
+    let table = table().unwrap_or_default();
+    entries(&table).filter(|mount| ours(&mount.kind, &mount.source)).map(|mount| mount.path).collect()
 }
 
-/// Type and source of the file system that was mounted last at a path.
-fn topmost(table: &[u8], path: &Path) -> Option<(String, String)> {
-    let (_, kind, source) = entries(table).filter(|(at, ..)| at == path).last()?;
-    Some((kind, source))
+/// A line of mountinfo.
+#[derive(Debug)]
+pub struct Entry {
+    /// The mount point.
+    pub path: PathBuf,
+    /// Its file system.
+    pub kind: String,
+    /// What is mounted.
+    pub source: String,
+    /// The number of its FUSE connection, if it is a FUSE mount.
+    connection: Option<u64>,
 }
 
-/// Mount point, file system and source of each line of mountinfo.
-pub fn entries(table: &[u8]) -> impl Iterator<Item = (PathBuf, String, String)> {
+/// The file system that was mounted last at a path.
+fn topmost(table: &[u8], path: &Path) -> Option<Entry> {
+    entries(table).filter(|mount| mount.path == path).last()
+}
+
+/// The type of the file system that a path belongs to.
+fn containing(table: &[u8], path: &Path) -> Option<String> {
+    let mounts = entries(table).filter(|mount| path.starts_with(&mount.path));
+    mounts.max_by_key(|mount| mount.path.components().count()).map(|mount| mount.kind)
+}
+
+/// The lines of mountinfo.
+pub fn entries(table: &[u8]) -> impl Iterator<Item = Entry> {
     table.split(|&byte| byte == b'\n').filter_map(|line| {
         let mut fields = line.split(|&byte| byte == b' ');
-        let path = unescape(fields.nth(4)?);
+        // A file system without a block device has the major number 0, and FUSE names a connection after the
+        // whole number.
+        let connection =
+            fields.nth(2)?.strip_prefix(b"0:").and_then(|minor| str::from_utf8(minor).ok()?.parse().ok());
+        let path = unescape(fields.nth(1)?);
         let mut rest = fields.skip_while(|field| *field != b"-").skip(1);
         let mut text = || Some(unescape(rest.next()?).to_string_lossy().into_owned());
-        Some((PathBuf::from(path), text()?, text()?))
+        Some(Entry { path: PathBuf::from(path), kind: text()?, source: text()?, connection })
     })
 }
 
@@ -265,7 +355,7 @@ fn users(path: &Path) -> Vec<String> {
         });
     let named = using.map(|process| {
         let name = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-        format!("process {} ({})", process.file_name().display(), name.trim())
+        format!("process {} ({})", process.file_name().display(), name.trim().escape_debug())
     });
     named.collect()
 }
@@ -274,7 +364,7 @@ fn users(path: &Path) -> Vec<String> {
 mod tests {
     use super::*;
 
-    const TABLE: &[u8] = b"\
+    const LINES: &[u8] = b"\
 22 1 8:1 / / rw,relatime shared:1 - ext4 /dev/sda1 rw\n\
 40 22 0:36 / /mnt/a\\040b rw,nosuid shared:3 master:1 - fuse.gaugefs gaugefs rw,user_id=0\n\
 41 22 0:37 / /mnt/x rw - tmpfs none rw\n\
@@ -283,11 +373,20 @@ mod tests {
 
     #[test]
     fn the_topmost_mount_of_mountinfo_counts() {
-        let at = |path: &str| topmost(TABLE, Path::new(path)).map(|(kind, source)| ours(&kind, &source));
+        let at = |path: &str| topmost(LINES, Path::new(path)).map(|mount| ours(&mount.kind, &mount.source));
         assert_eq!(at("/mnt/a b"), Some(true));
         assert_eq!(at("/mnt/x"), Some(true));
         assert_eq!(at("/mnt/y"), Some(false));
         assert_eq!(at("/mnt/z"), None);
+        assert_eq!(topmost(LINES, Path::new("/mnt/x")).and_then(|mount| mount.connection), Some(38));
+    }
+
+    #[test]
+    fn a_path_belongs_to_the_innermost_mount() {
+        let kind = |path: &str| containing(LINES, Path::new(path));
+        assert_eq!(kind("/etc").as_deref(), Some("ext4"));
+        assert_eq!(kind("/mnt/xy").as_deref(), Some("ext4"));
+        assert_eq!(kind("/mnt/x/y").as_deref(), Some("fuse"));
     }
 
     #[test]

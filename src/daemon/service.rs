@@ -79,7 +79,7 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
 
 /// Removes all mounts whose daemon has ended. For root.
 pub fn detach() -> Result<()> {
-    mountpoint::list().iter().try_for_each(|path| mountpoint::clear(path).map(drop))
+    mountpoint::clear_all()
 }
 
 /// A copy of a process's descriptor of `/dev/fuse`.

@@ -9,6 +9,7 @@ use nix::sys::signal::{SigSet, Signal};
 use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::fuse;
+use crate::lock;
 use crate::owner::{Handle, Request};
 
 /// How far a mount has come.
@@ -56,6 +57,7 @@ fn end(signal: Signal, phase: &mut Phase) {
     let (path, handles) = match phase {
         Phase::Starting => {
             eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
+            lock::remove_all();
             std::process::exit(1);
         }
         Phase::Mounted(path, handles) => (path, handles),
@@ -63,6 +65,7 @@ fn end(signal: Signal, phase: &mut Phase) {
             log::info!("{signal}: ending");
             finish(handles);
             answers.flush();
+            lock::remove_all();
             std::process::exit(0);
         }
         Phase::Ending => return,
@@ -75,6 +78,7 @@ fn end(signal: Signal, phase: &mut Phase) {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
             finish(handles);
+            lock::remove_all();
             std::process::exit(i32::from(detached.is_err()));
         }
         Err(error) => log::error!("{error}"),

@@ -11,7 +11,7 @@ use super::mountpoint;
 use crate::config::GaugeOptions;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Knobs;
-use crate::lock::{self, Holder, Lock};
+use crate::lock::{self, Lock};
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
@@ -140,8 +140,8 @@ impl<'a> Source<'a> {
 }
 
 /// Whether the daemon that holds a lock is about to end: its mount is gone.
-fn is_ending(holder: &Holder) -> bool {
-    !mountpoint::is_ours(&holder.mountpoint)
+fn is_ending(mountpoint: &Path) -> bool {
+    !mountpoint::is_ours(mountpoint)
 }
 
 /// A simulated gauge that answers.
@@ -174,10 +174,17 @@ fn on_bus(
     clock: &Arc<dyn Clock>,
 ) -> Result<Opened> {
     let adapter = Adapter::find(bus)?;
-    let lock = Lock::gauge(&adapter, address, mountpoint, &**clock, is_ending)?;
     let open = || {
         let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
         Ok(Box::new(bus) as Box<dyn Bus>)
+    };
+    let lock = match Lock::gauge(&adapter, address, mountpoint, &**clock, is_ending) {
+        Err(error) if error.errno() != Errno::EBUSY => {
+            // Without permission for the bus, that is the first thing to correct.
+            open()?;
+            return Err(error);
+        }
+        lock => lock?,
     };
     let known = match chip {
         Some(chip) => chip,

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
-use nix::libc;
 use nix::unistd::geteuid;
 
 use super::Owner;
 use crate::error::{Error, Result};
+use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
 use ti_gauge::codec;
 use ti_gauge::image::{Entry, Image, toml};
@@ -78,8 +78,8 @@ impl Backup {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
         let temporary = self.folder.join(format!("{}.backup.new", self.key));
         let mut options = File::options();
-        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(libc::O_NOFOLLOW);
-        let mut file = options.open(&temporary)?;
+        options.write(true).create(true).truncate(true).mode(0o600);
+        let mut file = regular::open(&options, &temporary)?;
         // If the folder belongs to a service, that service must be able to remove what root leaves there.
         let owner = fs::metadata(&self.folder)?;
         let owned =

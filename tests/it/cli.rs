@@ -663,7 +663,7 @@ fn regression_an_ending_daemon_does_not_unmount_the_next_mount() {
     let at = folder.file("m");
     let mut first = Foreground::new(&at, &[]);
     first.send(Signal::SIGSTOP);
-    // Not with gaugefs, which waits for an answer of the daemon.
+    // Not with gaugefs, which would abort the connection of a daemon that does not answer.
     let unmounted = Command::new("fusermount3").args(["-u", &at]).status().expect("fusermount3 runs");
     assert!(unmounted.success());
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
@@ -729,7 +729,7 @@ fn a_state_file_has_one_daemon_and_outlives_it() {
     fs::write(Path::new(&at).join("BAT0/df/48/11"), "3400\n").expect("a write");
     let who = format!("process {}", daemon.0.id());
     gaugefs(&["mount", "--sim", CHIP, "--sim-state", &state, &other]).failed(&[
-        "in use by another gaugefs",
+        "in use by process",
         &who,
         &at,
     ]);

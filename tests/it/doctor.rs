@@ -235,16 +235,35 @@ fn mounts_and_locks_are_listed() {
     let lock = |name: &str, text: &str| {
         let path = format!("run/gaugefs/{name}.lock");
         system.write(&path, text);
-        let inode = fs::metadata(system.0.join(path)).expect("a lock").ino();
-        format!("1: FLOCK  ADVISORY  WRITE 42 00:19:{inode} 0 EOF\n")
+        let status = fs::metadata(system.0.join(path)).expect("a lock");
+        let (major, minor) = (nix::sys::stat::major(status.dev()), nix::sys::stat::minor(status.dev()));
+        let pid = text.split_once(' ').map_or(text, |(pid, _)| pid);
+        format!("1: FLOCK  ADVISORY  WRITE {pid} {major:02x}:{minor:02x}:{} 0 EOF\n", status.ino())
     };
     let one = lock("i2c-1-55", "42 /run/gaugefs/i2c-1");
     let two = lock("i2c-2-55", "43 /run/gaugefs/i2c-2");
     lock("i2c-3-55", "44 /run/gaugefs/i2c-3");
-    system.write("proc/locks", &(one + &two));
-    system.says("ok", "lock i2c-1-55", &["process 42, mounted at /run/gaugefs/i2c-1"]);
+    let four = lock("i2c-4-55", "45 /run/gaugefs/i2c-4").replace(" 45 ", " 46 ");
+    system.write("proc/locks", &(one + &two + &four));
+    system.write("proc/42/comm", "gaugefs\n");
+    system.says("ok", "lock i2c-1-55", &["process 42 (gaugefs of ", "), mounted at /run/gaugefs/i2c-1"]);
     system.says("warning", "lock i2c-2-55", &["process 43, but nothing is mounted at", "kill 43"]);
+    // The process in the file is not the one that holds the lock.
+    system.says("ok", "lock i2c-4-55", &["held by process 46"]);
     system.says("ok", "locks", &["1 left over"]);
+}
+
+/// A user may mount wherever they like.
+#[test]
+fn a_mount_point_cannot_add_a_line_to_the_report() {
+    let system = System::new();
+    system.write(
+        "proc/self/mountinfo",
+        "40 22 0:36 / /home/bob/x\\012problem\\040\\040Linux:\\040gone rw - fuse.gaugefs gaugefs rw\n",
+    );
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert!(text.contains("/home/bob/x\\nproblem  Linux: gone: a gaugefs is mounted there\n"), "{text}");
+    assert!(!text.contains("\nproblem"), "{text}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod input;
 mod keys;
 mod manual;
 mod mount;
+mod others;
 mod over;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::io::Read;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -139,4 +139,60 @@ fn only_a_service_can_be_attached_to() {
     attach("0").failed(&["process 0"]);
     assert!(!service.place().exists());
     service.signal(Signal::SIGTERM);
+}
+
+/// What a unit runs before its daemon: systemd's copy of a key file does not show who may read the original.
+#[test]
+fn the_key_file_of_a_service_is_refused_if_others_may_read_it() {
+    let folder = std::env::temp_dir().join(format!("gaugefs-service-keys-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    let keys = folder.join("i2c-1.keys");
+    let check = || gaugefs(&["check-keys", path(&keys)]);
+    assert_eq!(check().done(), "", "a service needs no keys");
+    fs::write(&keys, "unseal = 0414 3672\n").expect("a file");
+    for (mode, others) in [(0o600, false), (0o400, false), (0o644, true), (0o640, true), (0o602, true)] {
+        fs::set_permissions(&keys, fs::Permissions::from_mode(mode)).expect("its mode");
+        match others {
+            true => check().failed(&[path(&keys), "others may read the key file", "chmod 600"]),
+            false => assert_eq!(check().done(), ""),
+        }
+    }
+    if geteuid().is_root() {
+        fs::set_permissions(&keys, fs::Permissions::from_mode(0o600)).expect("its mode");
+        std::os::unix::fs::chown(&keys, Some(65534), None).expect("given away");
+        check().failed(&[path(&keys), "belongs to user 65534"]);
+    }
+    fs::remove_file(&keys).expect("it is there");
+    nix::unistd::mkfifo(&keys, nix::sys::stat::Mode::S_IRWXU).expect("a FIFO");
+    check().failed(&[path(&keys), "not a file"]);
+    fs::remove_dir_all(&folder).expect("it was made here");
+}
+
+/// The administrator knows the file in /etc, not systemd's copy, and not an option of a command line.
+#[test]
+fn messages_about_keys_name_the_file_of_the_service() {
+    if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no service had keys");
+        return;
+    }
+    let folder = std::env::temp_dir().join(format!("gaugefs-service-names-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    let at = folder.join("m");
+    let mount = |keys: &str| {
+        fs::write(folder.join("gaugefs-keys"), keys).expect("a credential");
+        let mut command = command(&["mount", "--sim", CHIP, path(&at)]);
+        command.env("CREDENTIALS_DIRECTORY", &folder).env("GAUGEFS_KEYS", "/etc/gaugefs/i2c-1.keys");
+        command.output().expect("gaugefs runs")
+    };
+    let said = String::from_utf8(mount("unseal = 04\n").stderr).expect("text");
+    assert!(said.starts_with("gaugefs: /etc/gaugefs/i2c-1.keys: line 1: "), "{said}");
+    assert!(mount("unseal = 1111 2222\n").status.success());
+    let gauge = at.join("BAT0");
+    let written = fs::write(gauge.join("df/80/53"), "3100\n");
+    let said = fs::read_to_string(gauge.join("gauge/last_error")).expect("text");
+    gaugefs(&["umount", path(&at)]).done();
+    fs::remove_dir_all(&folder).expect("it was made here");
+    written.expect_err("the key is wrong");
+    assert!(said.contains("put the right one into /etc/gaugefs/i2c-1.keys"), "{said}");
+    assert!(!said.contains("--key-file"), "{said}");
 }

@@ -37,6 +37,7 @@ pub mod error;
 pub mod hal;
 #[cfg(feature = "linux")]
 pub mod linux;
+pub mod regular;
 pub mod replay;
 pub mod trace;
 

@@ -10,11 +10,9 @@ use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::Arc;
 
-use rustix::fs::OFlags;
-
 use crate::clock::Clock;
 use crate::error::{Error, Result};
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, regular};
 
 /// A bus, and the file in which its transfers are recorded.
 pub struct Trace {
@@ -37,13 +35,8 @@ impl Trace {
     ) -> Result<Self> {
         let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
         let mut options = File::options();
-        options
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .mode(0o600)
-            .custom_flags(OFlags::NOFOLLOW.bits() as i32);
-        let mut file = options.open(path).map_err(failed)?;
+        options.write(true).create(true).truncate(true).mode(0o600);
+        let mut file = regular::open(&options, path).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
         let form = "; Below each transfer: seconds since the start, and the result.";
         writeln!(file, "; gaugefs: {head}\n{form}").map_err(failed)?;

@@ -10,6 +10,7 @@ use std::io::{self, Write as _};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use gauge_bus::regular;
 use sha1::{Digest, Sha1};
 
 use super::error::{Error, Kind, Result};
@@ -278,7 +279,9 @@ fn replace(path: &Path, text: &str) -> io::Result<()> {
     temporary.push(".new");
     let temporary = folder.join(temporary);
     // Flash holds the keys, so only the owner may read the file.
-    let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&temporary)?;
+    let mut options = OpenOptions::new();
+    options.write(true).create(true).truncate(true).mode(0o600);
+    let mut file = regular::open(&options, &temporary)?;
     file.write_all(text.as_bytes())?;
     file.sync_all()?;
     fs::rename(&temporary, path)?;

@@ -167,6 +167,8 @@ pub struct Gauge {
     pub statistics: Arc<Statistics>,
     /// Clock for waiting and for measuring time.
     pub clock: Arc<dyn Clock>,
+    /// Where its keys are to be put, for messages.
+    pub key_file: String,
     bus: Box<dyn Bus>,
     keys: Keys,
     byte_writes: bool,
@@ -203,6 +205,7 @@ impl Gauge {
             chip,
             statistics,
             clock,
+            key_file: "a file named with --key-file".into(),
             bus,
             keys,
             byte_writes,
@@ -488,15 +491,14 @@ impl Gauge {
     /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
     /// of the key: the gauge has accepted it before, or a transfer failed in between.
     pub fn unseal(&mut self) -> Result<()> {
-        let refuse =
-            |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
+        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal);
+        let place = self.key_file.clone();
         let Some(key) = self.key(Name::Unseal) else {
-            return Err(refuse("SEALED, and no key is given; name a file with --key-file"));
+            return Err(refuse(format!("SEALED, and no key is given; put it into {place} and mount again")));
         };
         if self.refused {
-            return Err(refuse(
-                "SEALED, and the key was refused before; mount again with the right --key-file",
-            ));
+            let why = "SEALED, and the key was refused before";
+            return Err(refuse(format!("{why}; put the right one into {place} and mount again")));
         }
         let failures = self.failures;
         if self.takes(&key, Seal::Unsealed)? {
@@ -508,13 +510,9 @@ impl Gauge {
             return Err(Error::new(self.chip.model, Cause::NotNow(why.into())).at(Step::Unseal));
         }
         self.refused = true;
-        Err(Error::new(
-            self.chip.model,
-            Cause::NotPermitted(
-                "SEALED, and the gauge refused the key; name the right one with --key-file".into(),
-            ),
-        )
-        .at(Step::Unseal))
+        let why =
+            format!("SEALED, and the gauge refused the key; put the right one into {place} and mount again");
+        Err(Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal))
     }
 
     /// Whether the gauge has accepted the unseal key since it arrived.
@@ -529,13 +527,14 @@ impl Gauge {
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
     pub fn full_access(&mut self) -> Result<()> {
-        let refuse =
-            |why: &str| Error::new(self.chip.model, Cause::NotPermitted(why.into())).at(Step::Unseal);
+        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal);
         if !self.chip.security.full_access {
-            return Err(refuse("this part has no FULL ACCESS"));
+            return Err(refuse("this part has no FULL ACCESS".into()));
         }
-        let key = self.key(Name::FullAccess);
-        let key = key.ok_or_else(|| refuse("no full-access key is given; name a file with --key-file"))?;
+        let (key, place) = (self.key(Name::FullAccess), self.key_file.clone());
+        let key = key.ok_or_else(|| {
+            refuse(format!("no full-access key is given; put it into {place} and mount again"))
+        })?;
         if self.takes(&key, Seal::FullAccess)? {
             return Ok(());
         }

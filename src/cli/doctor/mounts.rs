@@ -1,71 +1,64 @@
 //! Mounts, alive or dead, and who holds which gauge.
 
 use std::fs;
-use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
-use std::sync::mpsc;
-use std::time::Duration;
+use std::path::Path;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::daemon::mountpoint::{entries, is_dead, ours};
-use crate::lock::{Holder, holder};
+use crate::daemon::look::Look;
+use crate::daemon::mountpoint::{Entry, entries, ours};
+use crate::error::shown;
+use crate::lock::{holding, mountpoint_of, process};
+use gauge_bus::regular;
 
 /// Where the service mounts.
 const PLACE: &str = "/run/gaugefs";
-/// How long a daemon may take to answer.
-const PATIENCE: Duration = Duration::from_secs(2);
 /// Where root's daemons keep journals.
 const JOURNALS: &str = "/var/lib/gaugefs";
 
 pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = fs::read(host.at("/proc/self/mountinfo")).unwrap_or_default();
     let all: Vec<_> = entries(&table).collect();
+    // Daemons that do not answer are waited for at the same time.
+    let look = |mount: &Entry| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();
+    let looks = all.iter().map(|mount| ours(&mount.kind, &mount.source).then(|| look(mount)).flatten());
+    let looks: Vec<_> = looks.collect();
     let mut findings = Vec::new();
-    for (index, (path, kind, source)) in all.iter().enumerate() {
-        let what = path.display().to_string();
-        let above = all[index + 1..].iter().find(|(above, ..)| above == path);
+    for (index, (Entry { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
+        let what = shown(path);
+        let above = all[index + 1..].iter().find(|above| above.path == *path);
         if !ours(kind, source) {
             if path.starts_with(PLACE) {
                 let says = format!("{kind} ({source}) is mounted where the service mounts gauges");
                 findings.push(problem(&what, says, format!("Unmount it as root: umount {what}")));
             }
-        } else if let Some((_, kind, source)) = above {
+        } else if let Some(Entry { kind, source, .. }) = above {
             let says = format!("a gaugefs is hidden below {kind} ({source})");
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
-            findings.push(match answer(host.at(&what)) {
-                Some(Answer::Alive) => ok(&what, "a gaugefs is mounted there"),
-                Some(Answer::Dead) => {
-                    let remedy = format!("Unmount it: gaugefs umount {what}");
-                    problem(&what, "a gaugefs whose process is gone", remedy)
-                }
-                None => {
-                    let says = "a gaugefs whose process does not answer";
-                    problem(&what, says, "Find out what stops the process, or kill it.")
-                }
+            let found = look.map(Look::end).unwrap_or_default();
+            findings.push(if found.late {
+                let says = "a gaugefs whose process does not answer";
+                let remedy = format!(
+                    "Find out what stops the process, or remove the mount by force: gaugefs umount {what}"
+                );
+                problem(&what, says, remedy)
+            } else if found.dead == Some(true) {
+                let remedy = format!("Unmount it: gaugefs umount {what}");
+                problem(&what, "a gaugefs whose process is gone", remedy)
+            } else {
+                ok(&what, "a gaugefs is mounted there")
             });
         }
     }
-    if !all.iter().any(|(_, kind, source)| ours(kind, source)) {
+    if !all.iter().any(|mount| ours(&mount.kind, &mount.source)) {
         findings.push(ok("mounts", "no gaugefs is mounted"));
     }
-    let mounted = |path: &Path| all.iter().any(|(at, kind, source)| at == path && ours(kind, source));
+    let mounted =
+        |path: &Path| all.iter().any(|mount| mount.path == path && ours(&mount.kind, &mount.source));
     findings.extend(locks(host, &mounted));
     findings.extend(journals(host));
     findings
-}
-
-enum Answer {
-    Alive,
-    Dead,
-}
-
-/// How the daemon of a mount answers, if it does. A thread asks: one that hangs would block doctor too.
-fn answer(path: PathBuf) -> Option<Answer> {
-    let (sender, receiver) = mpsc::channel();
-    std::thread::spawn(move || sender.send(if is_dead(&path) { Answer::Dead } else { Answer::Alive }));
-    receiver.recv_timeout(PATIENCE).ok()
 }
 
 /// Journals of writes that are in progress, or were interrupted.
@@ -84,27 +77,29 @@ fn journals(host: &Host) -> Vec<Finding> {
 
 /// Locks that are held, and whether their holders have mounted the gauge.
 fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
-    let uid = host.uid;
-    let folders = [PLACE.into(), format!("/run/user/{uid}/gaugefs"), format!("/tmp/gaugefs-{uid}")];
+    let state = format!("{}/.local/state/gaugefs", host.home());
+    let folders = [PLACE.into(), JOURNALS.into(), format!("/run/user/{}/gaugefs", host.uid), state];
+    let listed = host.text("/proc/locks");
     let (mut findings, mut left) = (Vec::new(), 0);
     for folder in folders {
         for name in host.names(&folder) {
             let Some(key) = name.strip_suffix(".lock") else { continue };
             let path = host.at(&format!("{folder}/{name}"));
-            if !is_held(host, &path) {
+            // It is looked up, because trying it would take it.
+            let Some(pid) = fs::metadata(&path).ok().and_then(|status| holding(&listed, &status)) else {
                 left += 1;
                 continue;
-            }
+            };
             let what = format!("lock {key}");
-            let found = fs::File::open(&path).ok().and_then(|mut file| holder(&mut file));
-            findings.push(match found {
-                None => ok(what, "held by a process that is starting or ending"),
-                Some(Holder { pid, mountpoint }) if mounted(&mountpoint) => {
-                    ok(what, format!("held by process {pid}, mounted at {}", mountpoint.display()))
+            let who = process(host.root(), pid);
+            let file = regular::open(fs::File::options().read(true), &path);
+            findings.push(match file.ok().and_then(|mut file| mountpoint_of(&mut file, pid)) {
+                None => ok(what, format!("held by {who}")),
+                Some(place) if mounted(&place) => {
+                    ok(what, format!("held by {who}, mounted at {}", shown(&place)))
                 }
-                Some(Holder { pid, mountpoint }) => {
-                    let place = mountpoint.display();
-                    let says = format!("held by process {pid}, but nothing is mounted at {place}");
+                Some(place) => {
+                    let says = format!("held by {who}, but nothing is mounted at {}", shown(&place));
                     let remedy = format!("The process is starting or ending; if that takes long: kill {pid}");
                     warning(what, says, remedy)
                 }
@@ -115,14 +110,4 @@ fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
         findings.push(ok("locks", format!("{left} left over, held by no process; harmless")));
     }
     findings
-}
-
-/// Whether a process holds the lock. It is looked up, because trying it would take it.
-fn is_held(host: &Host, path: &PathBuf) -> bool {
-    let Ok(status) = fs::metadata(path) else { return false };
-    host.text("/proc/locks").lines().any(|line| {
-        let words: Vec<_> = line.split_ascii_whitespace().collect();
-        let inode = words.get(5).and_then(|place| place.rsplit(':').next()?.parse().ok());
-        words.get(1) == Some(&"FLOCK") && inode == Some(status.ino())
-    })
 }

@@ -144,8 +144,9 @@ impl DataFlash {
         }
         let why = format!(
             "found {}, and the reset that this write needs may seal it, but its unseal key has not been tried; seal \
-             and unseal it once (echo sealed > gauge/seal, then echo unsealed), with the right key in --key-file",
-            found.as_str()
+             and unseal it once (echo sealed > gauge/seal, then echo unsealed), with the right key in {}",
+            found.as_str(),
+            gauge.key_file
         );
         Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check))
     }
@@ -309,8 +310,8 @@ impl Task<'_> {
                 return Ok(key.clone());
             }
             gauge.key(name).ok_or_else(|| {
-                let why =
-                    format!("the {} key is needed too; give it in the mount's --key-file", name.as_str());
+                let (name, place) = (name.as_str(), &gauge.key_file);
+                let why = format!("the {name} key is needed too; put it into {place} and mount again");
                 Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check)
             })
         };

@@ -2,11 +2,12 @@
 
 use std::fmt::Debug;
 use std::fs::{self, DirBuilder};
-use std::io::{self, ErrorKind, Write as _};
+use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
 use std::path::Path;
 
-use rustix::fs::{FallocateFlags, OFlags, fallocate};
+use gauge_bus::regular;
+use rustix::fs::{FallocateFlags, fallocate};
 use rustix::process::geteuid;
 
 /// A file system.
@@ -53,13 +54,15 @@ impl Disk for Host {
     }
 
     fn read(&self, path: &Path) -> io::Result<String> {
-        fs::read_to_string(path)
+        let mut text = String::new();
+        regular::open(fs::File::options().read(true), path)?.read_to_string(&mut text)?;
+        Ok(text)
     }
 
     fn create(&self, path: &Path) -> io::Result<Box<dyn File>> {
         let mut options = fs::File::options();
         options.write(true).create(true).truncate(true).mode(0o600);
-        let file = options.custom_flags(OFlags::NOFOLLOW.bits() as i32).open(path)?;
+        let file = regular::open(&options, path)?;
         // If the folder belongs to a service, that service must be able to settle what root leaves there.
         if geteuid().is_root()
             && let Some(folder) = path.parent()
@@ -71,8 +74,7 @@ impl Disk for Host {
     }
 
     fn open(&self, path: &Path) -> io::Result<Box<dyn File>> {
-        let flags = OFlags::NOFOLLOW.bits() as i32;
-        Ok(Box::new(fs::File::options().append(true).custom_flags(flags).open(path)?))
+        Ok(Box::new(regular::open(fs::File::options().append(true), path)?))
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {

@@ -1,0 +1,126 @@
+//! Looks at a path that may be in the mount of a daemon that does not answer.
+//!
+//! A call into a FUSE mount waits for its daemon, and if the daemon has already taken the request, not even
+//! SIGKILL ends the process that waits. So a child process makes the call, and is left behind if it does not
+//! return in time.
+
+use std::ffi::OsStr;
+use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::statvfs::statvfs;
+
+use super::mountpoint;
+use crate::error::{Error, Result};
+
+/// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once.
+const LIMIT: Duration = Duration::from_secs(2);
+
+/// What a look has found out within its time limit.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    /// The full path.
+    pub(crate) path: Option<PathBuf>,
+    /// Whether the daemon of a gaugefs that is mounted there is gone. A path where no gaugefs is mounted counts
+    /// as answering.
+    pub(crate) dead: Option<bool>,
+    /// The time limit has passed.
+    pub(crate) late: bool,
+}
+
+/// A look that has begun.
+pub(crate) struct Look(Child, Instant);
+
+impl Look {
+    /// Begins to look at a path.
+    pub(crate) fn begin(path: &Path) -> Result<Self> {
+        let mut command = Command::new("/proc/self/exe");
+        command.arg("look").arg("--").arg(path).stdin(Stdio::null()).stdout(Stdio::piped());
+        let child = command.stderr(Stdio::null()).spawn().map_err(|error| {
+            Error::io(path.display().to_string(), "cannot start a process to examine it", &error)
+        })?;
+        Ok(Self(child, Instant::now()))
+    }
+
+    /// Waits for its end, or for its time limit.
+    pub(crate) fn end(mut self) -> Found {
+        let answer = self.0.stdout.take().map(|out| read(out, self.1 + LIMIT));
+        let (bytes, late) = answer.unwrap_or_default();
+        stop(&mut self.0, late);
+        let mut words = bytes.split_inclusive(|&byte| byte == 0).filter_map(|word| word.strip_suffix(&[0]));
+        let path = words.next().map(|path| PathBuf::from(OsStr::from_bytes(path)));
+        Found { path, dead: words.next().map(|word| word == b"dead"), late }
+    }
+}
+
+/// Begins a look at a path, and waits for its end.
+pub(crate) fn at(path: &Path) -> Result<Found> {
+    Ok(Look::begin(path)?.end())
+}
+
+/// In the child: prints the full path and whether its daemon is gone, each as soon as it is known.
+pub(crate) fn answer(path: &Path) -> Result<()> {
+    let failed = |error: io::Error| Error::io("standard output", "cannot be written", &error);
+    let mut out = io::stdout();
+    let mut say = |word: &[u8]| {
+        let written = out.write_all(word).and_then(|()| out.write_all(&[0])).and_then(|()| out.flush());
+        written.map_err(failed)
+    };
+    let path = mountpoint::resolve(path)?;
+    say(path.as_os_str().as_bytes())?;
+    // Only STATFS is never answered from the kernel's cache.
+    let dead =
+        mountpoint::is_ours(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
+    say(if dead { b"dead" } else { b"alive" })
+}
+
+/// Runs a program and returns whether it succeeded and what it printed to standard error; `None` after a time
+/// limit.
+pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(bool, String)>> {
+    let end = Instant::now() + limit;
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
+    let (bytes, late) = child.stderr.take().map(|err| read(err, end)).unwrap_or_default();
+    if late {
+        stop(&mut child, late);
+        return Ok(None);
+    }
+    Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
+}
+
+/// What a pipe delivers until its end or until the deadline, and whether that was the deadline.
+fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
+    let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        let mut polled = [PollFd::new(pipe.as_fd(), PollFlags::POLLIN)];
+        let timeout = PollTimeout::try_from(left).unwrap_or(PollTimeout::MAX);
+        match poll(&mut polled, timeout) {
+            Ok(0) => return (bytes, true),
+            Ok(_) => match pipe.read(&mut piece) {
+                Ok(0) => return (bytes, false),
+                Ok(length) => bytes.extend_from_slice(&piece[..length]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(_) => return (bytes, false),
+            },
+            Err(Errno::EINTR) => {}
+            Err(_) => return (bytes, false),
+        }
+    }
+}
+
+/// Ends a child. One that does not even end by SIGKILL is left to process 1.
+fn stop(child: &mut Child, late: bool) {
+    if late {
+        // It may have ended just now.
+        let _ = child.kill();
+        let _ = child.try_wait();
+    } else {
+        let _ = child.wait();
+    }
+}

@@ -1,0 +1,244 @@
+//! Daemons that do not answer, and files and locks of other users, do not hold up gaugefs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::{Pid, geteuid};
+
+use super::cli::{CHIP, Ran, command, gaugefs};
+
+/// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 2 s, and
+/// the machine may be busy.
+const LIMIT: Duration = Duration::from_secs(20);
+/// The same where no command has to wait at all.
+const PROMPT: Duration = Duration::from_secs(10);
+
+/// A folder that is removed with what is mounted in it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("gaugefs-others-{}-{count}", std::process::id()));
+        fs::create_dir_all(&path).expect("a folder");
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().expect("a path in UTF-8").into()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A daemon in the foreground.
+struct Daemon {
+    at: String,
+    child: Child,
+}
+
+impl Daemon {
+    /// `None` without FUSE.
+    fn start(at: String) -> Option<Self> {
+        if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
+            eprintln!("SKIPPED: /dev/fuse cannot be opened; no daemon was stopped");
+            return None;
+        }
+        let mut command = command(&["mount", "--foreground", "--sim", CHIP, &at]);
+        let child = command.stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        let daemon = Self { at, child };
+        let start = Instant::now();
+        while !daemon.is_mounted() {
+            assert!(start.elapsed() < Duration::from_secs(60), "not mounted");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Some(daemon)
+    }
+
+    fn is_mounted(&self) -> bool {
+        let table = fs::read_to_string("/proc/self/mountinfo").expect("mounts");
+        table.lines().any(|line| line.split(' ').nth(4) == Some(&self.at))
+    }
+
+    fn send(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).expect("it runs");
+    }
+
+    fn ends(&mut self) -> bool {
+        let start = Instant::now();
+        loop {
+            match self.child.try_wait().expect("a child") {
+                Some(status) => return status.success(),
+                None if start.elapsed() > Duration::from_secs(60) => return false,
+                None => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        let flags = nix::mount::MntFlags::MNT_DETACH | nix::mount::MntFlags::MNT_FORCE;
+        let _ = nix::mount::umount2(Path::new(&self.at), flags);
+    }
+}
+
+/// Runs a command that has to end within a time limit; kills it otherwise.
+#[track_caller]
+fn within(limit: Duration, mut command: Command) -> Ran {
+    let what = format!("{command:?}");
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it runs");
+    let start = Instant::now();
+    while child.try_wait().expect("a child").is_none() {
+        if start.elapsed() > limit {
+            child.kill().expect("it runs");
+            panic!("{what} hangs");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let output = child.wait_with_output().expect("it has ended");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
+    Ran { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+#[test]
+fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
+    let folder = Folder::new();
+    let Some(mut stopped) = Daemon::start(folder.file("stopped")) else { return };
+    let (at, other) = (stopped.at.clone(), folder.file("other"));
+    stopped.send(Signal::SIGSTOP);
+    within(PROMPT, command(&["mount", "--sim", CHIP, &other])).done();
+    within(PROMPT, command(&["umount", &other])).done();
+    within(LIMIT, command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
+    let inside = format!("{at}/BAT0/gauge/other");
+    within(LIMIT, command(&["mount", "--sim", CHIP, &inside])).failed(&["does not answer"]);
+    within(LIMIT, command(&["umount", &inside])).failed(&["does not answer"]);
+    let doctor = within(LIMIT, command(&["doctor"])).out;
+    assert!(doctor.contains(&format!("{at}: a gaugefs whose process does not answer\n")), "{doctor}");
+    assert!(doctor.contains(&format!("gaugefs umount {at}\n")), "{doctor}");
+    assert!(stopped.is_mounted());
+    // A reader that waits for the daemon is released.
+    let reader = Command::new("cat").arg(format!("{at}/BAT0/gauge/seal")).stderr(Stdio::null()).spawn();
+    let mut reader = reader.expect("cat runs");
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(reader.try_wait().expect("a child").is_none(), "it does not wait for the daemon");
+    within(LIMIT, command(&["umount", &at])).done();
+    assert!(!stopped.is_mounted());
+    assert!(!reader.wait().expect("a child").success());
+    // The daemon notices once it runs again, and the place is free before that.
+    within(PROMPT, command(&["mount", "--sim", CHIP, &at])).done();
+    stopped.send(Signal::SIGCONT);
+    assert!(stopped.ends());
+    assert!(stopped.is_mounted(), "it has removed the mount of another daemon");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn detach_removes_dead_mounts_beside_a_stopped_one() {
+    let folder = Folder::new();
+    let Some(stopped) = Daemon::start(folder.file("stopped")) else { return };
+    let Some(mut dead) = Daemon::start(folder.file("dead")) else { return };
+    if !geteuid().is_root() {
+        eprintln!("SKIPPED: without root nothing was detached");
+        return;
+    }
+    stopped.send(Signal::SIGSTOP);
+    dead.child.kill().and_then(|()| dead.child.wait()).expect("it ends");
+    // In a mount namespace of its own, because it removes the dead mounts of other tests too.
+    let mut detach = Command::new("unshare");
+    detach.args([
+        "--mount",
+        "--propagation",
+        "private",
+        "sh",
+        "-c",
+        "\"$0\" detach && cat /proc/self/mountinfo",
+    ]);
+    detach.arg(env!("CARGO_BIN_EXE_gaugefs"));
+    let ran = within(LIMIT, detach);
+    let left = ran.out;
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(left.contains(&stopped.at), "{left}");
+    assert!(!left.contains(&dead.at), "{left}");
+}
+
+/// Files that another user may have planted in a shared folder.
+#[test]
+fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
+    let folder = Folder::new();
+    let [at, target, link, fifo, state] =
+        ["m", "target", "link", "fifo", "state"].map(|name| folder.file(name));
+    fs::write(&target, "mine\n").expect("a file");
+    std::os::unix::fs::symlink(&target, &link).expect("a link");
+    let mkfifo = |path: &str| nix::unistd::mkfifo(path, nix::sys::stat::Mode::S_IRWXU).expect("a FIFO");
+    mkfifo(&fifo);
+    for option in ["--log", "--trace"] {
+        for (path, why) in [(&link, "a symbolic link"), (&fifo, "not a regular file")] {
+            let arguments = ["mount", "--foreground", "--sim", CHIP, option, path, &at];
+            within(PROMPT, command(&arguments)).failed(&[path, why]);
+        }
+    }
+    let journal = folder.file(&format!("{}.journal", gaugefs::lock::key_of_state(Path::new(&state))));
+    mkfifo(&journal);
+    let arguments =
+        ["mount", "--sim", CHIP, "--sim-state", &state, "--state-dir", folder.0.to_str().expect("UTF-8")];
+    let mount = within(LIMIT, command(&[&arguments[..], &[&at]].concat()));
+    if mount.code == Some(0) {
+        // The gauge can be read, and is not written while its journal cannot be.
+        fs::write(format!("{at}/BAT0/df/80/53"), "3100\n").expect_err("no journal can be written");
+        gaugefs(&["umount", &at]).done();
+    }
+    assert_eq!(fs::read_to_string(&target).expect("a file"), "mine\n");
+}
+
+/// Ordinary users have no MNT_FORCE. The mount namespace has what a usual machine has: a /dev/fuse for everybody,
+/// and the kernel's list of FUSE connections.
+const AS_A_USER: &str = r#"
+mknod "$1/fuse" c 10 229 && chmod 666 "$1/fuse" && mount --bind "$1/fuse" /dev/fuse
+mount -t fusectl none /sys/fs/fuse/connections
+user() { exec setpriv --reuid 65534 --regid 65534 --clear-groups -- env XDG_RUNTIME_DIR="$1" "${@:2}"; }
+chown 65534:65534 "$1"
+(user "$1" "$1/gaugefs" mount --foreground --sim bq34z100-g1 "$1/m") & daemon=$!
+until grep -q " $1/m " /proc/self/mountinfo; do kill -0 $daemon; sleep 0.05; done
+kill -STOP $daemon
+(user "$1" cat "$1/m/BAT0/gauge/seal") & reader=$!
+sleep 0.5
+kill -0 $reader
+(user "$1" timeout -s KILL 20 "$1/gaugefs" umount "$1/m")
+! grep " $1/m " /proc/self/mountinfo
+! wait $reader
+kill -CONT $daemon
+wait $daemon
+echo done
+"#;
+
+#[test]
+fn a_user_removes_a_stopped_mount_too() {
+    let is_there = |program: &str| {
+        ["/bin", "/usr/bin", "/usr/local/bin"].iter().any(|folder| Path::new(folder).join(program).exists())
+    };
+    let fuse = fs::File::options().read(true).write(true).open("/dev/fuse");
+    if fuse.is_err() || !geteuid().is_root() || !is_there("fusermount3") || !is_there("setpriv") {
+        eprintln!("SKIPPED: without root, /dev/fuse, fusermount3 and setpriv no other user has mounted");
+        return;
+    }
+    let folder = Folder::new();
+    // The program may be in a folder that other users cannot enter.
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), folder.file("gaugefs")).expect("a copy");
+    let mut script = Command::new("unshare");
+    script.args(["--mount", "--propagation", "private", "bash", "-euc", AS_A_USER, "bash"]).arg(&folder.0);
+    let ran = within(Duration::from_secs(60), script);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    assert!(ran.out.ends_with("done\n"), "{}{}", ran.out, ran.err);
+}
