@@ -1,7 +1,7 @@
 //! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
 
-use std::fs::File;
-use std::io::Write;
+use std::fs::{self, File};
+use std::io::{self, Write};
 use std::path::Path;
 
 use nix::errno::Errno;
@@ -40,7 +40,7 @@ fn word(text: &str) -> Option<u16> {
 /// Reads a mounted gauge.
 fn read(folder: &Path) -> Result<Image> {
     let text = |name: &str| {
-        std::fs::read_to_string(folder.join(name)).map_err(|error| {
+        fs::read_to_string(folder.join(name)).map_err(|error| {
             match error.raw_os_error().map(Errno::from_raw) {
                 Some(Errno::ENOENT) => {
                     let why = "is not there; this is not a mounted gauge's folder with data flash";
@@ -80,7 +80,7 @@ fn read(folder: &Path) -> Result<Image> {
 /// All bytes of a subclass of a mounted gauge.
 pub(crate) fn raw_of(gauge: &Path, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
     let file = gauge.join(format!("df/{id}/raw"));
-    std::fs::read(&file)
+    fs::read(&file)
         .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
 }
 
@@ -108,11 +108,15 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
         }),
         Err(error) => Err(error),
     };
-    outcome.map_err(|error| {
-        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        match (told.trim(), error.raw_os_error().map(Errno::from_raw)) {
-            ("", _) | (_, None) => Error::io(&name, "df/transaction", &error),
-            (told, Some(errno)) => Error::host(&name, errno, told),
-        }
-    })
+    outcome.map_err(|error| refused(gauge, "df/transaction", &error))
+}
+
+/// The error of a gauge that did not do `what`. Its `gauge/last_error` gives a better reason than the errno.
+pub(crate) fn refused(gauge: &Path, what: &str, error: &io::Error) -> Error {
+    let name = gauge.display().to_string();
+    let reason = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+    match (reason.trim(), error.raw_os_error().map(Errno::from_raw)) {
+        ("", _) | (_, None) => Error::io(name, what, error),
+        (reason, Some(errno)) => Error::host(name, errno, reason),
+    }
 }

@@ -9,7 +9,7 @@ use nix::errno::Errno;
 
 use super::{folder_name, print};
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
+use crate::{key_file, mounted};
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 
 const AUTH: &str = "\
@@ -103,10 +103,7 @@ fn exchange(gauge: &Path, challenge: &str) -> Result<String> {
         .write(true)
         .open(&path)
         .map_err(|error| Error::io(&name, "cannot write a challenge", &error))?;
-    file.write_all(challenge.as_bytes()).map_err(|error| {
-        let why = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        let what = format!("the gauge does not answer ({})", why.trim());
-        Error::io(&name, &what, &error)
-    })?;
+    file.write_all(challenge.as_bytes())
+        .map_err(|error| mounted::refused(gauge, "the gauge does not answer the challenge", &error))?;
     std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the digest", &error))
 }
