@@ -7,7 +7,7 @@ use std::path::Path;
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
 use ti_gauge::dataflash::Place;
-use ti_gauge::image::{Difference, Entry, Image, RawDifference};
+use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
 use crate::error::{Cause, Error, Result};
@@ -15,16 +15,21 @@ use crate::error::{Cause, Error, Result};
 /// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does not say
 /// so itself.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Image> {
-    if path.is_dir() { of_mounted(path) } else { Ok(Image::open(path, chip)?) }
+    if path.is_dir() { now(path) } else { Ok(Image::open(path, chip)?) }
 }
 
-/// Reads a mounted gauge's folder and nothing else.
-pub(crate) fn of_mounted(path: &Path) -> Result<Image> {
-    let name = path.display().to_string();
-    if !path.is_dir() {
+/// The chip of a mounted gauge, without reading its data flash.
+pub(crate) fn chip(gauge: &Path) -> Result<&'static Chip> {
+    let name = gauge.display().to_string();
+    if !gauge.is_dir() {
         return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
     }
-    read(path).map_err(|error| error.within(&name))
+    part(gauge).map_err(|error| error.within(&name))
+}
+
+/// Reads the configuration of a mounted gauge.
+pub(crate) fn now(gauge: &Path) -> Result<Image> {
+    read(gauge, chip(gauge)?).map_err(|error| error.within(&gauge.display().to_string()))
 }
 
 /// An error about a line of `df/index`.
@@ -37,37 +42,45 @@ fn word(text: &str) -> Option<u16> {
     u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
 }
 
-/// Reads a mounted gauge.
-fn read(folder: &Path) -> Result<Image> {
-    let text = |name: &str| {
-        fs::read_to_string(folder.join(name)).map_err(|error| {
-            match error.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::ENOENT) => {
-                    let why = "is not there; this is not a mounted gauge's folder with data flash";
-                    Error::host(name, Errno::ENOENT, why)
-                }
-                _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
-            }
-        })
-    };
-    let model = text("model_name")?;
-    let chip = CHIPS.iter().find(|chip| chip.model == model.trim()).ok_or_else(|| {
+/// The text of a file that every mounted gauge with data flash has.
+fn text(folder: &Path, name: &str) -> Result<String> {
+    fs::read_to_string(folder.join(name)).map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
+        Some(Errno::ENOENT) => {
+            let why = "is not there; this is not a mounted gauge's folder with data flash";
+            Error::host(name, Errno::ENOENT, why)
+        }
+        _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
+    })
+}
+
+fn part(folder: &Path) -> Result<&'static Chip> {
+    let model = text(folder, "model_name")?;
+    CHIPS.iter().copied().find(|chip| chip.model == model.trim()).ok_or_else(|| {
         let why = format!("no gauge that gaugefs knows: {}", model.trim());
         Error::new("model_name", Cause::Gone(why))
-    })?;
-    let firmware = text("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
+    })
+}
+
+/// Reads the configuration of a mounted gauge.
+fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
+    let firmware = text(folder, "gauge/firmware_version").ok().and_then(|text| word(text.trim()));
     let mut image = Image::new(chip, firmware);
-    for (number, line) in (1..).zip(text("df/index")?.lines()).skip(1) {
+    for (number, line) in (1..).zip(text(folder, "df/index")?.lines()).skip(1) {
         let fields: Vec<&str> = line.split('\t').collect();
-        let [id, offset, .., text] = fields.as_slice() else {
+        let [id, offset, .., value] = fields.as_slice() else {
             return Err(at_line(number, "not a line of df/index"));
         };
         let row = chip.row(id, offset);
         let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
-        if *text == "-" || subclass.kind == Kind::Security {
+        if subclass.kind == Kind::Security {
             continue;
         }
-        let value = text::parse_stored(parameter, text.as_bytes())?;
+        if *value == "-" {
+            let text = format!("{}: the gauge does not show its value", parameter.name);
+            image.left_out.push(LeftOut { text, is_key: false });
+            continue;
+        }
+        let value = text::parse_stored(parameter, value.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     if image.entries.is_empty() {
