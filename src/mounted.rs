@@ -5,14 +5,14 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use nix::errno::Errno;
-use ti_gauge::chip::{CHIPS, Chip, Kind};
+use ti_gauge::chip::{CHIPS, Chip, Kind, Word, snake_case};
 use ti_gauge::dataflash::Place;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
 use crate::error::{Cause, Error, Result};
 
-/// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does not say
+/// Reads a mounted gauge as it is now, or a file of any format. `chip` is what a file is for where it does not say
 /// so itself.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Image> {
     if path.is_dir() { now(path) } else { Ok(Image::open(path, chip)?) }
@@ -27,9 +27,54 @@ pub(crate) fn chip(gauge: &Path) -> Result<&'static Chip> {
     part(gauge).map_err(|error| error.within(&name))
 }
 
-/// Reads the configuration of a mounted gauge.
+/// Polls a mounted gauge and reads its configuration anew.
 pub(crate) fn now(gauge: &Path) -> Result<Image> {
+    poll(gauge)?;
     read(gauge, chip(gauge)?).map_err(|error| error.within(&gauge.display().to_string()))
+}
+
+/// Polls a mounted gauge, drops the values that were kept of its data flash, and prints on standard error which
+/// gauge it is: another pack may have taken the place of the one that was there at the last poll. A user who may
+/// not do that gets the values of the last poll, and their age.
+pub(crate) fn poll(gauge: &Path) -> Result<()> {
+    let failed = |error: io::Error| refused(gauge, "gauge/refresh: the gauge cannot be polled", &error);
+    let why = match File::options().write(true).open(gauge.join("gauge/refresh")) {
+        Ok(mut file) => {
+            file.write_all(b"1\n").map_err(failed)?;
+            String::new()
+        }
+        Err(error) => match error.raw_os_error().map(Errno::from_raw) {
+            // Every caller then reads or writes another file of the gauge, and explains that it is not there.
+            Some(Errno::ENOENT | Errno::ENOTDIR) => return Ok(()),
+            Some(errno @ (Errno::EACCES | Errno::EPERM | Errno::EROFS)) => {
+                format!("; not polled now, and values may be as old: gauge/refresh: {}", errno.desc())
+            }
+            _ => return Err(failed(error)),
+        },
+    };
+    eprintln!("gaugefs: gauge {}: {}{why}", gauge.display(), identity(gauge));
+    Ok(())
+}
+
+/// The part, what distinguishes the pack, and when it was polled.
+fn identity(gauge: &Path) -> String {
+    let text = |name: &str| Some(text(gauge, name).ok()?.trim().to_string());
+    let model = text("model_name").unwrap_or("unknown part".into());
+    let chip = part(gauge).ok();
+    let pack = chip.and_then(|chip| Some((chip.registers, chip.preflight.pack.as_ref()?)));
+    let pack = pack.and_then(|(registers, pack)| match pack.word {
+        Word::Register(code) => {
+            let register = registers.iter().find(|register| register.code == code)?;
+            let word: u16 = text(&format!("gauge/registers/{}", snake_case(register.name)))?.parse().ok()?;
+            Some(format!("{} 0x{word:04x}", pack.name))
+        }
+        Word::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
+        Word::ControlStatus => None,
+    });
+    let pack = pack.unwrap_or("no serial number".into());
+    let age = text("gauge/age_ms").and_then(|age| age.parse::<f64>().ok());
+    let age = age.map_or("age unknown".into(), |age| format!("polled {:.1} s ago", age / 1000.0));
+    format!("{model}, {pack}, {age}")
 }
 
 /// An error about a line of `df/index`.

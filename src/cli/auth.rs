@@ -48,6 +48,7 @@ impl Auth {
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
         };
         let asked = order(&self.gauge)?;
+        mounted::poll(&self.gauge)?;
         for _ in 0..TRIES {
             let mut challenge = [0; LENGTH];
             getrandom::fill(&mut challenge)

@@ -16,8 +16,8 @@ use ti_gauge::image::{Group, LeftOut};
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
-sides have are compared; standard error says what one side lacks.
-Exit code 0: no difference, 1: differences, 2: they could not be compared.
+sides have are compared; standard error says what one side lacks. A mounted gauge is polled and its
+configuration read first. Exit code 0: no difference, 1: differences, 2: they could not be compared.
 
 Examples:
   gaugefs diff --exclude serial golden.toml /run/gauges/BAT0

@@ -15,7 +15,7 @@ use ti_gauge::image::{Changes, Group, Image};
 mod progress;
 
 const IMPORT: &str = "\
-The differences are written through
+The gauge is polled and its configuration read first. The differences are written through
 df/transaction, all of them or none, and printed. Keys are never written, nor parameters whose
 address or range is uncertain: what is passed over is listed on standard error. A FlashStream that
 would change undocumented bytes is refused, unless --raw writes them or --exclude undocumented

@@ -84,6 +84,7 @@ impl Change {
             let why = "not a mounted gauge with keys; give a folder such as /run/gauges/BAT0";
             return Err(Error::host(subject, Errno::ENOENT, why));
         }
+        mounted::poll(&self.gauge)?;
         let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
         // Reserved at once: a string that grows leaves copies behind that are not wiped.

@@ -46,6 +46,10 @@ impl Settle {
             (_, _, true) => "discard",
             _ => "show",
         };
+        // A journal can be discarded without its gauge.
+        if !self.discard {
+            mounted::poll(&self.gauge)?;
+        }
         let told = exchange(&self.gauge, word)?;
         print(&format!("{}\n", told.trim_end()));
         let is_pending = word == "show" && told.trim() != "nothing to settle";

@@ -25,6 +25,8 @@ pub(crate) struct Ran {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
     pub(crate) err: String,
+    /// The lines of standard error that say which gauge it is.
+    pub(crate) gauges: Vec<String>,
 }
 
 pub(crate) fn command(arguments: &[&str]) -> Command {
@@ -39,9 +41,16 @@ pub(crate) fn command(arguments: &[&str]) -> Command {
 }
 
 pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
-    let output = command(arguments).output().expect("gaugefs runs");
+    run(command(arguments))
+}
+
+pub(crate) fn run(mut command: Command) -> Ran {
+    let output = command.output().expect("gaugefs runs");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
-    Ran { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+    let (code, out, err) = (output.status.code(), text(output.stdout), text(output.stderr));
+    let (gauges, err): (Vec<&str>, Vec<&str>) =
+        err.split_inclusive('\n').partition(|line| line.starts_with("gaugefs: gauge "));
+    Ran { code, out, err: err.concat(), gauges: gauges.into_iter().map(str::to_string).collect() }
 }
 
 impl Ran {
@@ -88,7 +97,7 @@ impl Ran {
 fn golden(name: &str, lines: &[&str]) {
     let mut now = String::new();
     for line in lines {
-        let Ran { code, out, err } = gaugefs(&line.split_ascii_whitespace().collect::<Vec<_>>());
+        let Ran { code, out, err, .. } = gaugefs(&line.split_ascii_whitespace().collect::<Vec<_>>());
         writeln!(now, "$ gaugefs {line}\n{out}{err}=> {}\n", code.expect("it exits")).expect("a string");
     }
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/golden").join(name);
@@ -509,10 +518,54 @@ fn groups_can_be_excluded_from_a_comparison() {
         &["diff", "--exclude", "serial", &file, &gauge][..],
         &["import", "--dry-run", "--exclude", "serial", &gauge, &file],
     ] {
-        assert_eq!(gaugefs(command).done(), "");
+        let ran = gaugefs(command);
+        assert_eq!(ran.gauges.len(), 1);
+        let says = format!("gaugefs: gauge {gauge}: bq34z100-G1, SerialNumber() 0x0007, polled 0.");
+        assert!(ran.gauges[0].starts_with(&says), "{:?}", ran.gauges);
+        assert_eq!(ran.done(), "");
     }
     gaugefs(&["diff", &file, &folder.file("none")]).troubled(&["none"]);
     gaugefs(&["import", "--dry-run", &gauge, &folder.file("none")]).troubled(&["none"]);
+    gaugefs(&["umount", &at]).done();
+}
+
+/// A recording cannot be polled.
+#[test]
+fn values_that_cannot_be_read_anew_are_shown_with_their_age() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, trace) = (folder.file("m"), folder.file("trace"));
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["mount", "--sim", CHIP, "--trace", &trace, &at]).done();
+    let exported = gaugefs(&["export", &gauge]).done();
+    gaugefs(&["umount", &at]).done();
+    gaugefs(&["mount", "--replay", &trace, &at]).done();
+    let ran = gaugefs(&["export", &gauge]);
+    let line = ran.gauges.concat();
+    assert!(line.contains("polled ") && line.contains("not polled now"), "{line}");
+    assert!(line.contains("gauge/refresh: Read-only file system"), "{line}");
+    assert_eq!(ran.done(), exported);
+    gaugefs(&["umount", &at]).done();
+}
+
+/// A gauge that does not answer is neither exported nor compared: its pack may be another one by now.
+#[test]
+fn a_gauge_that_does_not_answer_is_not_believed() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("pack"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    fs::write(&file, gaugefs(&["export", &gauge]).done()).expect("a file");
+    fs::write(format!("{gauge}/sim/power"), "off").expect("a knob");
+    gaugefs(&["export", &gauge]).failed(&[&gauge, "not acknowledged"]);
+    gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "not acknowledged"]);
+    gaugefs(&["diff", &file, &gauge]).troubled(&[&gauge, "not acknowledged"]);
+    fs::write(format!("{gauge}/sim/power"), "on").expect("a knob");
     gaugefs(&["umount", &at]).done();
 }
 
