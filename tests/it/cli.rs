@@ -983,12 +983,12 @@ fn a_genuine_pack_is_recognised_and_its_keys_appear_nowhere() {
     auth().failed(&["BAT0: not genuine", "in either byte order"]);
     write_keys(&format!("authentication = {default}\n"));
     fs::write(Path::new(&gauge).join("sim/auth_ms"), "9000").expect("a knob");
-    auth().failed(&["shows no digest"]);
+    auth().troubled(&["shows no digest"]);
     write_keys("unseal = 8d3e b7c5\n");
-    auth().failed(&[&keys, "has no line `authentication"]);
-    gaugefs(&["auth", &at, "--key-file", &folder.file("none")]).failed(&["cannot read the key file"]);
+    auth().troubled(&[&keys, "has no line `authentication"]);
+    gaugefs(&["auth", &at, "--key-file", &folder.file("none")]).troubled(&["cannot read the key file"]);
     write_keys(&format!("authentication = {default}\n"));
-    gaugefs(&["auth", &at, "--key-file", &keys]).failed(&["not a mounted gauge"]);
+    gaugefs(&["auth", &at, "--key-file", &keys]).troubled(&["not a mounted gauge"]);
 
     let last_error = read(&gauge, "gauge/last_error");
     gaugefs(&["umount", &at]).done();
