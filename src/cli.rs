@@ -159,6 +159,17 @@ fn counted(parameters: usize) -> String {
     if parameters == 1 { "1 parameter".into() } else { format!("{parameters} parameters") }
 }
 
+/// Exit code of a command that has done all but something that it lists on standard error.
+const PASSED_OVER: u8 = 3;
+
+/// The exit codes of diff(1): a failure is 2, which a script can distinguish from a difference.
+fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
+    outcome.or_else(|error| {
+        eprintln!("gaugefs: {error}");
+        Ok(ExitCode::from(2))
+    })
+}
+
 /// The name of a gauge's folder, with symbolic links resolved.
 fn folder_name(gauge: &Path) -> String {
     let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());

@@ -1,30 +1,80 @@
 //! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
 
-use std::fs::File;
-use std::io::Write;
+use std::fs::{self, File};
+use std::io::{self, Write};
 use std::path::Path;
 
 use nix::errno::Errno;
-use ti_gauge::chip::{CHIPS, Chip, Kind};
+use ti_gauge::chip::{CHIPS, Chip, Kind, Word, snake_case};
 use ti_gauge::dataflash::Place;
-use ti_gauge::image::{Difference, Entry, Image, RawDifference};
+use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
 use crate::error::{Cause, Error, Result};
 
-/// Reads a mounted gauge's folder, or a file of any format. `chip` is what a file is for where it does not say
+/// Reads a mounted gauge as it is now, or a file of any format. `chip` is what a file is for where it does not say
 /// so itself.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Image> {
-    if path.is_dir() { of_mounted(path) } else { Ok(Image::open(path, chip)?) }
+    if path.is_dir() { now(path) } else { Ok(Image::open(path, chip)?) }
 }
 
-/// Reads a mounted gauge's folder and nothing else.
-pub(crate) fn of_mounted(path: &Path) -> Result<Image> {
-    let name = path.display().to_string();
-    if !path.is_dir() {
+/// The chip of a mounted gauge, without reading its data flash.
+pub(crate) fn chip(gauge: &Path) -> Result<&'static Chip> {
+    let name = gauge.display().to_string();
+    if !gauge.is_dir() {
         return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
     }
-    read(path).map_err(|error| error.within(&name))
+    part(gauge).map_err(|error| error.within(&name))
+}
+
+/// Polls a mounted gauge and reads its configuration anew.
+pub(crate) fn now(gauge: &Path) -> Result<Image> {
+    poll(gauge)?;
+    read(gauge, chip(gauge)?).map_err(|error| error.within(&gauge.display().to_string()))
+}
+
+/// Polls a mounted gauge, drops the values that were kept of its data flash, and prints on standard error which
+/// gauge it is: another pack may have taken the place of the one that was there at the last poll. A user who may
+/// not do that gets the values of the last poll, and their age.
+pub(crate) fn poll(gauge: &Path) -> Result<()> {
+    let failed = |error: io::Error| refused(gauge, "gauge/refresh: the gauge cannot be polled", &error);
+    let why = match File::options().write(true).open(gauge.join("gauge/refresh")) {
+        Ok(mut file) => {
+            file.write_all(b"1\n").map_err(failed)?;
+            String::new()
+        }
+        Err(error) => match error.raw_os_error().map(Errno::from_raw) {
+            // Every caller then reads or writes another file of the gauge, and explains that it is not there.
+            Some(Errno::ENOENT | Errno::ENOTDIR) => return Ok(()),
+            Some(errno @ (Errno::EACCES | Errno::EPERM | Errno::EROFS)) => {
+                format!("; not polled now, and values may be as old: gauge/refresh: {}", errno.desc())
+            }
+            _ => return Err(failed(error)),
+        },
+    };
+    eprintln!("gaugefs: gauge {}: {}{why}", gauge.display(), identity(gauge));
+    Ok(())
+}
+
+/// The part, what distinguishes the pack, and when it was polled.
+fn identity(gauge: &Path) -> String {
+    let text = |name: &str| Some(text(gauge, name).ok()?.trim().to_string());
+    let model = text("model_name").unwrap_or("unknown part".into());
+    let chip = part(gauge).ok();
+    let pack = chip.and_then(|chip| Some((chip.registers, chip.preflight.pack.as_ref()?)));
+    let pack = pack.and_then(|(registers, pack)| match pack.word {
+        Word::Register(code) => {
+            let register = registers.iter().find(|register| register.code == code)?;
+            let word: u16 = text(&format!("gauge/registers/{}", snake_case(register.name)))?.parse().ok()?;
+            Some(format!("{} 0x{word:04x}", pack.name))
+        }
+        Word::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
+        Word::ControlStatus => None,
+    });
+    let pack = pack.unwrap_or("no serial number".into());
+    let age = text("gauge/age_ms").and_then(|age| age.parse::<f64>().ok());
+    let age = age.map_or("age unknown".into(), |age| format!("polled {:.1} s ago", age / 1000.0));
+    format!("{model}, {pack}, {age}")
 }
 
 /// An error about a line of `df/index`.
@@ -37,37 +87,45 @@ fn word(text: &str) -> Option<u16> {
     u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
 }
 
-/// Reads a mounted gauge.
-fn read(folder: &Path) -> Result<Image> {
-    let text = |name: &str| {
-        std::fs::read_to_string(folder.join(name)).map_err(|error| {
-            match error.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::ENOENT) => {
-                    let why = "is not there; this is not a mounted gauge's folder with data flash";
-                    Error::host(name, Errno::ENOENT, why)
-                }
-                _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
-            }
-        })
-    };
-    let model = text("model_name")?;
-    let chip = CHIPS.iter().find(|chip| chip.model == model.trim()).ok_or_else(|| {
+/// The text of a file that every mounted gauge with data flash has.
+fn text(folder: &Path, name: &str) -> Result<String> {
+    fs::read_to_string(folder.join(name)).map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
+        Some(Errno::ENOENT) => {
+            let why = "is not there; this is not a mounted gauge's folder with data flash";
+            Error::host(name, Errno::ENOENT, why)
+        }
+        _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
+    })
+}
+
+fn part(folder: &Path) -> Result<&'static Chip> {
+    let model = text(folder, "model_name")?;
+    CHIPS.iter().copied().find(|chip| chip.model == model.trim()).ok_or_else(|| {
         let why = format!("no gauge that gaugefs knows: {}", model.trim());
         Error::new("model_name", Cause::Gone(why))
-    })?;
-    let firmware = text("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
+    })
+}
+
+/// Reads the configuration of a mounted gauge.
+fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
+    let firmware = text(folder, "gauge/firmware_version").ok().and_then(|text| word(text.trim()));
     let mut image = Image::new(chip, firmware);
-    for (number, line) in (1..).zip(text("df/index")?.lines()).skip(1) {
+    for (number, line) in (1..).zip(text(folder, "df/index")?.lines()).skip(1) {
         let fields: Vec<&str> = line.split('\t').collect();
-        let [id, offset, .., text] = fields.as_slice() else {
+        let [id, offset, .., value] = fields.as_slice() else {
             return Err(at_line(number, "not a line of df/index"));
         };
         let row = chip.row(id, offset);
         let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
-        if *text == "-" || subclass.kind == Kind::Security {
+        if subclass.kind == Kind::Security {
             continue;
         }
-        let value = text::parse_stored(parameter, text.as_bytes())?;
+        if *value == "-" {
+            let text = format!("{}: the gauge does not show its value", parameter.name);
+            image.left_out.push(LeftOut { text, is_key: false });
+            continue;
+        }
+        let value = text::parse_stored(parameter, value.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     if image.entries.is_empty() {
@@ -80,7 +138,7 @@ fn read(folder: &Path) -> Result<Image> {
 /// All bytes of a subclass of a mounted gauge.
 pub(crate) fn raw_of(gauge: &Path, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
     let file = gauge.join(format!("df/{id}/raw"));
-    std::fs::read(&file)
+    fs::read(&file)
         .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
 }
 
@@ -108,11 +166,15 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
         }),
         Err(error) => Err(error),
     };
-    outcome.map_err(|error| {
-        let told = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        match (told.trim(), error.raw_os_error().map(Errno::from_raw)) {
-            ("", _) | (_, None) => Error::io(&name, "df/transaction", &error),
-            (told, Some(errno)) => Error::host(&name, errno, told),
-        }
-    })
+    outcome.map_err(|error| refused(gauge, "df/transaction", &error))
+}
+
+/// The error of a gauge that did not do `what`. Its `gauge/last_error` gives a better reason than the errno.
+pub(crate) fn refused(gauge: &Path, what: &str, error: &io::Error) -> Error {
+    let name = gauge.display().to_string();
+    let reason = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+    match (reason.trim(), error.raw_os_error().map(Errno::from_raw)) {
+        ("", _) | (_, None) => Error::io(name, what, error),
+        (reason, Some(errno)) => Error::host(name, errno, reason),
+    }
 }

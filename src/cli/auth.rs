@@ -7,15 +7,15 @@ use std::process::ExitCode;
 use clap::Args;
 use nix::errno::Errno;
 
-use super::{folder_name, print};
+use super::{folder_name, print, trouble};
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
+use crate::{key_file, mounted};
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 
 const AUTH: &str = "\
 The key file needs a line `authentication = 32 hexadecimal digits`. The key never leaves this
 process: the gauge gets a random challenge, and only a gauge with the same key can compute the
-digest. Exit code 0: the pack is genuine, 1: it is not, or the gauge could not be asked.
+digest. Exit code 0: the pack is genuine, 1: it is not, 2: the gauge could not be asked.
 
 Example:
   gaugefs auth /run/gauges/BAT0 --key-file ~/pack.keys";
@@ -36,12 +36,20 @@ pub(super) struct Auth {
 
 impl Auth {
     pub(super) fn run(self) -> Result<ExitCode> {
-        print(&self.ask()?);
-        Ok(ExitCode::SUCCESS)
+        trouble(self.ask().map(|genuine| match genuine {
+            Ok(text) => {
+                print(&text);
+                ExitCode::SUCCESS
+            }
+            Err(why) => {
+                eprintln!("gaugefs: {}: {why}", self.gauge.display());
+                ExitCode::FAILURE
+            }
+        }))
     }
 
-    /// The text for a genuine pack, or an error for any other.
-    fn ask(&self) -> Result<String> {
+    /// The text for a genuine pack, or why it is not genuine.
+    fn ask(&self) -> Result<Result<String, &'static str>> {
         let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());
         let Some(key) = key else {
@@ -49,30 +57,30 @@ impl Auth {
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
         };
         let asked = order(&self.gauge)?;
+        mounted::poll(&self.gauge)?;
         for _ in 0..TRIES {
             let mut challenge = [0; LENGTH];
             getrandom::fill(&mut challenge)
                 .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
             let text = exchange(&self.gauge, &to_hex(&challenge))?;
-            let digest = from_hex(text.as_bytes()).map_err(|_| self.wrong("the answer is not a digest"))?;
+            let digest = from_hex(text.as_bytes()).map_err(|_| {
+                let why = "the answer is not a digest".into();
+                Error::new(self.gauge.display().to_string(), Cause::Protocol(why))
+            })?;
             match fits(key, &challenge, &digest, asked) {
                 Some(order) if order == asked => {
-                    return Ok(format!("genuine, byte order {}\n", order.as_str()));
+                    return Ok(Ok(format!("genuine, byte order {}\n", order.as_str())));
                 }
                 Some(order) => {
                     let (order, asked) = (order.as_str(), asked.as_str());
-                    return Ok(format!(
+                    return Ok(Ok(format!(
                         "genuine, byte order {order}; it is mounted with {asked}; mount it with --auth-order {order}\n"
-                    ));
+                    )));
                 }
                 None => {}
             }
         }
-        Err(self.wrong("not genuine: its digest does not match this key, in either byte order"))
-    }
-
-    fn wrong(&self, why: &str) -> Error {
-        Error::new(self.gauge.display().to_string(), Cause::NotPermitted(why.into()))
+        Ok(Err("not genuine: its digest does not match this key, in either byte order"))
     }
 }
 
@@ -104,10 +112,7 @@ fn exchange(gauge: &Path, challenge: &str) -> Result<String> {
         .write(true)
         .open(&path)
         .map_err(|error| Error::io(&name, "cannot write a challenge", &error))?;
-    file.write_all(challenge.as_bytes()).map_err(|error| {
-        let why = std::fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        let what = format!("the gauge does not answer ({})", why.trim());
-        Error::io(&name, &what, &error)
-    })?;
+    file.write_all(challenge.as_bytes())
+        .map_err(|error| mounted::refused(gauge, "the gauge does not answer the challenge", &error))?;
     std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the digest", &error))
 }

@@ -1,23 +1,26 @@
 //! `gaugefs diff`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
 use serde::Serialize;
 
-use super::{counted, print, print_json};
+use super::import::GroupName;
+use super::{counted, print, print_json, trouble};
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::mounted;
 use ti_gauge::chip::Chip;
+use ti_gauge::image::{Group, LeftOut};
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
-sides have are compared. Exit code 0: no difference, 1: differences, 2: they could not be compared.
+sides have are compared; standard error says what one side lacks. A mounted gauge is polled and its
+configuration read first. Exit code 0: no difference, 1: differences, 2: they could not be compared.
 
 Examples:
-  gaugefs diff pack.toml /run/gauges/BAT0
+  gaugefs diff --exclude serial golden.toml /run/gauges/BAT0
   gaugefs diff pack.toml pack.gm.fs";
 
 /// Compare two configurations, parameter by parameter
@@ -28,6 +31,9 @@ pub(super) struct Diff {
     a: PathBuf,
     /// The folder or file to compare it with
     b: PathBuf,
+    /// Do not compare these groups of parameters
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUPS")]
+    exclude: Vec<GroupName>,
     /// Chip to assume if a file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
@@ -48,22 +54,23 @@ struct Row<'a> {
 impl Diff {
     /// Exit codes as diff(1) has them: a script must be able to distinguish a difference from a failure.
     pub(super) fn run(self) -> Result<ExitCode> {
-        self.compare().or_else(|error| {
-            eprintln!("gaugefs: {error}");
-            Ok(ExitCode::from(2))
-        })
+        trouble(self.compare())
     }
 
     fn compare(self) -> Result<ExitCode> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
         // A mounted gauge says which chip a file without a name is for.
-        let first = if self.a.is_dir() { Some(mounted::open(&self.a, None)?) } else { None };
-        let b = mounted::open(&self.b, named.or(first.as_ref().map(|image| image.chip)))?;
-        let a = match first {
-            Some(image) => image,
-            None => mounted::open(&self.a, named.or(Some(b.chip)))?,
+        let chip_of = |path: &Path| if path.is_dir() { mounted::chip(path).map(Some) } else { Ok(None) };
+        // Files first: one that is refused leaves the gauge alone.
+        let (a, b) = if self.b.is_dir() {
+            let a = mounted::open(&self.a, named.or(chip_of(&self.b)?))?;
+            (a, mounted::now(&self.b)?)
+        } else {
+            let b = mounted::open(&self.b, named.or(chip_of(&self.a)?))?;
+            (mounted::open(&self.a, named.or(Some(b.chip)))?, b)
         };
-        let comparison = a.compare(&b)?;
+        let exclude: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
+        let comparison = a.compare(&b, &exclude)?;
         let differences = &comparison.differences;
         if self.json {
             let rows = differences.iter().map(|difference| Row {
@@ -76,10 +83,15 @@ impl Diff {
         } else {
             print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>());
         }
-        for (count, name) in [(comparison.only_first, &self.a), (comparison.only_second, &self.b)] {
-            if count > 0 {
-                let count = counted(count);
-                eprintln!("gaugefs: {}: {count} that the other side lacks", name.display());
+        let sides = [(&a, &self.a, &comparison.only_first), (&b, &self.b, &comparison.only_second)];
+        for (image, path, only) in sides {
+            let counts = |left: &&LeftOut| !(left.is_key && exclude.contains(&Group::Keys));
+            for left in image.left_out.iter().filter(counts) {
+                eprintln!("gaugefs: {}: {}", path.display(), left.text);
+            }
+            if !only.is_empty() {
+                let count = counted(only.len());
+                eprintln!("gaugefs: {}: {count} that the other side lacks", path.display());
             }
         }
         Ok(if differences.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -5,14 +5,15 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 
-use super::print;
+use super::{PASSED_OVER, print};
 use crate::error::{Error, Result};
 use crate::mounted;
 use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
 toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send to
-a gauge. Keys are never exported.
+a gauge. Keys are never exported. The gauge is polled and its configuration read first. Exit code 0:
+done, 3: values that the gauge does not show are missing in the file, 1: failed.
 
 Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml
@@ -43,14 +44,17 @@ enum FormatName {
 
 impl Export {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let image = mounted::of_mounted(&self.gauge)?;
+        let image = mounted::now(&self.gauge)?;
         let text = image.write(self.format.into(), |id| mounted::raw_of(&self.gauge, id))?;
         match self.output {
             None => print(&text),
             Some(file) => std::fs::write(&file, text)
                 .map_err(|error| Error::io(file.display().to_string(), "cannot write it", &error))?,
         }
-        Ok(ExitCode::SUCCESS)
+        for left in &image.left_out {
+            eprintln!("gaugefs: {}: {}", self.gauge.display(), left.text);
+        }
+        Ok(if image.left_out.is_empty() { ExitCode::SUCCESS } else { PASSED_OVER.into() })
     }
 }
 

@@ -15,7 +15,7 @@ use zeroize::Zeroizing;
 
 use super::{folder_name, print};
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
+use crate::{key_file, mounted};
 use ti_gauge::keys::{Name, Secret};
 
 const CHANGE: &str = "\
@@ -84,6 +84,7 @@ impl Change {
             let why = "not a mounted gauge with keys; give a folder such as /run/gauges/BAT0";
             return Err(Error::host(subject, Errno::ENOENT, why));
         }
+        mounted::poll(&self.gauge)?;
         let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
         // Reserved at once: a string that grows leaves copies behind that are not wiped.
@@ -106,11 +107,7 @@ impl Change {
                  new key into the key file, as the line `{} = ...`.\n",
                 name.line()
             )),
-            // last_error says more than the errno.
-            Err(error) => match std::fs::read_to_string(self.gauge.join("gauge/last_error")) {
-                Ok(why) if !why.trim().is_empty() => Err(Error::host(subject, Errno::EIO, why.trim())),
-                _ => Err(Error::io(subject, "the key was not changed", &error)),
-            },
+            Err(error) => Err(mounted::refused(&self.gauge, "the key was not changed", &error)),
         }
     }
 

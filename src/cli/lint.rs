@@ -44,7 +44,7 @@ struct Report<'a> {
     chip: &'static str,
     parameters: Vec<Row>,
     raw: Vec<RawRow>,
-    notes: &'a [String],
+    notes: Vec<&'a str>,
 }
 
 #[derive(Serialize)]
@@ -71,8 +71,19 @@ impl<'a> Report<'a> {
             line: entry.line,
         });
         let raw = image.raw.iter().map(|raw| RawRow { name: raw.name(), bytes: raw.text(), line: raw.line });
-        Self { chip: image.chip.name, parameters: rows.collect(), raw: raw.collect(), notes: &image.notes }
+        Self {
+            chip: image.chip.name,
+            parameters: rows.collect(),
+            raw: raw.collect(),
+            notes: notes(image).collect(),
+        }
     }
+}
+
+/// The notes about a file, and what it has that no image contains.
+fn notes(image: &Image) -> impl Iterator<Item = &str> {
+    let left_out = image.left_out.iter().map(|left| left.text.as_str());
+    image.notes.iter().map(String::as_str).chain(left_out)
 }
 
 impl Lint {
@@ -84,7 +95,7 @@ impl Lint {
             print(&self.text(&image));
         }
         let mut code = ExitCode::SUCCESS;
-        let values = image.entries.iter().filter_map(|entry| entry.is_imported().err());
+        let values = image.entries.iter().filter_map(|entry| entry.not_imported().err());
         let raw = image.raw.chunk_by(|one, other| one.line == other.line);
         let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
         for error in values.chain(raw) {
@@ -98,14 +109,14 @@ impl Lint {
         let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
         let rows = image.entries.iter().map(|entry| {
             let unit = entry.parameter.unit;
-            let mark = if matches!(entry.is_imported(), Ok(false)) { "not imported" } else { "" };
+            let mark = if matches!(entry.not_imported(), Ok(Some(_))) { "not imported" } else { "" };
             let value = format!("{} {unit}", entry.text());
             [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
         });
         let raw = image.raw.iter().filter(|_| self.raw);
         let raw = raw.map(|raw| [raw.name(), raw.text(), format!("line {}", raw.line), String::new()]);
         text += &align(&rows.chain(raw).collect::<Vec<_>>());
-        text.extend(image.notes.iter().map(|note| format!("{note}\n")));
+        text.extend(notes(image).map(|note| format!("{note}\n")));
         if !self.raw {
             text += &image.undocumented();
         }

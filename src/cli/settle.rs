@@ -9,6 +9,7 @@ use nix::errno::Errno;
 
 use super::print;
 use crate::error::{Error, Result};
+use crate::mounted;
 
 const SETTLE: &str = "\
 A write that was interrupted is settled by itself where the gauge is certainly the one it was begun on.
@@ -45,6 +46,10 @@ impl Settle {
             (_, _, true) => "discard",
             _ => "show",
         };
+        // A journal can be discarded without its gauge.
+        if !self.discard {
+            mounted::poll(&self.gauge)?;
+        }
         let told = exchange(&self.gauge, word)?;
         print(&format!("{}\n", told.trim_end()));
         let is_pending = word == "show" && told.trim() != "nothing to settle";
@@ -65,12 +70,6 @@ fn exchange(gauge: &Path, word: &str) -> Result<String> {
         use std::io::Write;
         file.write(word.as_bytes())
     });
-    written.map_err(|error| {
-        let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-        match (why.trim(), error.raw_os_error().map(Errno::from_raw)) {
-            ("", _) | (_, None) => Error::io(&name, "cannot be settled", &error),
-            (why, Some(errno)) => Error::host(&name, errno, why),
-        }
-    })?;
+    written.map_err(|error| mounted::refused(gauge, "cannot be settled", &error))?;
     fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read what is to settle", &error))
 }

@@ -17,7 +17,7 @@ use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 
-use super::cli::{CHIP, Folder, can_mount, command, gaugefs, read, within};
+use super::cli::{self, CHIP, Folder, can_mount, command, gaugefs, read, within};
 
 const LONG: Duration = Duration::from_secs(60);
 
@@ -479,10 +479,9 @@ fn relative_paths_are_those_of_the_callers_folder() {
     let folder = Folder::new();
     write_keys(&folder.file("keys"));
     let run = |arguments: &str| {
-        let output = command(&arguments.split(' ').collect::<Vec<_>>()).current_dir(&folder.0).output();
-        let output = output.expect("gaugefs runs");
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && errors.is_empty(), "gaugefs {arguments}: {errors}");
+        let mut command = command(&arguments.split(' ').collect::<Vec<_>>());
+        command.current_dir(&folder.0);
+        cli::run(command).done();
     };
     let mount = format!(
         "mount --sim {CHIP} --sim-state state --key-file keys --trace trace --log log --state-dir journal m"

@@ -139,7 +139,7 @@ fn typed(arguments: &[&str], answers: &[(&str, &str)]) -> Ran {
     }
     screen.read_to_string(&mut out).expect("a screen");
     drop(keyboard);
-    Ran { code: script.wait().expect("it ends").code(), out, err: String::new() }
+    Ran { code: script.wait().expect("it ends").code(), out, err: String::new(), gauges: Vec::new() }
 }
 
 #[test]

@@ -38,7 +38,7 @@ impl Knobs for SimKnobs {
 }
 
 /// One simulated gauge, mounted.
-struct Mount {
+pub(crate) struct Mount {
     folder: PathBuf,
     sim: Sim,
     handle: Handle,
@@ -60,7 +60,7 @@ impl Mount {
     }
 
     /// A mount whose simulated gauge is prepared first, with a configuration to restore, behind a given bus.
-    fn with(
+    pub(crate) fn with(
         chip: &str,
         interval: Duration,
         keys: Keys,
@@ -102,7 +102,7 @@ impl Mount {
         Some(Self { folder, sim, handle, _mounted: mounted })
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.join("BAT0").join(name)
     }
 
@@ -117,7 +117,7 @@ impl Mount {
     }
 
     /// Does what `echo text > name` does.
-    fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
+    pub(crate) fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
         let mut file = OpenOptions::new().write(true).truncate(true).open(self.path(name)).map_err(errno)?;
         file.write_all(format!("{text}\n").as_bytes()).map_err(errno)
     }

@@ -4,15 +4,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
 use gaugefs::owner::{self, Request, Settings};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::error::Result;
+use ti_gauge::keys::Keys;
 use ti_gauge::value::Value;
 
+use crate::cli::{Folder, gaugefs};
+use crate::mount::Mount;
 use crate::rig::Rig;
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
@@ -85,4 +88,40 @@ fn a_swapped_pack_is_detected() {
         serial() == 1
     });
     assert!(tries.is_some(), "the poll did not notice");
+}
+
+/// Two packs with the factory's serial number are exchanged between two polls.
+#[test]
+fn the_commands_read_the_pack_that_is_there() {
+    let clock = Arc::new(RealClock::new());
+    let second = Sim::new("bq34z100-g1", &Options::default(), clock).expect("a simulated chip");
+    let at = Arc::new(AtomicUsize::new(0));
+    let bus = |first: &Sim| -> Box<dyn Bus> {
+        Box::new(Swap([Box::new(first.bus()), Box::new(second.bus())], at.clone()))
+    };
+    let hour = Duration::from_secs(3600);
+    let Some(mount) = Mount::with("bq34z100-g1", hour, Keys::default(), |_| {}, Vec::new(), bus) else {
+        return;
+    };
+    mount.echo("3100", "df/80/53").expect("a write");
+    let (gauge, files) = (mount.path(""), Folder::new());
+    let (folder, file) = (gauge.to_str().expect("UTF-8"), &*files.file("golden.toml"));
+    let golden = gaugefs(&["export", folder]).done();
+    std::fs::write(file, golden).expect("a file");
+    assert_eq!(gaugefs(&["diff", file, folder]).done(), "");
+
+    let before = second.flash();
+    at.store(1, Ordering::SeqCst);
+    let diff = gaugefs(&["diff", file, folder]);
+    assert_eq!((diff.code, &*diff.out), (Some(1), "it-cfg/cell-terminate-voltage: 3100 -> 3000 mV\n"));
+    at.store(0, Ordering::SeqCst);
+    assert_eq!(gaugefs(&["diff", file, folder]).done(), "");
+    at.store(1, Ordering::SeqCst);
+    assert!(gaugefs(&["export", folder]).done().contains("\ncell-terminate-voltage = 3000 "));
+    at.store(0, Ordering::SeqCst);
+    assert!(gaugefs(&["export", folder]).done().contains("\ncell-terminate-voltage = 3100 "));
+    at.store(1, Ordering::SeqCst);
+    let import = gaugefs(&["import", folder, file]);
+    assert_eq!(import.done(), "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n");
+    assert!(second.flash() != before);
 }

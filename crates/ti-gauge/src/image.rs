@@ -41,6 +41,19 @@ pub struct Image {
     pub raw: Vec<Raw>,
     /// Notes for the reader, a line each.
     pub notes: Vec<String>,
+    /// What the file or the gauge has, and this image has not.
+    pub left_out: Vec<LeftOut>,
+    /// Whether the file names the chip that it is for, or its device type.
+    pub names_chip: bool,
+}
+
+/// Something that is not part of an image although its file or its gauge has it.
+#[derive(Debug)]
+pub struct LeftOut {
+    /// What it is, where it is from, and why it is left out.
+    pub text: String,
+    /// It is a key.
+    pub is_key: bool,
 }
 
 /// Parameters that an import can leave as they are.
@@ -54,16 +67,18 @@ pub enum Group {
     Learned,
     /// Bytes that no manual documents.
     Undocumented,
+    /// Keys, which no image contains: a file that contains some is complete without them.
+    Keys,
 }
 
 impl Group {
-    fn has(self, entry: &Entry) -> bool {
+    fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
         let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
         match self {
-            Group::Calibration => entry.subclass.class == "Calibration",
-            Group::Serial => of_one_pack.contains(&entry.parameter.name),
-            Group::Learned => entry.parameter.learned,
-            Group::Undocumented => false,
+            Group::Calibration => subclass.class == "Calibration",
+            Group::Serial => of_one_pack.contains(&parameter.name),
+            Group::Learned => parameter.learned,
+            Group::Undocumented | Group::Keys => false,
         }
     }
 }
@@ -119,15 +134,40 @@ pub struct Difference<'a> {
 pub struct Comparison<'a> {
     /// Parameters that both have, with different values.
     pub differences: Vec<Difference<'a>>,
-    /// How many parameters only the first has.
-    pub only_first: usize,
-    /// How many parameters only the second has.
-    pub only_second: usize,
+    /// Parameters that only the first has.
+    pub only_first: Vec<&'a Entry>,
+    /// Parameters that only the second has.
+    pub only_second: Vec<&'a Entry>,
+}
+
+/// What an import does with a file.
+#[derive(Debug)]
+pub struct Changes<'a> {
+    /// Parameters to write.
+    pub changes: Vec<Difference<'a>>,
+    /// What the file asks for and the gauge does not get, a line each, with the reason.
+    pub passed_over: Vec<String>,
 }
 
 /// An error about a line of a file.
 fn at_line(line: usize, why: impl Into<String>) -> Error {
     Error::new(format!("line {line}"), Cause::Invalid(why.into()))
+}
+
+/// An error about a file that does not hold as much as its first lines say.
+fn cut_short(why: impl fmt::Display) -> Error {
+    Error::new("", Cause::Invalid(format!("{why}; the file is cut short, or lines were added or removed")))
+}
+
+/// Checks the count that gaugefs writes into the first lines of a file. A file that has one ends with a whole line.
+fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> Result<()> {
+    match written {
+        Some(count) if count != found => {
+            Err(cut_short(format_args!("its first lines announce {count} {what}, but it has {found}")))
+        }
+        Some(_) if !text.ends_with('\n') => Err(cut_short("its last line has no end")),
+        _ => Ok(()),
+    }
 }
 
 impl Entry {
@@ -140,15 +180,24 @@ impl Entry {
         text::render(self.parameter.kind, &self.value)
     }
 
-    /// Whether an import writes it. Skipped are parameters whose address is uncertain, and learned values
-    /// outside the range. Any other value outside its range is an error, with line and parameter.
-    pub fn is_imported(&self) -> Result<bool> {
+    /// Why an import does not write it: its address is uncertain, or it is a learned value outside the range. Any
+    /// other value outside its range is an error, with line and parameter.
+    pub fn not_imported(&self) -> Result<Option<&'static str>> {
         match text::parse(self.parameter, self.text().as_bytes()) {
-            _ if self.parameter.unproven => Ok(false),
-            Ok(_) => Ok(true),
-            Err(_) if self.parameter.learned => Ok(false),
+            _ if self.parameter.unproven => Ok(Some("its address or range is unproven")),
+            Ok(_) => Ok(None),
+            Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
             Err(error) => Err(error.within(&format!("line {}", self.line))),
         }
+    }
+
+    fn is(&self, other: &Entry) -> bool {
+        // Subclasses may share their rows.
+        std::ptr::eq(self.subclass, other.subclass) && self.parameter.offset == other.parameter.offset
+    }
+
+    fn is_in(&self, groups: &[Group]) -> bool {
+        groups.iter().any(|group| group.has(self.subclass, self.parameter))
     }
 }
 
@@ -185,7 +234,15 @@ impl fmt::Display for RawDifference {
 impl Image {
     /// An image without values.
     pub fn new(chip: &'static Chip, firmware: Option<u16>) -> Self {
-        Self { chip, firmware, entries: Vec::new(), raw: Vec::new(), notes: Vec::new() }
+        Self {
+            chip,
+            firmware,
+            entries: Vec::new(),
+            raw: Vec::new(),
+            notes: Vec::new(),
+            left_out: Vec::new(),
+            names_chip: false,
+        }
     }
 
     /// Why these undocumented bytes are not written to any gauge. Those of a subclass that the table does not
@@ -265,9 +322,14 @@ impl Image {
         Self::parse(&text, chip).map_err(|error| error.within(&name))
     }
 
-    /// Reads the text of a file. Its first line shows which format it has.
+    /// Reads the text of a file. Its first line shows which format it has. A file without any parameter is refused,
+    /// and so is one that has a parameter twice.
     pub fn parse(text: &str, chip: Option<&'static Chip>) -> Result<Self> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+        if text.trim().is_empty() {
+            return invalid("the file is empty".into());
+        }
         let mut image = match format_of(text) {
             Format::Toml => toml::parse(text, chip),
             Format::GgCsv => ggcsv::parse(text, chip),
@@ -280,29 +342,60 @@ impl Image {
         if let Some(firmware) = image.firmware
             && !fits(image.chip.identity.firmware, firmware)
         {
-            let why = format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model);
-            return Err(Error::new("", Cause::Invalid(why)));
+            return invalid(format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model));
+        }
+        if image.entries.is_empty() && image.raw.is_empty() {
+            let reason = image.left_out.first().map_or(String::new(), |first| format!(" ({})", first.text));
+            return invalid(format!("it has no parameter of a {}{reason}", image.chip.model));
+        }
+        for pair in image.entries.windows(2) {
+            if pair[0].is(&pair[1]) {
+                return Err(twice(&image.name(&pair[0]), pair[0].line, pair[1].line));
+            }
         }
         Ok(image)
     }
 
-    /// What must be written to the gauge of this image to give it the values of a file. Rows that are not
-    /// imported are skipped; a value that may not be written is an error.
-    pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Vec<Difference<'a>>> {
+    /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
+    /// passed over. A value that may not be written is an error.
+    pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Changes<'a>> {
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
         {
             let why = format!("it is for firmware 0x{there:04x}, but the gauge has 0x{here:04x}");
             return Err(Error::new("", Cause::Invalid(why)));
         }
+        let Comparison { differences, only_second, .. } = self.compare(file, exclude)?;
+        let counts = |left: &&LeftOut| !(left.is_key && exclude.contains(&Group::Keys));
+        let mut passed_over: Vec<_> =
+            file.left_out.iter().filter(counts).map(|left| left.text.clone()).collect();
+        for entry in only_second {
+            let (line, name) = (entry.line, file.name(entry));
+            passed_over.push(format!("line {line}: {name}: the gauge does not show its value"));
+        }
         let mut changes = Vec::new();
-        for difference in self.compare(file)?.differences {
-            let excluded = exclude.iter().any(|group| group.has(difference.new));
-            if !excluded && difference.new.is_imported()? {
-                changes.push(difference);
+        for difference in differences {
+            match difference.new.not_imported()? {
+                None => changes.push(difference),
+                Some(why) => passed_over.push(format!("line {}: {difference}: {why}", difference.new.line)),
             }
         }
-        Ok(changes)
+        Ok(Changes { changes, passed_over })
+    }
+
+    /// The names of the parameters that a file for all of the chip's configuration would have, and this image
+    /// lacks. Keys and unproven parameters are never written and not demanded.
+    pub fn missing(&self, exclude: &[Group]) -> Vec<String> {
+        let subclasses = self.chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
+        let all = subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
+        let missing = all.filter(|(subclass, row)| {
+            let is_there = |entry: &Entry| {
+                std::ptr::eq(entry.subclass, *subclass) && entry.parameter.offset == row.offset
+            };
+            let excluded = exclude.iter().any(|group| group.has(subclass, row));
+            !row.unproven && !excluded && !self.entries.iter().any(is_there)
+        });
+        missing.map(|(subclass, row)| parameter_name(self.chip, subclass, row)).collect()
     }
 
     /// The changes that restore this configuration on a gauge that has lost it with its power. Unproven rows are
@@ -337,34 +430,48 @@ impl Image {
         self.entries.push(Entry { subclass, parameter, value, line });
     }
 
-    /// The name of a parameter as `df/by-name` has it.
-    pub fn name(&self, entry: &Entry) -> String {
-        format!("{}/{}", self.chip.class_dir(entry.subclass), kebab_case(entry.parameter.name))
+    fn leave_out(&mut self, line: usize, why: impl fmt::Display, is_key: bool) {
+        self.left_out.push(LeftOut { text: format!("line {line}: {why}"), is_key });
     }
 
-    /// Compares with another image of the same chip. A file need not hold everything: parameters that only one
-    /// of the two has are counted, but are not differences.
-    pub fn compare<'a>(&'a self, new: &'a Image) -> Result<Comparison<'a>> {
+    /// The name of a parameter as `df/by-name` has it.
+    pub fn name(&self, entry: &Entry) -> String {
+        parameter_name(self.chip, entry.subclass, entry.parameter)
+    }
+
+    /// Compares with another image of the same chip, except for some groups. A file need not hold everything:
+    /// parameters that only one of the two has are no differences.
+    pub fn compare<'a>(&'a self, new: &'a Image, exclude: &[Group]) -> Result<Comparison<'a>> {
         if !std::ptr::eq(self.chip, new.chip) {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
             return Err(Error::new("", Cause::Invalid(why)));
         }
-        // Subclasses may share their rows.
-        let same = |one: &Entry, other: &Entry| {
-            std::ptr::eq(one.subclass, other.subclass) && one.parameter.offset == other.parameter.offset
-        };
-        let mut differences = Vec::new();
-        let mut both = 0;
-        for old in &self.entries {
-            let Some(new) = new.entries.iter().find(|entry| same(entry, old)) else { continue };
-            both += 1;
-            if old.bytes() != new.bytes() {
-                differences.push(Difference { old, new, name: self.name(old) });
+        let mut comparison =
+            Comparison { differences: Vec::new(), only_first: Vec::new(), only_second: Vec::new() };
+        let compared = |image: &'a Image| image.entries.iter().filter(|entry| !entry.is_in(exclude));
+        for old in compared(self) {
+            match new.entries.iter().find(|entry| entry.is(old)) {
+                None => comparison.only_first.push(old),
+                Some(new) if old.bytes() != new.bytes() => {
+                    comparison.differences.push(Difference { old, new, name: self.name(old) });
+                }
+                Some(_) => {}
             }
         }
-        let (only_first, only_second) = (self.entries.len() - both, new.entries.len() - both);
-        Ok(Comparison { differences, only_first, only_second })
+        let is_new = |entry: &&Entry| !self.entries.iter().any(|old| old.is(entry));
+        comparison.only_second = compared(new).filter(is_new).collect();
+        Ok(comparison)
     }
+}
+
+/// The name of a parameter as `df/by-name` has it.
+fn parameter_name(chip: &Chip, subclass: &Subclass, parameter: &Parameter) -> String {
+    format!("{}/{}", chip.class_dir(subclass), kebab_case(parameter.name))
+}
+
+/// An error about a parameter that a file has twice.
+fn twice(name: &str, first: usize, second: usize) -> Error {
+    at_line(second, format!("{name} is also in line {first}; remove one of the two"))
 }
 
 /// The format of a text, by its first line that is not blank.
@@ -495,13 +602,13 @@ mod tests {
                 let again =
                     Image::parse(&text, None).unwrap_or_else(|error| panic!("{}: {error}", chip.name));
                 assert!(std::ptr::eq(again.chip, *chip));
-                let compared = image.compare(&again).expect("one chip");
+                let compared = image.compare(&again, &[]).expect("one chip");
                 let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
                 assert!(differences.is_empty(), "{} {format:?}: {differences:?}", chip.name);
                 // The FlashStream of a flat part leaves out unproven parameters.
                 let may_lack = format == Format::FlashStream && chip.access.scheme == Scheme::Mac;
-                assert!(compared.only_first == 0 || may_lack, "{} {format:?}", chip.name);
-                assert_eq!(compared.only_second, 0);
+                assert!(compared.only_first.is_empty() || may_lack, "{} {format:?}", chip.name);
+                assert!(compared.only_second.is_empty());
             }
         }
     }
@@ -512,14 +619,14 @@ mod tests {
         let text = written(&old, Format::Toml)
             .replace("cell-terminate-voltage = 3000", "cell-terminate-voltage = 3100");
         let new = Image::parse(&text, None).expect("an image");
-        let compared = old.compare(&new).expect("one chip");
+        let compared = old.compare(&new, &[]).expect("one chip");
         let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
         assert_eq!(differences, ["it-cfg/cell-terminate-voltage: 3000 -> 3100 mV"]);
     }
 
     #[test]
     fn gauges_of_two_kinds_are_not_compared() {
-        let error = defaults(CHIPS[0]).compare(&defaults(CHIPS[2])).expect_err("two chips").to_string();
+        let error = defaults(CHIPS[0]).compare(&defaults(CHIPS[2]), &[]).expect_err("two chips").to_string();
         assert_eq!(error, "one is for a bq34z100-G1, the other for a bq27441-G1");
     }
 
@@ -541,6 +648,122 @@ mod tests {
         assert!(ambiguous.expect_err("two chips").to_string().ends_with(why));
         let relative = Image::parse("device_type = 0x0426\n", None).expect_err("no table").to_string();
         assert!(relative.contains("a bq27426, whose data flash gaugefs does not support"), "{relative}");
+    }
+
+    #[test]
+    fn a_file_that_was_cut_short_is_refused() {
+        for chip in CHIPS {
+            for format in FORMATS {
+                let text = written(&defaults(chip), format);
+                let last = text.len() - 100..text.len();
+                for length in (0..text.len()).step_by(211).chain(last) {
+                    let cut = String::from_utf8_lossy(&text.as_bytes()[..length]);
+                    let outcome = Image::parse(&cut, Some(chip));
+                    assert!(outcome.is_err(), "{} {format:?}: {length} bytes are an image", chip.name);
+                }
+            }
+        }
+        let text =
+            written(&defaults(CHIPS[0]), Format::Toml).replacen("\nra-filter = ", "\n# ra-filter = ", 1);
+        let error = Image::parse(&text, None).expect_err("one is missing").to_string();
+        assert!(error.contains("the file is cut short, or lines were added or removed"), "{error}");
+        // As earlier exports and people write it.
+        let text = text.lines().filter(|line| !line.starts_with("parameters")).collect::<Vec<_>>().join("\n");
+        assert!(Image::parse(&text, None).is_ok());
+    }
+
+    /// The exports of other tools have no count.
+    #[test]
+    fn a_file_of_another_tool_that_was_cut_short_is_refused_where_it_shows() {
+        let rows = "* Field Order: Class name, Subclass name, Parameter name, Parameter Value, Units\n\
+                    Gas Gauging,IT Cfg,Cell Terminate Voltage,3100,mV\nGas Gauging,IT Cfg,Ra Filter,500";
+        let error = Image::parse(rows, Some(CHIPS[0])).expect_err("the last value may be a part").to_string();
+        assert!(error.starts_with("line 3: the last line has fewer fields"), "{error}");
+        let stream = "W: AA 00 13 00\nW: AA 3E 44 00\nW: AA 47 00 03 08 98\nW: AA 60 5C\n";
+        let chip = Chip::by_name("bq27441-g1");
+        let error = Image::parse(stream, chip).expect_err("no end").to_string();
+        assert!(
+            error.starts_with("line 1: CONFIG UPDATE is entered, and no SOFT_RESET leaves it"),
+            "{error}"
+        );
+        assert!(Image::parse(&format!("{stream}W: AA 00 42 00\n"), chip).is_ok());
+    }
+
+    #[test]
+    fn a_file_without_parameters_is_refused() {
+        let order = "* Field Order: Class name, Subclass name, Parameter name, Parameter Value\n";
+        for (text, says) in [
+            ("", "the file is empty"),
+            ("\u{feff}\n \n", "the file is empty"),
+            ("chip = \"bq34z100-g1\"\n", "it has no parameter of a bq34z100-G1"),
+            ("[it-cfg]\n", "it has no parameter of a bq34z100-G1"),
+            (order, "it has no parameter of a bq34z100-G1"),
+            (
+                &format!("{order}Gas Gauging,IT Cfg,Something,1\n"),
+                "it has no parameter of a bq34z100-G1 (line 2: Gas Gauging/IT Cfg/Something: not in the table",
+            ),
+            ("; a comment\nW: AA 00 01 00\nC: AA 00 00 01\n", "it has no parameter of a bq34z100-G1"),
+        ] {
+            let error = Image::parse(text, Some(CHIPS[0])).expect_err(text).to_string();
+            assert!(error.starts_with(says), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_parameter_that_is_there_twice_is_refused_with_both_lines() {
+        let row = "Gas Gauging,IT Cfg,Cell Terminate Voltage,";
+        let text = format!(
+            "* Field Order: Class name, Subclass name, Parameter name, Parameter Value\n\
+             {row}3100\nGas Gauging,IT Cfg,Ra Filter,500\n{row}3200\n"
+        );
+        let error = Image::parse(&text, Some(CHIPS[0])).expect_err("two values").to_string();
+        assert_eq!(error, "line 4: it-cfg/cell-terminate-voltage is also in line 2; remove one of the two");
+    }
+
+    #[test]
+    fn what_an_import_passes_over_is_listed() {
+        let parse = |text: &str| Image::parse(text, Some(CHIPS[0])).expect("an image");
+        let gauge = parse("[it-cfg]\ncell-terminate-voltage = 3000\n");
+        let file = parse(
+            "* Field Order: Class name, Subclass name, Parameter name, Parameter Value\n\
+             Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\nGas Gauging,IT Cfg,Something,1\n\
+             Gas Gauging,IT Cfg,Ra Filter,500\nSecurity,Codes,Sealed to Unsealed,36720414\n",
+        );
+        let passed_over = |exclude: &[Group]| {
+            let Changes { changes, passed_over } = gauge.changes(&file, exclude).expect("one chip");
+            assert_eq!(changes.len(), 1);
+            passed_over
+        };
+        let unknown = "line 3: Gas Gauging/IT Cfg/Something: not in the table; left out";
+        let unread = "line 4: it-cfg/ra-filter: the gauge does not show its value";
+        let key = "line 5: Sealed to Unsealed: a key; left out";
+        assert_eq!(passed_over(&[]), [unknown, key, unread]);
+        assert_eq!(passed_over(&[Group::Keys]), [unknown, unread]);
+
+        // An unproven value is passed over only if the gauge has another one.
+        let chip = Chip::by_name("bq34110").expect("a chip");
+        let (gauge, mut file) = (defaults(chip), defaults(chip));
+        let entry = file.entries.iter_mut().find(|entry| entry.parameter.unproven).expect("an unproven row");
+        let Value::Int(value) = &mut entry.value else { panic!("{}", entry.parameter.name) };
+        *value += 1;
+        let Changes { changes, passed_over } = gauge.changes(&file, &[]).expect("one chip");
+        assert!(changes.is_empty());
+        assert_eq!(passed_over.len(), 1, "{passed_over:?}");
+        assert!(passed_over[0].ends_with(": its address or range is unproven"), "{passed_over:?}");
+    }
+
+    #[test]
+    fn a_complete_image_has_every_parameter_that_can_be_written() {
+        for chip in CHIPS {
+            let mut image = defaults(chip);
+            assert!(image.missing(&[]).is_empty(), "{}", chip.name);
+            image.entries.retain(|entry| !entry.parameter.learned);
+            assert!(image.missing(&[Group::Learned]).is_empty(), "{}", chip.name);
+        }
+        let mut image = defaults(CHIPS[0]);
+        image.entries.retain(|entry| entry.parameter.name != "Serial Number");
+        assert_eq!(image.missing(&[]), ["configuration-data/serial-number"]);
+        assert!(image.missing(&[Group::Serial]).is_empty());
     }
 
     /// Whatever a file holds, it is an image or an error.

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Image, Raw, at_line, chip_of};
+use super::{Image, Raw, at_line, check_count, chip_of};
 use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
@@ -21,6 +21,8 @@ const FW_VERSION: u16 = 0x0002;
 const SET_CFGUPDATE: u16 = 0x0013;
 const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
+const EXIT_CFGUPDATE: u16 = 0x0043;
+const EXIT_RESIM: u16 = 0x0044;
 /// Control().
 const CONTROL: u8 = 0x00;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
@@ -35,6 +37,8 @@ const LENGTH: u8 = 0x61;
 const OVERHEAD: u8 = 4;
 /// The comment that names the chip: device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
+/// The comment with the number of commands: the format has no mark at its end.
+const COUNT_LINE: &str = "; gaugefs commands";
 /// Bytes of a row after the register: TI's tools write at most 96 after the four that name a row in ROM mode.
 const LONGEST: usize = 100;
 /// What bqStudio writes for device type and firmware if it has read them from the wrong register.
@@ -105,7 +109,10 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     for (number, command) in &commands {
         check_address(*number, command)?;
     }
-    let named = text.lines().find_map(|line| line.trim().strip_prefix(CHIP_LINE));
+    let mark = |mark: &str| text.lines().find_map(|line| line.trim().strip_prefix(mark));
+    let count = mark(COUNT_LINE).and_then(|count| count.trim().parse().ok());
+    check_count(text, count, commands.len(), "commands")?;
+    let named = mark(CHIP_LINE);
     let named = named.and_then(|name| Chip::by_name(name.trim()));
     if let (Some(named), Some(told)) = (named, told)
         && !std::ptr::eq(named, told)
@@ -119,6 +126,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
         None => error,
     })?;
     let mut image = Image::new(chip, codes.1);
+    image.names_chip = named.is_some() || codes.0.is_some();
     let mut stream = Stream::new(chip);
     for (at, (number, command)) in commands.iter().enumerate() {
         if let Command::Write { register, bytes, .. } = command {
@@ -131,6 +139,10 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     }
     if let Some(number) = stream.pending {
         return Err(at_line(number, "these bytes are never committed by a checksum"));
+    }
+    if let Some(number) = stream.update {
+        let why = "CONFIG UPDATE is entered, and no SOFT_RESET leaves it; the file is cut short";
+        return Err(at_line(number, why));
     }
     stream.into_image(&mut image)?;
     match (device_type, firmware) {
@@ -217,10 +229,14 @@ struct Stream {
     /// The line of bytes in the window that are not committed yet.
     pending: Option<usize>,
     half_key: bool,
+    /// The line that has entered CONFIG UPDATE, until another one leaves it.
+    update: Option<usize>,
     /// Data flash by subclass and offset: each byte, and the line that it is from.
     stored: BTreeMap<(u8, u16), (u8, usize)>,
     sums: BTreeMap<(u8, u8), u8>,
     notes: Vec<String>,
+    /// Lines that an import does not carry out, with the reason, and whether they hold keys.
+    left_out: Vec<(usize, String, bool)>,
 }
 
 impl Stream {
@@ -234,9 +250,11 @@ impl Stream {
             sum: 0,
             pending: None,
             half_key: false,
+            update: None,
             stored: BTreeMap::new(),
             sums: BTreeMap::new(),
             notes: Vec::new(),
+            left_out: Vec::new(),
         }
     }
 
@@ -331,17 +349,23 @@ impl Stream {
         if !rest.is_empty() {
             return Err(format!("more than a word for {}", subcommand.name));
         }
+        match word {
+            SET_CFGUPDATE => self.update = Some(line),
+            RESET | SOFT_RESET | EXIT_CFGUPDATE | EXIT_RESIM => self.update = None,
+            _ => {}
+        }
         match subcommand.effect {
             Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
             Effect::Answers => Ok(()),
             Effect::Guarded
-                if [SET_CFGUPDATE, RESET, SOFT_RESET, self.chip.security.seal].contains(&word) =>
+                if [SET_CFGUPDATE, RESET, SOFT_RESET, EXIT_CFGUPDATE, EXIT_RESIM].contains(&word)
+                    || word == self.chip.security.seal =>
             {
                 self.notes.push(format!("line {line}: {}; an import does it by itself", subcommand.name));
                 Ok(())
             }
             Effect::Safe | Effect::Guarded => {
-                self.notes.push(format!("line {line}: {}; an import does not send it", subcommand.name));
+                self.left_out.push((line, format!("{}; an import does not send it", subcommand.name), false));
                 Ok(())
             }
         }
@@ -358,7 +382,7 @@ impl Stream {
         self.sums.insert((class, self.block), sum);
         if let Some(subclass) = self.chip.subclass(class) {
             if subclass.kind == Kind::Security {
-                self.notes.push(format!("line {line}: keys; left out"));
+                self.left_out.push((line, "keys; left out".into(), true));
                 return Ok(());
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
@@ -398,9 +422,9 @@ impl Stream {
             let kind = at.next().map(|subclass| subclass.kind);
             documented |= kind.is_some();
             if kind == Some(Kind::Security) {
-                let note = format!("line {line}: keys; left out");
-                if self.notes.last() != Some(&note) {
-                    self.notes.push(note);
+                let keys = (line, "keys; left out".into(), true);
+                if self.left_out.last() != Some(&keys) {
+                    self.left_out.push(keys);
                 }
             } else {
                 self.stored.insert((FLAT, address), (byte, line));
@@ -440,6 +464,9 @@ impl Stream {
             }
         }
         image.notes.append(&mut self.notes);
+        for (line, why, is_key) in self.left_out {
+            image.leave_out(line, why, is_key);
+        }
         for ((subclass, offset), (byte, line)) in self.stored {
             match image.raw.last_mut() {
                 Some(raw) if raw.line == line && raw.ends_before(subclass, offset) => raw.bytes.push(byte),
@@ -469,8 +496,7 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     let chip = image.chip;
     let access = &chip.access;
     let wait = |time: std::time::Duration| format!("X: {}\n", time.as_millis().max(5));
-    let mut text = format!("; {} configuration, by gaugefs export\n{CHIP_LINE} {}\n", chip.model, chip.name);
-    text += "; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n";
+    let mut text = String::new();
     let check = |code: u16, answer: u16| {
         let ask = row('W', CONTROL, &code.to_le_bytes());
         ask + &wait(access.select) + &row('C', chip.identity.answer, &answer.to_le_bytes())
@@ -517,7 +543,13 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     }
     let reset = if access.scheme == Scheme::CfgUpdate { SOFT_RESET } else { RESET };
     text += &row('W', CONTROL, &reset.to_le_bytes());
-    Ok(text + &wait(access.reset_limit))
+    text += &wait(access.reset_limit);
+    let count = text.lines().filter(|line| !line.starts_with(';')).count();
+    let (model, name) = (chip.model, chip.name);
+    Ok(format!(
+        "; {model} configuration, by gaugefs export\n{CHIP_LINE} {name}\n{COUNT_LINE} {count}\n\
+         ; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n{text}"
+    ))
 }
 
 fn row(letter: char, register: u8, bytes: &[u8]) -> String {

@@ -1,7 +1,7 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
-use super::{Image, at_line, chip_of, word};
+use super::{Image, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::error::Result;
@@ -33,6 +33,8 @@ const COLUMNS: [&str; 18] = [
 const FLAT_BASE: u16 = 0x4000;
 /// The header line that names the chip: bqStudio's own lines do not distinguish all chips.
 const CHIP_LINE: &str = "gaugefs chip";
+/// The header line with the number of rows: the format has no mark at its end.
+const COUNT_LINE: &str = "gaugefs parameters";
 
 /// The image as text.
 pub fn write(image: &Image) -> String {
@@ -48,6 +50,7 @@ pub fn write(image: &Image) -> String {
     if let Some(firmware) = image.firmware {
         text += &format!("* Firmware Version {:x}.{:02x}\n", firmware >> 8, firmware & 0xff);
     }
+    text += &format!("* {COUNT_LINE} {}\n", rows.len());
     text += &format!("*\n* Field Order: {}\n", COLUMNS.join(gap));
     for row in rows {
         text += &(row.join(comma) + "\n");
@@ -104,7 +107,7 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
 /// Reads an image. Parameters that the table does not have are left out with a note, and so are keys: bqStudio
 /// and the manual do not always use the same names.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
-    let (mut named, mut device_type, mut firmware) = (None, None, None);
+    let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
     let mut order: Option<(char, Vec<String>)> = None;
     let mut rows = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
@@ -121,6 +124,9 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
         if let Some(name) = head.strip_prefix(CHIP_LINE) {
             let chip = Chip::by_name(name.trim());
             named = Some(chip.ok_or_else(|| at_line(number, "not in the list of `gaugefs chips`"))?);
+        } else if let Some(number_of_rows) = head.strip_prefix(COUNT_LINE) {
+            let parsed = number_of_rows.trim().parse::<usize>();
+            count = Some(parsed.map_err(|_| at_line(number, "not a number of parameters"))?);
         } else if let Some(code) = head.strip_prefix("Device Number") {
             let code = word(code.trim());
             device_type = Some(code.ok_or_else(|| at_line(number, "Device Number: not a hexadecimal word"))?);
@@ -144,7 +150,16 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let chip = chip_of(named.or(told), device_type, firmware)?;
     let (comma, order) =
         order.ok_or_else(|| at_line(1, "no line `* Field Order:`, which names the columns"))?;
+    check_count(text, count, rows.len(), "parameters")?;
+    if let Some(&(number, line)) = rows.last()
+        && !text.ends_with(['\n', '\r'])
+        && line.split(comma).count() < order.len()
+    {
+        let why = format!("the last line has fewer fields than the header names ({})", order.len());
+        return Err(cut_short(why).within(&format!("line {number}")));
+    }
     let mut image = Image::new(chip, firmware);
+    image.names_chip = named.is_some() || device_type.is_some();
     for (number, line) in rows {
         let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
         if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
@@ -171,11 +186,15 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         Some((subclass, parameter))
     });
     let Some((subclass, parameter)) = row else {
-        image.notes.push(format!("line {number}: {class}/{name}/{parameter}: not in the table; left out"));
+        image.leave_out(
+            number,
+            format_args!("{class}/{name}/{parameter}: not in the table; left out"),
+            false,
+        );
         return Ok(());
     };
     if subclass.kind == Kind::Security {
-        image.notes.push(format!("line {number}: {}: a key; left out", parameter.name));
+        image.leave_out(number, format_args!("{}: a key; left out", parameter.name), true);
         return Ok(());
     }
     if shown.is_empty() {
@@ -195,7 +214,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         let why = format!(
             "shown in {unit}, stored in {stored}, and the file does not give the conversion; left out"
         );
-        image.notes.push(format!("line {number}: {name}: {why}"));
+        image.leave_out(number, format_args!("{name}: {why}"), false);
         return Ok(());
     };
     let hexadecimal = match parameter.kind {
@@ -253,7 +272,8 @@ mod tests {
     fn entries(text: &str) -> Result<(Vec<Found>, Vec<String>)> {
         let image = parse(text, Chip::by_name("bq34z100-g1"))?;
         let entries = image.entries.iter().map(|entry| (image.name(entry), entry.text(), entry.line));
-        Ok((entries.collect(), image.notes))
+        let left_out = image.left_out.iter().map(|left| left.text.clone());
+        Ok((entries.collect(), left_out.collect()))
     }
 
     /// The short form, as exports of other parts show it.

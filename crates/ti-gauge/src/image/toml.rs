@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::{Image, at_line, chip_of};
+use super::{Image, at_line, check_count, chip_of, twice};
 use crate::chip::{Chip, Kind, kebab_case};
 use crate::error::{Cause, Error, Result};
 use crate::text;
@@ -19,6 +19,7 @@ pub fn write(image: &Image) -> String {
     if let Some(firmware) = image.firmware {
         text += &format!("firmware = 0x{firmware:04x}\n");
     }
+    text += &format!("parameters = {}\n", image.entries.len());
     for subclass in chip.subclasses {
         let entries: Vec<_> =
             image.entries.iter().filter(|entry| std::ptr::eq(entry.subclass, subclass)).collect();
@@ -51,10 +52,11 @@ pub fn write(image: &Image) -> String {
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
     let document = DeTable::parse(text).map_err(|error| {
+        let number = line(error.span().map_or(0, |span| span.start));
         let why = error.message().lines().collect::<Vec<_>>().join(", ");
-        at_line(line(error.span().map_or(0, |span| span.start)), format!("not TOML: {why}"))
+        duplicate(text, number).unwrap_or_else(|| at_line(number, format!("not TOML: {why}")))
     })?;
-    let (mut named, mut device_type, mut firmware) = (None, None, None);
+    let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
     let mut tables = Vec::new();
     for (key, value) in document.get_ref() {
         let bad = |why: &str| Err(at_line(line(key.span().start), format!("{}: {why}", key.get_ref())));
@@ -68,8 +70,14 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
                 let Some(code) = code else { return bad("not a 16-bit number") };
                 *(if key.get_ref() == "firmware" { &mut firmware } else { &mut device_type }) = Some(code);
             }
+            ("parameters", number @ DeValue::Integer(_)) => {
+                count = plain(number).and_then(|text| text.parse::<usize>().ok());
+                if count.is_none() {
+                    return bad("not a number of parameters");
+                }
+            }
             (_, DeValue::Table(table)) => tables.push((key, table)),
-            _ => return bad("only chip, device_type and firmware may be outside a table"),
+            _ => return bad("only chip, device_type, firmware and parameters may be outside a table"),
         }
     }
     if let (Some(named), Some(told)) = (named, told)
@@ -80,10 +88,24 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     }
     let chip = chip_of(named.or(told), device_type, firmware)?;
     let mut image = Image::new(chip, firmware);
+    image.names_chip = named.is_some() || device_type.is_some();
     for (key, table) in tables {
         add_table(&mut image, key, table, &line)?;
     }
+    check_count(text, count, image.entries.len(), "parameters (`parameters = `)")?;
     Ok(image)
+}
+
+/// The error about a table or key in that line, if an earlier line has the same one.
+fn duplicate(text: &str, number: usize) -> Option<Error> {
+    let name = |line: &str| line.split(['=', '#']).next().unwrap_or_default().trim().to_string();
+    let lines: Vec<String> = text.lines().take(number).map(name).collect();
+    let (this, before) = lines.split_last().filter(|(this, _)| !this.is_empty())?;
+    let is_table = |line: &String| line.starts_with('[');
+    // A key may be in several tables.
+    let start = if is_table(this) { 0 } else { before.iter().rposition(is_table).unwrap_or(0) };
+    let first = start + before[start..].iter().position(|line| line == this)?;
+    Some(twice(this, first + 1, number))
 }
 
 fn add_table(
@@ -179,8 +201,17 @@ mod tests {
                 "[it-cfg]\ncell-terminate-voltage = 40000",
                 "line 3: Cell Terminate Voltage: the value is outside",
             ),
-            ("x = 1", "line 2: x: only chip, device_type and firmware"),
+            ("x = 1", "line 2: x: only chip, device_type, firmware and parameters"),
             ("[it-cfg\n", "line 2: not TOML"),
+            (
+                "[it-cfg]\ncell-terminate-voltage = 1\n\n[power]\ncell-terminate-voltage = 1\n[it-cfg]\n",
+                "line 7: [it-cfg] is also in line 2; remove one of the two",
+            ),
+            (
+                "[it-cfg]\nra-filter = 1\ncell-terminate-voltage = 1 # mV\nra-filter = 2",
+                "line 5: ra-filter is also in line 3; remove one of the two",
+            ),
+            ("parameters = -1", "line 2: parameters: not a number of parameters"),
             ("firmware = 70000", "line 2: firmware: not a 16-bit number"),
         ] {
             let error = parse(&format!("{HEAD}{text}\n"), None).expect_err(text).to_string();
