@@ -1,7 +1,9 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
-use super::{Image, at_line, chip_of, word};
+use std::ptr;
+
+use super::{Entry, Image, at_line, chip_of, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::error::Result;
@@ -212,6 +214,11 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     };
     let value = text::parse_stored(parameter, text.as_bytes());
     let value = value.map_err(|error| error.within(&format!("line {number}")))?;
+    let same =
+        |entry: &&Entry| ptr::eq(entry.subclass, subclass) && entry.parameter.offset == parameter.offset;
+    if let Some(first) = image.entries.iter().find(same) {
+        return Err(bad(format!("line {} has a value for it already; remove one of the two", first.line)));
+    }
     image.add(subclass, parameter, value, number);
     Ok(())
 }
@@ -293,6 +300,17 @@ mod tests {
         assert!(
             error.starts_with("line 2: Cell Terminate Voltage: its value is converted by the formula x/10")
         );
+    }
+
+    /// An import took the first value and a restored configuration the last.
+    #[test]
+    fn regression_a_second_value_of_a_parameter_is_refused() {
+        let text = "* Field Order: Class name,Subclass name,Parameter name,Parameter Value\n\
+                    Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\n\
+                    Gas Gauging,IT Cfg,cell terminate voltage,3200\n";
+        let error = entries(text).expect_err("which one is meant?").to_string();
+        let why = "line 2 has a value for it already; remove one of the two";
+        assert_eq!(error, format!("line 3: Cell Terminate Voltage: {why}"));
     }
 
     /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is stored;
