@@ -2,19 +2,32 @@
 //! `gaugefs::cli`, and none of them mounts or opens a bus.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use crate::value::number_of;
 
-/// A file with this content. Each thread has one of each name.
-pub(crate) fn scratch(name: &str, content: &[u8]) -> PathBuf {
-    let memory = PathBuf::from("/dev/shm");
-    let folder = if memory.is_dir() { memory } else { std::env::temp_dir() };
-    let (process, thread) = (std::process::id(), std::thread::current().id());
-    let file = folder.join(format!("gaugefs-fuzz-{process}-{thread:?}-{name}"));
-    std::fs::write(&file, content).expect("a folder for temporary files");
-    file
+/// A file that is removed with its last use.
+pub(crate) struct Scratch(PathBuf);
+
+impl Scratch {
+    /// A file with this content. Each thread has one of each name.
+    pub(crate) fn new(name: &str, content: &[u8]) -> Self {
+        let (process, thread) = (std::process::id(), std::thread::current().id());
+        let file = std::env::temp_dir().join(format!("gaugefs-fuzz-{process}-{thread:?}-{name}"));
+        std::fs::write(&file, content).expect("a folder for temporary files");
+        Self(file)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
 }
 
 /// A place where nothing is.
@@ -35,7 +48,8 @@ fn arguments<const N: usize>(arguments: [&str; N]) -> Vec<OsString> {
 /// Whether `mount --check` accepts a configuration.
 fn accepts(content: &[u8]) -> bool {
     let mut check = arguments(["mount", "--check", NOWHERE, "--config"]);
-    check.push(scratch("gaugefs.toml", content).into());
+    let file = Scratch::new("gaugefs.toml", content);
+    check.push(file.path().into());
     let code = run(&check);
     assert!(code < 2, "a configuration is not misuse");
     code == 0
@@ -51,15 +65,13 @@ pub(crate) fn configuration(input: &[u8]) {
 
 /// A history: `gaugefs plot`.
 pub(crate) fn csv(input: &[u8]) {
-    let svg = scratch("plot.svg", b"");
+    let (history, svg) = (Scratch::new("history.csv", input), Scratch::new("plot.svg", b""));
     let mut plot = arguments(["plot", "-o"]);
-    plot.extend([svg.clone().into(), scratch("history.csv", input).into()]);
+    plot.extend([svg.path().into(), history.path().into()]);
     if run(&plot) == 0 {
-        let svg = std::fs::read_to_string(svg).expect("the picture");
+        let svg = std::fs::read_to_string(svg.path()).expect("the picture");
         assert!(svg.len() < 1_000_000 + 20 * input.len(), "{} bytes of SVG", svg.len());
-        let coordinates =
-            svg.split(['<', '>']).filter(|tag| tag.starts_with("path") || tag.starts_with("polyline"));
-        for tag in coordinates {
+        for (tag, _) in svg.split('<').filter_map(|piece| piece.split_once('>')) {
             assert!(!tag.contains("NaN") && !tag.contains("inf"), "{tag}");
         }
     }
@@ -108,7 +120,8 @@ pub(crate) fn options(input: &[u8]) {
         "name" | "sim-key" | "sim" | "auth-order" => drop(accepts_gauge(option, value)),
         "ac" | "group" => {
             let mut check = arguments(["mount", "--check", NOWHERE, &given, "--config"]);
-            check.push(scratch("one.toml", b"[[gauge]]\nsim = \"bq34z100-g1\"\n").into());
+            let file = Scratch::new("one.toml", b"[[gauge]]\nsim = \"bq34z100-g1\"\n");
+            check.push(file.path().into());
             run(&check);
         }
         _ => {}

@@ -6,7 +6,7 @@ use std::time::Duration;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim};
 use sha1::{Digest as _, Sha1};
-use ti_gauge::chip::Chip;
+use ti_gauge::chip::{Chip, FLAT};
 use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
@@ -36,6 +36,13 @@ fn settle(name: &str, input: &[u8], decision: Option<Decision>) {
     let sim = Sim::new(name, &Options::default(), clock.clone()).expect("a chip that is simulated");
     clock.sleep(Duration::from_secs(1));
     let chip = Chip::by_name(name).expect("a chip in the tables");
+    // A pack that is distinguished from others as the kept inputs have it.
+    let (subclass, offset) = match chip.preflight.marks {
+        [(FLAT, _), ..] => (FLAT, 0x400d - 0x4000),
+        _ if chip.name == "bq34z100-g1" => (104, 11),
+        _ => (104, 1),
+    };
+    sim.set_flash(subclass.into(), offset, &[3]);
     let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
     let disk = Memory::default();
     let journal = disk.journal();
@@ -55,9 +62,12 @@ fn settle(name: &str, input: &[u8], decision: Option<Decision>) {
         assert!(sim.flash() == before, "nothing had been planned");
     }
     let seal = gauge.seal().expect("the gauge answers");
-    if settled.is_ok() && input.windows(13).any(|window| window == b"\nfound SEALED") {
+    if settled.is_ok() && input.windows(13).any(|window| window == b"\nfound sealed") {
         assert_eq!(seal, Seal::Sealed);
     }
+    // Whatever a journal says, no key changes.
+    gauge.wait(Duration::from_secs(60));
+    gauge.go_to(Seal::Unsealed).expect("the default key");
 }
 
 fn with_sum(input: &[u8]) -> Vec<u8> {

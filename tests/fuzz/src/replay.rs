@@ -10,11 +10,11 @@ use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
-use crate::command::scratch;
+use crate::command::Scratch;
 
 pub(crate) fn run(input: &[u8]) {
-    let file = scratch("replay", input);
-    let Ok(recording) = Recording::open(&file) else { return };
+    let file = Scratch::new("replay", input);
+    let Ok(recording) = Recording::open(file.path()) else { return };
     let chip = Chip::by_name(&recording.chip).unwrap_or(CHIPS[0]);
     let seals = Seals { command: chip.security.seal, status: None };
     let mut replay = Replay::new(&recording, seals);
