@@ -35,8 +35,11 @@ const ADAPTER: Duration = Duration::from_secs(1);
 /// A transfer of four bytes at 100 kHz.
 const TRANSFER: Duration = Duration::from_micros(500);
 
+/// Subclass, offset and text of a value.
+type Written = (u8, u16, &'static str);
+
 /// Values to write, by chip.
-const CHIPS: [(&str, &[(u8, u16, &str)]); 6] = [
+const CHIPS: [(&str, &[Written]); 6] = [
     ("bq34z100-g1", &[(48, 31, "Pack 7"), (80, 53, "3100"), (48, 11, "2200"), (81, 0, "61")]),
     ("bq27441-g1", &[(82, 10, "1200"), (82, 16, "3100")]),
     ("bq34110", &[(FLAT, 0x41f5, "3100"), (FLAT, 0x40d7, "0x000b")]),

@@ -1,5 +1,6 @@
-//! A megabyte of input for each target. The times are printed (`--no-capture`); only what is out of all proportion
-//! fails, because the machine may be busy.
+//! A megabyte of input for each target, to see what takes time out of proportion:
+//! `cargo test -p gaugefs-fuzz --test large -- --ignored --nocapture` prints the times. Only what is out of all
+//! proportion fails, because the machine may be busy.
 
 use std::time::{Duration, Instant};
 
@@ -108,6 +109,7 @@ fn inputs(target: &Target) -> Vec<Vec<u8>> {
 }
 
 #[test]
+#[ignore = "it is for its output, and takes a minute"]
 fn a_megabyte_takes_no_time_out_of_proportion() {
     for target in TARGETS {
         for (number, input) in inputs(target).iter().enumerate() {
