@@ -7,6 +7,8 @@ use crate::error::{Cause, Error, Result};
 
 /// The columns that are drawn by default.
 const USUAL: [&str; 4] = ["voltage", "current", "capacity", "temperature"];
+/// The largest value that can be drawn: differences of such values, and steps of an axis, can be computed.
+const MOST: f64 = 1e15;
 /// A pause this many times as long as the usual one is a gap: nothing was recorded.
 const GAP: f64 = 10.0;
 
@@ -69,13 +71,17 @@ pub(super) fn panels(text: &[u8], wanted: &[String]) -> Result<Vec<Panel>> {
         for gauge in &gauges {
             let mut points = Vec::new();
             for (time, line, record) in rows.iter().filter(|(.., record)| record[1] == **gauge) {
-                let value =
-                    match &record[at] {
-                        "" => None,
-                        text => Some(text.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(
-                            || invalid(format!("line {line}"), format!("{name} `{text}` is not a number")),
-                        )?),
-                    };
+                let value = match &record[at] {
+                    "" => None,
+                    text => Some(text.parse::<f64>().ok().filter(|value| value.abs() <= MOST).ok_or_else(
+                        || {
+                            invalid(
+                                format!("line {line}"),
+                                format!("{name} `{text}` is not a number, or too large to draw"),
+                            )
+                        },
+                    )?),
+                };
                 points.push((*time, value));
             }
             let lines = lines(&points);
@@ -168,6 +174,10 @@ mod tests {
         assert!(refusal(head, &[]).contains("no values"));
         assert!(refusal(&format!("{head}{row}\n"), &[]).contains("no values"));
         assert!(refusal(&format!("{head}{row}x\n"), &[]).contains("line 2: voltage `x` is not a number"));
+        // Such values gave coordinates that are no numbers.
+        assert!(
+            refusal(&format!("{head}{row}1e308\n"), &[]).contains("voltage `1e308` is not a number, or too")
+        );
         assert!(
             refusal(&format!("{head}yesterday,BAT0,Full,1\n"), &[])
                 .contains("line 2: `yesterday` is not a time")

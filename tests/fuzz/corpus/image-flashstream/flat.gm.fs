@@ -1,0 +1,8 @@
+; gaugefs chip bq34110
+W: AA 3E F5 41
+X: 10
+W: AA 40 0C 1C
+W: AA 60 A1 06
+X: 100
+W: AA 3E F5 41
+C: AA 40 0C 1C

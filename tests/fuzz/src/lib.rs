@@ -1,0 +1,53 @@
+//! One target for each thing that gaugefs parses. A target takes any bytes as input, and panics if the code under test
+//! panics or breaks a promise: what is accepted is written and read again as the same, what is refused changes nothing,
+//! and no number becomes another one.
+//!
+//! `tests/corpus.rs` runs the kept inputs and a seeded slice of changed ones in every test run; `tests/fuzz/run` runs
+//! the same targets under libFuzzer, guided by coverage.
+
+use std::path::PathBuf;
+
+mod bus;
+mod command;
+mod disk;
+mod image;
+mod journal;
+mod keys;
+mod replay;
+mod script;
+mod transaction;
+mod value;
+
+/// Something that parses.
+#[derive(Debug)]
+pub struct Target {
+    /// Its name, and that of its folder in `corpus`.
+    pub name: &'static str,
+    /// Runs it on an input.
+    pub run: fn(&[u8]),
+    /// How many changed inputs a test run tries.
+    pub slice: u32,
+}
+
+/// All targets.
+pub const TARGETS: &[Target] = &[
+    Target { name: "image-toml", run: image::toml, slice: 2000 },
+    Target { name: "image-ggcsv", run: image::ggcsv, slice: 2000 },
+    Target { name: "image-flashstream", run: image::flashstream, slice: 2000 },
+    Target { name: "value", run: value::run, slice: 2000 },
+    Target { name: "transaction", run: transaction::run, slice: 2000 },
+    Target { name: "keys", run: keys::run, slice: 2000 },
+    Target { name: "journal", run: journal::run, slice: 500 },
+    Target { name: "replay", run: replay::run, slice: 2000 },
+    Target { name: "configuration", run: command::configuration, slice: 300 },
+    Target { name: "csv", run: command::csv, slice: 300 },
+    Target { name: "command-line", run: command::options, slice: 300 },
+    Target { name: "bus", run: bus::run, slice: 500 },
+];
+
+impl Target {
+    /// The folder with its kept inputs.
+    pub fn corpus(&self) -> PathBuf {
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(self.name)
+    }
+}

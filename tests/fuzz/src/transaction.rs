@@ -1,0 +1,82 @@
+//! What is written to `df/transaction`: `gaugefs::fs`.
+
+use std::sync::mpsc;
+use std::sync::{Arc, LazyLock};
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_sim::{Options, Sim};
+use gaugefs::error::{Cause, Error, Result};
+use gaugefs::fs::{Access, Content, Fs, MountedGauge, Node, Scales};
+use gaugefs::owner::{self, Settings, Signal, Startup};
+use ti_gauge::chip::Chip;
+
+struct Tree {
+    /// The gauge can be read. It never gets a commit, so it is the same for every input.
+    present: (Fs, Node),
+    /// There is no gauge, so a commit fails.
+    absent: (Fs, Node),
+}
+
+static TREES: LazyLock<[Tree; 3]> = LazyLock::new(|| {
+    ["bq34z100-g1", "bq27441-g1", "bq34110"]
+        .map(|chip| Tree { present: tree(chip, true), absent: tree(chip, false) })
+});
+
+fn tree(chip: &str, present: bool) -> (Fs, Node) {
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
+    clock.sleep(Duration::from_secs(1));
+    let chip = Chip::by_name(chip).expect("a chip in the tables");
+    let missing = (!present).then(|| Error::new("", Cause::Gone("it is not connected".into())));
+    let startup = Startup { missing, ..Startup::default() };
+    let address = if present { 0x55 } else { 0x56 };
+    let bus = Box::new(sim.bus_at(address));
+    let started = owner::start(chip, bus, clock, Settings::default(), startup, Arc::new(Signal::default()));
+    let (handle, opened) = started.expect("a thread");
+    assert_eq!(opened.recv().expect("the owner runs").is_ok(), present);
+    let gauge = MountedGauge { name: "BAT0".into(), handle, scales: Scales::default(), knobs: None };
+    let fs = Fs::new(vec![gauge], Access { uid: 0, gid: 0, group: false });
+    let node = ["BAT0", "df", "transaction"]
+        .iter()
+        .fold(Node::Root, |node, name| fs.lookup(node, name).expect("a file of every gauge"));
+    (fs, node)
+}
+
+pub(crate) fn run(input: &[u8]) {
+    let has = |word: &[u8]| input.split(|&byte| byte == b'\n').any(|line| line.trim_ascii() == word);
+    for tree in &*TREES {
+        let (fs, node) = if has(b"commit") { &tree.absent } else { &tree.present };
+        let write = |data: &[u8]| written(fs, *node, data);
+        let _ = write(b"abort\n");
+        let _ = write(input);
+        let _ = write(b"abort\n");
+        assert_eq!(shown(fs, *node), b"idle\n");
+        write(b"begin\n").expect("none is open");
+        let before = shown(fs, *node);
+        let outcome = write(input);
+        let after = shown(fs, *node);
+        if outcome.is_err() && !has(b"commit") {
+            assert_eq!(before, after, "what was refused has changed what is staged");
+        }
+        if outcome.is_ok() && ![&b"begin"[..], b"abort", b"commit"].iter().any(|word| has(word)) {
+            write(input).expect("what was accepted before");
+            assert_eq!(shown(fs, *node), after, "the same lines again have changed what is staged");
+        }
+    }
+}
+
+fn written(fs: &Fs, node: Node, data: &[u8]) -> Result<()> {
+    let (sender, receiver) = mpsc::channel();
+    fs.write(node, data, Box::new(move |outcome| drop(sender.send(outcome))));
+    receiver.recv().expect("every write is answered")
+}
+
+fn shown(fs: &Fs, node: Node) -> Vec<u8> {
+    if let Content::Bytes(bytes) = fs.content(node) {
+        return bytes;
+    }
+    let (sender, receiver) = mpsc::channel();
+    fs.read(node, Box::new(move |outcome| drop(sender.send(outcome))));
+    receiver.recv().expect("every read is answered").unwrap_or_default()
+}

@@ -1,0 +1,94 @@
+//! The text of a `df` file: `ti_gauge::text`.
+
+use std::sync::LazyLock;
+
+use ti_gauge::chip::{CHIPS, Parameter, Range, Subclass};
+use ti_gauge::codec;
+use ti_gauge::dataflash::Change;
+use ti_gauge::text;
+use ti_gauge::value::{Type, Value};
+
+type Row = (&'static Subclass, &'static Parameter);
+
+/// Of each type and each range one parameter.
+static ROWS: LazyLock<Vec<Row>> = LazyLock::new(|| {
+    let rows = CHIPS.iter().flat_map(|chip| chip.subclasses);
+    let rows = rows.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
+    let mut found: Vec<Row> = Vec::new();
+    for row in rows {
+        let alike = found.iter().filter(|(_, other)| other.kind == row.1.kind);
+        if alike.clone().count() < 2 && !alike.clone().any(|(_, other)| limits(other) == limits(row.1)) {
+            found.push(row);
+        }
+    }
+    found
+});
+
+fn limits(row: &Parameter) -> String {
+    match &row.range {
+        Range::Int { min, max, .. } => format!("{min} {max}"),
+        Range::Float { min, max, .. } => format!("{min} {max}"),
+        Range::Text { .. } => String::new(),
+    }
+}
+
+pub(crate) fn run(input: &[u8]) {
+    for row in ROWS.iter() {
+        check(*row, input);
+    }
+    if let Some(bytes) = text::unhex(input) {
+        assert_eq!(text::hex(&bytes).as_bytes(), input.to_ascii_lowercase());
+    }
+}
+
+fn check((subclass, parameter): Row, input: &[u8]) {
+    let stored = text::parse_stored(parameter, input);
+    let Ok(value) = text::parse(parameter, input) else { return };
+    assert_eq!(stored.as_ref(), Ok(&value), "a gauge's own value is refused");
+    let kind = parameter.kind;
+    let shown = std::str::from_utf8(input).expect("accepted as text").trim();
+    match (&value, &parameter.range) {
+        (Value::Int(number), Range::Int { min, max, .. }) => {
+            assert!((min..=max).contains(&number), "{number} is out of range");
+            assert_eq!(number_of(shown), Some(i128::from(*number)), "{shown} became {number}");
+        }
+        (Value::Float(number), Range::Float { min, max, .. }) => {
+            assert!((min..=max).contains(&number), "{number} is out of range");
+        }
+        (Value::Text(bytes), Range::Text { .. }) => assert_eq!(bytes, shown.as_bytes()),
+        other => panic!("a value of another type: {other:?}"),
+    }
+    let change = Change::of_value((subclass, parameter), &value).expect("an accepted value fits its type");
+    assert_eq!(change.bytes.len(), kind.size());
+    let read = codec::decode(kind, &change.bytes);
+    if kind != Type::F4 {
+        assert_eq!(read, value, "stored and read as another value");
+    }
+    if let (Value::Float(one), Value::Float(other)) = (&value, &read) {
+        assert!((one - other).abs() <= one.abs() * 1e-6 + 1e-37, "{one} is stored as {other}");
+    }
+    if !matches!(kind, Type::S(_)) {
+        let again = text::parse_stored(parameter, text::render(kind, &read).as_bytes());
+        let again = again.expect("what is shown can be written");
+        assert_eq!(codec::encode(kind, &again), Some(change.bytes));
+    }
+}
+
+/// A whole number in decimal, hexadecimal or binary, by other code than the one under test.
+pub(crate) fn number_of(text: &str) -> Option<i128> {
+    let (sign, digits) = match text.as_bytes().first()? {
+        b'-' => (-1, &text[1..]),
+        b'+' => (1, &text[1..]),
+        _ => (1, text),
+    };
+    let radix = match digits.get(..2) {
+        Some("0x" | "0X") => 16,
+        Some("0b" | "0B") => 2,
+        _ => 10,
+    };
+    let digits = if radix == 10 { digits } else { &digits[2..] };
+    let step = |sum: i128, digit: char| {
+        sum.checked_mul(radix.into())?.checked_add(i128::from(digit.to_digit(radix)?))
+    };
+    if digits.is_empty() { None } else { digits.chars().try_fold(0, step).map(|sum| sign * sum) }
+}
