@@ -49,11 +49,17 @@ struct Daemon {
 impl Daemon {
     /// `None` without FUSE.
     fn start(at: String) -> Option<Self> {
+        Self::with(at, &[])
+    }
+
+    /// The same with more options.
+    fn with(at: String, more: &[&str]) -> Option<Self> {
         if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no daemon was stopped");
             return None;
         }
         let mut command = command(&["mount", "--foreground", "--sim", CHIP, &at]);
+        command.args(more);
         let child = command.stderr(Stdio::null()).spawn().expect("gaugefs runs");
         let daemon = Self { at, child };
         let start = Instant::now();
@@ -171,6 +177,51 @@ fn detach_removes_dead_mounts_beside_a_stopped_one() {
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     assert!(left.contains(&stopped.at), "{left}");
     assert!(!left.contains(&dead.at), "{left}");
+}
+
+/// The lock of root's daemon is not theirs to open.
+#[test]
+fn another_user_is_refused_with_the_name_of_roots_daemon() {
+    use std::os::unix::process::CommandExt;
+    if !geteuid().is_root() {
+        eprintln!("SKIPPED: without root there is no other user");
+        return;
+    }
+    let folder = Folder::new();
+    let (at, state, program) = (folder.file("m"), folder.file("state"), folder.file("gaugefs"));
+    let Some(mut daemon) = Daemon::with(at.clone(), &["--sim-state", &state]) else { return };
+    // The program may be in a folder that other users cannot enter.
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy");
+    std::os::unix::fs::chown(&folder.0, Some(65534), Some(65534)).expect("given away");
+    let mut other = Command::new(&program);
+    other.args(["mount", "--sim", CHIP, "--sim-state", &state, &folder.file("n")]).current_dir("/");
+    other.env("XDG_RUNTIME_DIR", folder.file("run")).uid(65534).gid(65534).stdin(Stdio::null());
+    let who = format!("in use by process {} (gaugefs of root)", daemon.child.id());
+    within(LIMIT, other).failed(&[&state, &who]);
+    let lock = format!("/run/gaugefs/{}.lock", gaugefs::lock::key_of_state(Path::new(&state)));
+    assert!(Path::new(&lock).exists());
+    gaugefs(&["umount", &at]).done();
+    assert!(daemon.ends());
+    assert!(!Path::new(&lock).exists(), "{lock} is left behind");
+}
+
+/// A signal ends the process by another way than an unmount does.
+#[test]
+fn a_daemon_that_a_signal_ends_removes_its_lock() {
+    let folder = Folder::new();
+    let (at, state) = (folder.file("m"), folder.file("state"));
+    let Some(mut daemon) = Daemon::with(at.clone(), &["--sim-state", &state]) else { return };
+    let key = format!("{}.lock", gaugefs::lock::key_of_state(Path::new(&state)));
+    let folders =
+        ["/run/gaugefs".to_string(), std::env::var("XDG_RUNTIME_DIR").unwrap_or_default() + "/gaugefs"];
+    let left = || folders.iter().any(|folder| Path::new(folder).join(&key).exists());
+    assert!(left() || !geteuid().is_root());
+    // In use, so that the signal detaches it.
+    let open = fs::File::open(&at).expect("opens");
+    daemon.send(Signal::SIGTERM);
+    assert!(daemon.ends());
+    drop(open);
+    assert!(!left());
 }
 
 /// Files that another user may have planted in a shared folder.
