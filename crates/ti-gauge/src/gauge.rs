@@ -220,12 +220,13 @@ impl Gauge {
 
     /// Lets no transfer start later than `time` from now; `None` removes the limit.
     pub fn limit(&mut self, time: Option<Duration>) {
-        self.deadline = time.map(|time| self.clock.now() + time);
+        self.limit_until(time.map(|time| self.clock.now() + time));
     }
 
     /// Lets no transfer start later than that; `None` removes the limit.
     pub fn limit_until(&mut self, deadline: Option<Duration>) {
         self.deadline = deadline;
+        self.bus.limit(deadline);
     }
 
     fn is_late(&self) -> bool {
