@@ -4,10 +4,10 @@
 //! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
-//! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do,
-//! `backup` saves a gauge's configuration before the first write, `arrival` identifies a gauge that comes or comes
-//! back, `poll` reads its registers, and `debt` pays what a failed access has left: a seal, or a write that is
-//! neither done nor undone.
+//! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
+//! says which failure is shown, `backup` saves a gauge's configuration before the first write, `arrival` identifies
+//! a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a failed access has left: a
+//! seal, or a write that is neither done nor undone.
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
@@ -28,6 +28,7 @@ use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 mod arrival;
+mod attempt;
 mod backup;
 mod debt;
 mod handle;
@@ -37,6 +38,7 @@ mod request;
 mod rig;
 
 use arrival::Loss;
+pub use attempt::Attempt;
 pub use backup::Backup;
 use debt::Debt;
 use handle::Shared;
@@ -200,13 +202,13 @@ impl Owner {
         let outcome = self.open();
         if let Err(error) = &outcome {
             self.schedule.set_gone(self.gauge.clock.now());
-            self.shared.record(error);
+            self.shared.record(Attempt::Poll, error);
         }
         // If the caller has stopped waiting, the outcome goes to the log instead.
         match opened.send(outcome) {
             Ok(()) => {}
             Err(SendError(Ok(()))) => log::info!("{}: the gauge answers", self.shared.name()),
-            Err(SendError(Err(error))) => self.shared.report(&error),
+            Err(SendError(Err(error))) => self.shared.report(Attempt::Poll, &error),
         }
     }
 
@@ -224,9 +226,19 @@ impl Owner {
         }
     }
 
-    /// Reports an error, and passes the outcome on.
-    fn logged<T, E: Into<Error>>(&self, outcome: Result<T, E>) -> Result<T> {
-        outcome.map_err(Into::into).inspect_err(|error| self.shared.report(error))
+    /// Reports an error, or clears the failure of an earlier attempt, and passes the outcome on.
+    fn logged<T, E: Into<Error>>(&self, attempt: Attempt, outcome: Result<T, E>) -> Result<T> {
+        match outcome {
+            Ok(done) => {
+                self.shared.succeeded(&attempt);
+                Ok(done)
+            }
+            Err(error) => {
+                let error = error.into();
+                self.shared.report(attempt, &error);
+                Err(error)
+            }
+        }
     }
 
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.

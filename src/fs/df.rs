@@ -8,10 +8,10 @@ use nix::errno::Errno;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, raw, transaction};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Done, Request};
+use crate::owner::{Attempt, Done, Request};
 use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
-use ti_gauge::dataflash::Change;
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
@@ -201,13 +201,18 @@ impl Operations for Of<'_, DfItem> {
                     Some(_) => Err(transaction::busy().within(parameter.name)),
                     None => transaction::check(subclass, parameter, handle.allows_unproven(), data),
                 };
-                supply.submit(change, done, |change, done| Request::WriteAll(vec![change], done));
+                let attempt = Attempt::Write(vec![Place::of((subclass, parameter))]);
+                supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
             }
             DfItem::Transaction => {
-                match supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data) {
+                let staged = supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data);
+                if staged.is_ok() {
+                    handle.succeeded(&Attempt::Stage);
+                }
+                match staged {
                     Ok(None) => done(Ok(())),
                     Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-                    Err(error) => supply.refuse(error, done),
+                    Err(error) => supply.refuse(Attempt::Stage, error, done),
                 }
             }
             _ => done(Err(super::not_writable())),

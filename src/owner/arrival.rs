@@ -3,7 +3,7 @@
 use std::ptr;
 use std::time::Duration;
 
-use super::{Answers, Owner, Seal};
+use super::{Answers, Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
 use ti_gauge::dataflash::Outcome;
@@ -77,7 +77,7 @@ impl Owner {
         });
         match self.limitation() {
             None => self.settle(),
-            Some(why) => self.shared.report(&why),
+            Some(why) => self.shared.report(Attempt::Other, &why),
         }
         Ok(())
     }
@@ -150,6 +150,7 @@ impl Owner {
                     Outcome::Unchanged => "configuration is as saved",
                 };
                 log::info!("{}: {done}", self.shared.name());
+                self.shared.succeeded(&Attempt::Restore);
                 self.loss = Loss::Settled;
                 self.schedule.hurry();
             }
@@ -169,8 +170,8 @@ impl Owner {
         let line = error.to_string();
         match &self.loss {
             // In the log only once.
-            Loss::Owed { failure, .. } if *failure == line => self.shared.record(&error),
-            _ => self.shared.report(&error),
+            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::Restore, &error),
+            _ => self.shared.report(Attempt::Restore, &error),
         }
         self.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
         let interval = self.shared.published().interval;
@@ -185,7 +186,7 @@ impl Owner {
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
                 let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);
-                self.shared.report(&Error::new(file, Cause::Protocol(why)));
+                self.shared.report(Attempt::Other, &Error::new(file, Cause::Protocol(why)));
             }
         }
     }

@@ -204,6 +204,7 @@ mod tests {
         assert_eq!(apart.bus.transfer(&[4], &mut []), Ok(()));
 
         // The outcome of the transfer that was given up belongs to no later one.
+        hangs.bus.patience = LONG;
         for outcome in [Err(BusError::NoAck), Ok(())] {
             hangs.returns.send(outcome).expect("a driver");
         }
