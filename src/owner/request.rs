@@ -1,7 +1,7 @@
 //! What the owner can be asked to do, and how it does it.
 
 use std::ptr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::{Attempt, Owner, Seal};
@@ -74,6 +74,22 @@ impl Request {
         }
     }
 
+    /// The same request, and what answers it if it is dropped without an answer.
+    pub(super) fn or_else_answered(self) -> (Self, Unanswered) {
+        match self {
+            Request::Read(wanted, done) => share(done, |done| Request::Read(wanted, done)),
+            Request::WriteAll(changes, done) => share(done, |done| Request::WriteAll(changes, done)),
+            Request::Seal(goal, done) => share(done, |done| Request::Seal(goal, done)),
+            Request::Control(code, done) => share(done, |done| Request::Control(code, done)),
+            Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
+            Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
+            Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
+            Request::Refresh(done) => share(done, Request::Refresh),
+            Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
+            Request::Look => (Request::Look, Box::new(drop)),
+        }
+    }
+
     /// Answers with an error instead of carrying it out.
     fn refuse(self, error: Error) {
         match self {
@@ -89,6 +105,18 @@ impl Request {
             Request::Look => {}
         }
     }
+}
+
+/// Answers a request that nothing else has answered.
+pub(super) type Unanswered = Box<dyn FnOnce(Error)>;
+
+/// Shares the answer to a request: whoever answers first has answered.
+fn share<T: 'static>(done: Done<T>, request: impl FnOnce(Done<T>) -> Request) -> (Request, Unanswered) {
+    let first = Arc::new(Mutex::new(Some(done)));
+    let second = first.clone();
+    let take = |shared: &Mutex<Option<Done<T>>>| shared.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let answer = move |outcome| take(&first).map_or((), |done| done(outcome));
+    (request(Box::new(answer)), Box::new(move |error| take(&second).map_or((), |done| done(Err(error)))))
 }
 
 /// Where changes are.

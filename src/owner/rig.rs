@@ -68,7 +68,7 @@ impl Rig {
         self.handle.submit(request(Box::new(answer)));
         self.clock.sleep(delay);
         let (submitted, request) = self.requests.try_recv().expect("a request");
-        self.owner.serve(submitted, request);
+        self.owner.answer(submitted, request);
         outcome.try_recv().expect("an answer")
     }
 

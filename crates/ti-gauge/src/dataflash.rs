@@ -144,6 +144,12 @@ impl DataFlash {
         self.known.clear();
     }
 
+    /// Forgets everything, after an access that was not brought to its end. What it has left is found in the journal.
+    pub fn start_over(&mut self) {
+        let Self { limits, wear, journal, .. } = std::mem::take(self);
+        *self = Self { limits, wear, journal, ..Self::default() };
+    }
+
     /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
     /// request was made.
     pub fn read(

@@ -661,6 +661,15 @@ impl Gauge {
         self.bus.set_secret(self.secrets > 0);
     }
 
+    /// Forgets all that is known of the gauge, after an access that was not brought to its end.
+    pub fn start_over(&mut self) {
+        self.forget_refusal();
+        self.limit_until(None);
+        (self.expected, self.secrets) = (None, 0);
+        self.bus.set_secret(false);
+        self.statistics.progress.end();
+    }
+
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
     pub fn forget_refusal(&mut self) {
         (self.refused, self.proven) = (false, false);
