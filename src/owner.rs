@@ -151,6 +151,8 @@ struct Owner {
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
     control_status: u16,
+    /// When the gauge was last asked what it is.
+    identified: Duration,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
     /// What is known of the gauge's loss of its configuration.
@@ -187,6 +189,7 @@ impl Owner {
             rare: Registers::UNREAD,
             statics_are_current: false,
             control_status: 0,
+            identified: Duration::ZERO,
             restore: settings.restore,
             loss: Loss::None,
             backup: settings.backup,

@@ -6,8 +6,9 @@ use std::time::Duration;
 use super::{Answers, Attempt, Owner, Snapshot};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
-use ti_gauge::chip::Tier;
+use ti_gauge::chip::{Chip, Tier};
 use ti_gauge::gauge::Statistics;
+use ti_gauge::registers::Registers;
 
 /// The slow tier is read with every tenth poll, first with the second one, which follows soon after the
 /// first: a mount waits only for what its attributes need.
@@ -185,6 +186,9 @@ impl Owner {
             Cause::Bus(BusError::Hung(_)) => self.schedule.set_gone(now),
             _ => self.schedule.failed(now),
         }
+        // A pack may be exchanged while it does not answer.
+        self.forget_dataflash();
+        self.dataflash.suspect(self.gauge.chip);
         if was_gone {
             return;
         }
@@ -197,7 +201,7 @@ impl Owner {
 
     /// Reads what is due and publishes it as a new Snapshot.
     pub(super) fn poll(&mut self) -> Result<()> {
-        let taken = self.gauge.clock.now();
+        let mut taken = self.gauge.clock.now();
         let (slow, statics) = (self.schedule.reads_slow_tier(), !self.statics_are_current);
         if slow || statics {
             // Both tiers in one pass: a burst may hold registers of each.
@@ -218,14 +222,22 @@ impl Owner {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol(why.into())).at(Step::Read));
         }
+        if self.dataflash.is_surprised(chip, |code| word(chip, &registers, code)) {
+            self.schedule.reads(taken);
+            self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
+            taken = self.gauge.clock.now();
+            if statics {
+                self.rare.read(&mut self.gauge, |tier| tier == Tier::Static)?;
+            }
+            registers = self.rare.clone();
+            registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
+        }
         let number = self.schedule.succeeded(taken);
         Statistics::count(&self.shared.statistics.polls);
-        let word = |code| {
-            let register = chip.registers.iter().find(|register| register.code == code)?;
-            registers.value(register).map(|value| value as u16)
-        };
-        if self.dataflash.polled(chip, word) {
-            log::warn!("{}: another pack answers; its data flash is read anew", self.shared.name());
+        let contradicted = self.dataflash.contradicted(chip, |code| word(chip, &registers, code));
+        if self.dataflash.polled(chip, |code| word(chip, &registers, code)) {
+            let name = contradicted.unwrap_or("data flash");
+            log::warn!("{}: another pack answers, as {name} shows; it is read anew", self.shared.name());
             self.forget_dataflash();
             self.schedule.hurry();
         }
@@ -234,6 +246,12 @@ impl Owner {
         self.shared.succeeded(&Attempt::Poll);
         Ok(())
     }
+}
+
+/// The register at an address, in two bytes.
+fn word(chip: &Chip, registers: &Registers, code: u8) -> Option<u16> {
+    let register = chip.registers.iter().find(|register| register.code == code)?;
+    registers.value(register).map(|value| value as u16)
 }
 
 #[cfg(test)]

@@ -262,6 +262,11 @@ impl Owner {
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
         let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
         let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        if self.dataflash.doubts() {
+            log::warn!("{}: another pack answers, as data flash shows; it is read anew", self.shared.name());
+            self.forget_dataflash();
+            self.schedule.hurry();
+        }
         for (&index, bytes) in wanted.iter().zip(&read) {
             self.shared.keep(index, bytes.clone(), self.schedule.number());
         }
@@ -324,17 +329,18 @@ impl Owner {
         }
     }
 
-    /// Polls now, and forgets what was read of data flash.
+    /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls
+    /// it.
     fn refresh(&mut self, submitted: Duration) -> Result<()> {
         self.forget_dataflash();
-        self.dataflash.forget();
-        // A poll since then is as new as was asked for.
-        if self.schedule.is_newer_than(submitted) {
+        self.dataflash.suspect(self.gauge.chip);
+        // A look since then is as new as was asked for.
+        if self.schedule.is_newer_than(submitted) && submitted < self.identified {
             return Ok(());
         }
         self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
         self.schedule.read_slow_tier();
-        self.update().inspect_err(|error| self.poll_failed(error))
+        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.poll_failed(error))
     }
 
     /// Reads the seal state and CONTROL_STATUS, which a request may have changed. If that fails, so does the

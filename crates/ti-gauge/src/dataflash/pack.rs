@@ -36,6 +36,10 @@ impl Known {
         self.0.clear();
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Bytes of a parameter, if every byte of it is known.
     fn bytes(&self, (subclass, parameter): Row) -> Option<Vec<u8>> {
         let places = (parameter.offset..).take(parameter.kind.size());

@@ -239,6 +239,9 @@ impl DataFlash {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
                 self.known.clear();
+                if let Some(known_pack) = &mut self.known_pack {
+                    known_pack.rewritten();
+                }
                 return Ok(message);
             }
             Ok(Verdict::Undecided(why)) => {
