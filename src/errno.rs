@@ -31,7 +31,7 @@ fn of_bus(error: BusError) -> Errno {
     match error {
         BusError::NoAck => Errno::ENXIO,
         BusError::ArbitrationLost => Errno::EAGAIN,
-        BusError::Timeout => Errno::ETIMEDOUT,
+        BusError::Timeout | BusError::Hung(_) => Errno::ETIMEDOUT,
         BusError::Short => Errno::EPROTO,
         BusError::Gone => Errno::ENODEV,
         BusError::Busy => Errno::EBUSY,

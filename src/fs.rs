@@ -20,7 +20,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Done, Handle};
+use crate::owner::{Attempt, Done, Handle};
 
 mod attribute;
 mod covered;
@@ -402,8 +402,9 @@ impl Fs {
             None => self.ask(node, |node| node.write(data, done)),
             Some(why) => {
                 let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
+                let attempt = if self.is_stream(node) { Attempt::Stage } else { Attempt::Other };
                 match node {
-                    Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(error, done),
+                    Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(attempt, error, done),
                     _ => done(Err(error)),
                 }
             }

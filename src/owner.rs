@@ -4,11 +4,12 @@
 //! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
-//! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do,
-//! `backup` saves a gauge's configuration before the first write, `arrival` identifies a gauge that comes or comes
-//! back, `poll` reads its registers, and `debt` pays what a failed access has left: a seal, or a write that is
-//! neither done nor undone.
+//! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
+//! says which failure is shown, `backup` saves a gauge's configuration before the first write, `arrival` identifies
+//! a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a failed access has left: a
+//! seal, or a write that is neither done nor undone.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
 use std::time::Duration;
@@ -28,6 +29,7 @@ use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 mod arrival;
+mod attempt;
 mod backup;
 mod debt;
 mod handle;
@@ -37,6 +39,7 @@ mod request;
 mod rig;
 
 use arrival::Loss;
+pub use attempt::Attempt;
 pub use backup::Backup;
 use debt::Debt;
 use handle::Shared;
@@ -151,6 +154,8 @@ struct Owner {
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
     control_status: u16,
+    /// When the gauge was last asked what it is.
+    identified: Duration,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
     /// What is known of the gauge's loss of its configuration.
@@ -190,6 +195,7 @@ impl Owner {
             rare: Registers::UNREAD,
             statics_are_current: false,
             control_status: 0,
+            identified: Duration::ZERO,
             restore: settings.restore,
             loss: Loss::None,
             backup: settings.backup,
@@ -203,16 +209,16 @@ impl Owner {
     /// Opens the gauge and sends the outcome. After a failure the gauge is gone, and is tried again with
     /// each poll.
     fn begin(&mut self, opened: &Sender<Result<()>>) {
-        let outcome = self.open();
+        let outcome = self.survive(Attempt::Poll, Self::open).and_then(|opened| opened);
         if let Err(error) = &outcome {
             self.schedule.set_gone(self.gauge.clock.now());
-            self.shared.record(error);
+            self.shared.record(Attempt::Poll, error);
         }
         // If the caller has stopped waiting, the outcome goes to the log instead.
         match opened.send(outcome) {
             Ok(()) => {}
             Err(SendError(Ok(()))) => log::info!("{}: the gauge answers", self.shared.name()),
-            Err(SendError(Err(error))) => self.shared.report(&error),
+            Err(SendError(Err(error))) => self.shared.report(Attempt::Poll, &error),
         }
     }
 
@@ -222,22 +228,177 @@ impl Owner {
             let poll = self.schedule.due(self.shared.published().interval);
             let due = self.debt.due().map_or(poll, |debt| debt.min(poll));
             match requests.recv_timeout(due.saturating_sub(self.gauge.clock.now())) {
-                Ok((submitted, request)) => self.serve(submitted, request),
-                Err(RecvTimeoutError::Timeout) if due < poll => self.pay(),
-                Err(RecvTimeoutError::Timeout) => self.poll_on_time(),
+                Ok((submitted, request)) => self.answer(submitted, request),
+                Err(RecvTimeoutError::Timeout) if due < poll => {
+                    let _ = self.survive(Attempt::Settle, Self::pay);
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    let _ = self.survive(Attempt::Poll, Self::poll_on_time);
+                }
                 Err(RecvTimeoutError::Disconnected) => return,
             }
         }
     }
 
-    /// Reports an error, and passes the outcome on.
-    fn logged<T, E: Into<Error>>(&self, outcome: Result<T, E>) -> Result<T> {
-        outcome.map_err(Into::into).inspect_err(|error| self.shared.report(error))
+    /// Carries out a request, which gets an answer even if that panics.
+    fn answer(&mut self, submitted: Duration, request: Request) {
+        let attempt = request.attempt();
+        let (request, unanswered) = request.or_else_answered();
+        if let Err(error) = self.survive(attempt.clone(), |owner| owner.serve(submitted, request)) {
+            let _ = self.survive(attempt, |_| unanswered(error));
+        }
+    }
+
+    /// Does some work. A panic in it is a failure of this gauge only: what is known of the gauge is thrown away, and it
+    /// is gone until the next poll has identified it. A write that was cut short is then settled from its journal, as
+    /// after the end of a daemon.
+    fn survive<T>(&mut self, attempt: Attempt, work: impl FnOnce(&mut Self) -> T) -> Result<T> {
+        let panic = match catch_unwind(AssertUnwindSafe(|| work(self))) {
+            Ok(done) => return Ok(done),
+            Err(panic) => panic,
+        };
+        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+        let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+        let why = format!(
+            "a defect of gaugefs has stopped this: {text}; the gauge is identified again, please report it"
+        );
+        let error = Error::host(self.shared.name(), Errno::EIO, why);
+        self.gauge.start_over();
+        self.dataflash.start_over();
+        self.forget_dataflash();
+        self.rare = Registers::UNREAD;
+        self.debt = Debt::default();
+        self.schedule.set_gone(self.gauge.clock.now());
+        self.shared.publish(|published| {
+            (published.snapshot, published.digest) = (None, None);
+            (published.owed, published.settling) = ("".into(), "".into());
+        });
+        self.shared.report(attempt, &error);
+        Err(error)
+    }
+
+    /// Reports an error, or clears the failure of an earlier attempt, and passes the outcome on.
+    fn logged<T, E: Into<Error>>(&self, attempt: Attempt, outcome: Result<T, E>) -> Result<T> {
+        match outcome {
+            Ok(done) => {
+                self.shared.succeeded(&attempt);
+                Ok(done)
+            }
+            Err(error) => {
+                let error = error.into();
+                self.shared.report(attempt, &error);
+                Err(error)
+            }
+        }
     }
 
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
     fn forget_dataflash(&mut self) {
         self.statics_are_current = false;
         self.shared.forget_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::resume_unwind;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::rig::{INTERVAL, Rig};
+    use super::*;
+    use gauge_bus::BusError;
+    use gauge_bus::clock::SimClock;
+    use gauge_sim::{Options, Sim, SimBus};
+    use ti_gauge::value::Value;
+
+    /// A bus that panics at the transfer of that number.
+    struct Panics {
+        bus: SimBus,
+        done: u64,
+        at: Arc<AtomicU64>,
+    }
+
+    impl Bus for Panics {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            self.done += 1;
+            if self.done == self.at.load(Ordering::SeqCst) {
+                resume_unwind(Box::new("index out of bounds"));
+            }
+            self.bus.transfer(write, read)
+        }
+    }
+
+    fn change(chip: &'static Chip) -> Change {
+        let row = chip.row("80", "53").expect("a parameter of the table");
+        Change::of_value(row, &Value::Int(3100)).expect("it fits")
+    }
+
+    #[test]
+    fn a_panic_at_any_transfer_of_a_write_is_settled_as_after_the_end_of_a_daemon() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-panic-{}", std::process::id()));
+        let write = |rig: &mut Rig| {
+            let change = change(rig.handle.chip());
+            rig.ask(|done| Request::WriteAll(vec![change], done))
+        };
+        let mut plain = Rig::open();
+        let (old, before) = (plain.sim.flash(), plain.transfers());
+        write(&mut plain).expect("no fault");
+        let (new, count) = (plain.sim.flash(), plain.transfers() - before);
+        let mut outcomes = [0; 2];
+        for number in 1..=count {
+            let _ = std::fs::remove_dir_all(&folder);
+            let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+            let settings = Settings { journal: Some(journal), ..Settings::default() };
+            let at = Arc::new(AtomicU64::new(0));
+            let mut rig = Rig::on("bq34z100-g1", settings, Startup::default(), |bus| {
+                Box::new(Panics { bus, done: 0, at: at.clone() })
+            });
+            rig.owner.open().expect("it answers");
+            at.store(rig.transfers() + number, Ordering::SeqCst);
+            let error = write(&mut rig).expect_err("a panic");
+            assert_eq!(error.errno(), Errno::EIO, "{error}");
+            let published = rig.handle.published();
+            assert!(published.snapshot.is_none() && published.last_error.contains("index out of bounds"));
+
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
+            assert!(rig.handle.published().snapshot.is_some(), "transfer {number}");
+            let flash = rig.sim.flash();
+            let is = [&old, &new].map(|content| *content == flash);
+            if is.contains(&true) {
+                outcomes[usize::from(is[1])] += 1;
+                assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"), "transfer {number}");
+            } else {
+                panic!("transfer {number}: half a write: {}", rig.handle.published().owed);
+            }
+        }
+        assert!(outcomes[0] > 0 && outcomes[1] > 0, "{outcomes:?}");
+        let _ = std::fs::remove_dir_all(&folder);
+    }
+
+    #[test]
+    fn a_panic_does_not_end_the_thread_of_a_gauge() {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        let at = Arc::new(AtomicU64::new(0));
+        let bus = Box::new(Panics { bus: sim.bus(), done: 0, at: at.clone() });
+        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        let handle = spawn(chip, bus, clock, settings, Arc::default()).expect("it answers");
+        let run = |request: &dyn Fn(Done<()>) -> Request| {
+            let (done, is_done) = mpsc::channel();
+            handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("the test waits"))));
+            is_done.recv().expect("an answer")
+        };
+        let transfers = handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("a count").1;
+        at.store(transfers + 1, Ordering::SeqCst);
+        let error = run(&Request::Refresh).expect_err("a panic");
+        assert_eq!(error.errno(), Errno::EIO, "{error}");
+        assert!(handle.published().snapshot.is_none());
+        run(&Request::Refresh).expect("it is identified again");
+        assert!(handle.published().snapshot.is_some());
+        assert_eq!(*handle.published().last_error, *"");
+        run(&|done| Request::WriteAll(vec![change(chip)], done)).expect("the default key");
     }
 }

@@ -9,10 +9,10 @@ use super::supply::Supply;
 use super::transaction::{self, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Done, Request};
-use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use crate::owner::{Attempt, Done, Request};
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
-use ti_gauge::dataflash::Change;
+use ti_gauge::dataflash::{Change, Place, Row};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
@@ -78,13 +78,11 @@ impl Operations for Of<'_, DfItem> {
     }
 
     fn mode(&self) -> Mode {
-        let may_write = match self.item {
-            DfItem::Parameter(at, row) => {
-                !self.supply.row(at, row).1.unproven || self.supply.handle.allows_unproven()
-            }
-            item => item == DfItem::Transaction,
-        };
-        if may_write { Mode::ReadWrite } else { Mode::Read }
+        match self.item {
+            // A parameter that may not be written is refused when that is tried, with the reason.
+            DfItem::Parameter(..) | DfItem::Transaction => Mode::ReadWrite,
+            _ => Mode::Read,
+        }
     }
 
     fn list(&self) -> Vec<(String, Node)> {
@@ -211,13 +209,18 @@ impl Operations for Of<'_, DfItem> {
                     Some(_) => Err(transaction::busy().within(parameter.name)),
                     None => transaction::check(subclass, parameter, handle.allows_unproven(), data),
                 };
-                supply.submit(change, done, |change, done| Request::WriteAll(vec![change], done));
+                let attempt = Attempt::Write(vec![Place::of((subclass, parameter))]);
+                supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
             }
             DfItem::Transaction => {
-                match supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data) {
+                let staged = supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data);
+                if staged.is_ok() {
+                    handle.succeeded(&Attempt::Stage);
+                }
+                match staged {
                     Ok(None) => done(Ok(())),
                     Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-                    Err(error) => supply.refuse(error, done),
+                    Err(error) => supply.refuse(Attempt::Stage, error, done),
                 }
             }
             _ => done(Err(super::not_writable())),
@@ -336,6 +339,38 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
+/// The error about a place where the table has no parameter, with the one that was probably meant. It does not repeat
+/// what was written, which may be a secret in the wrong place.
+pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
+    let why = match nearest(chip, place) {
+        Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
+        None => "no such parameter; df/index lists them all".into(),
+    };
+    Error::host("", Errno::ENOENT, why)
+}
+
+/// The parameter at the nearest place in the same subclass, or with a name that begins alike.
+fn nearest(chip: &Chip, place: &str) -> Option<Row> {
+    let (subclass, offset) = place.rsplit_once('/').filter(|(_, offset)| !offset.is_empty())?;
+    let rows = |id: Option<u8>| {
+        let subclasses = chip.subclasses.iter().filter(move |subclass| id.is_none_or(|id| subclass.id == id));
+        subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |parameter| (subclass, parameter)))
+    };
+    let number = match offset.strip_prefix("0x") {
+        Some(digits) => u16::from_str_radix(digits, 16).ok(),
+        None => offset.parse().ok(),
+    };
+    if let Some(at) = number {
+        let id = if subclass == "flash" { FLAT } else { subclass.parse().ok()? };
+        return rows(Some(id)).min_by_key(|(_, parameter)| parameter.offset.abs_diff(at));
+    }
+    let alike = |(_, parameter): &Row| {
+        let name = kebab_case(parameter.name);
+        name.bytes().zip(offset.bytes()).take_while(|(one, other)| one == other).count()
+    };
+    rows(None).max_by_key(alike).filter(|row| alike(row) * 2 >= offset.len())
+}
+
 /// Name of a parameter's file on parts with a flat address space.
 fn address(parameter: &Parameter) -> String {
     format!("0x{:04x}", parameter.offset)
@@ -370,4 +405,28 @@ fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
     ];
     let set: Vec<_> = flags.iter().filter(|(_, set)| *set).map(|(name, _)| *name).collect();
     if set.is_empty() { "-".into() } else { set.join(",") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_parameter_is_reported_with_the_nearest_one() {
+        let says = |chip: &str, place: &str| {
+            let error = unknown(Chip::by_name(chip).expect("it has a table"), place);
+            assert_eq!(error.errno(), Errno::ENOENT, "{place}");
+            error.to_string()
+        };
+        let terminate = "no such parameter; did you mean 80/53 (Cell Terminate Voltage)?";
+        for place in
+            ["80/54", "80/52", "it-cfg/cell-terminate-voltage", "by-name/it-cfg/cell-terminate-volts"]
+        {
+            assert_eq!(says("bq34z100-g1", place), terminate, "{place}");
+        }
+        assert!(says("bq34110", "flash/0x41f6").contains("did you mean flash/0x41f5 ("));
+        for place in ["99/0", "80/", "x/0414 3672", "flash/0x4000", "80/xyz"] {
+            assert_eq!(says("bq34z100-g1", place), "no such parameter; df/index lists them all", "{place}");
+        }
+    }
 }

@@ -6,10 +6,12 @@
 use std::fmt::Display;
 use std::time::Duration;
 
+use jiff::Timestamp;
+
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Answers, Done, Request, Seal};
+use crate::owner::{Answers, Attempt, Done, Request, Seal};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
@@ -47,18 +49,21 @@ static FILES: &[File] = &[
     file("chem_id", Mode::Public, |gauge| word(identified(gauge)?.chem_id?)),
     file("itpor", Mode::Public, itpor),
     file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
-        .written(|gauge, data, done| gauge.submit(seal(data), done, Request::Seal)),
-    file("control", Mode::Write, |_| empty())
-        .written(|gauge, data, done| gauge.submit(subcommand(gauge.chip(), data), done, Request::Control)),
+        .written(|gauge, data, done| gauge.submit(Attempt::Seal, seal(data), done, Request::Seal)),
+    file("control", Mode::Write, |_| empty()).written(|gauge, data, done| {
+        gauge.submit(Attempt::Control, subcommand(gauge.chip(), data), done, Request::Control);
+    }),
     file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
     file("authenticate", Mode::ReadWrite, digest).written(|gauge, data, done| {
-        gauge.submit(authentication::from_hex(data), done, Request::Authenticate)
+        let challenge = authentication::from_hex(data);
+        gauge.submit(Attempt::Authenticate, challenge, done, Request::Authenticate)
     }),
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
-        .written(|gauge, data, done| gauge.submit(decision(data), done, Request::Settle)),
-    file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64()))
-        .written(|gauge, data, done| gauge.submit(interval(data), done, Request::Interval)),
+        .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
+    file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())).written(
+        |gauge, data, done| gauge.submit(Attempt::Interval, interval(data), done, Request::Interval),
+    ),
     file("refresh", Mode::Write, |_| empty())
         .written(|gauge, _, done| gauge.handle.submit(Request::Refresh(done))),
     file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
@@ -243,16 +248,19 @@ fn auth_order(gauge: &Supply) -> Option<String> {
 
 fn last_error(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
-    owed_and(&published.owed, &published.last_error)
+    let error = published.failed.as_ref().map(|(at, _)| (*at, &*published.last_error));
+    owed_and(Some((published.owed_since, &*published.owed)).filter(|(_, owed)| !owed.is_empty()), error)
 }
 
-/// What is owed goes first: it must not be lost among less important errors.
-fn owed_and(owed: &str, error: &str) -> Option<String> {
-    match (owed.is_empty(), error.is_empty()) {
-        (true, true) => empty(),
-        (true, false) => line(error),
-        (false, _) if error.is_empty() || error.contains(owed) => line(owed),
-        (false, _) => line(format_args!("{owed}; last error: {error}")),
+/// Both begin with their time. What is owed goes first: it must not be lost among less important errors.
+fn owed_and(owed: Option<(Timestamp, &str)>, error: Option<(Timestamp, &str)>) -> Option<String> {
+    let owes = owed.map_or("", |(_, owed)| owed);
+    let error = error.filter(|(_, error)| owes.is_empty() || !error.contains(owes));
+    let show = |(at, text)| format!("{at:.0}: {text}");
+    match (owed.map(show), error.map(show)) {
+        (None, None) => empty(),
+        (Some(only), None) | (None, Some(only)) => line(only),
+        (Some(owed), Some(error)) => line(format_args!("{owed}; last error: {error}")),
     }
 }
 
@@ -298,7 +306,7 @@ fn change_key(gauge: &Supply, data: &[u8], done: Done<()>) {
     if data.trim_ascii().is_empty() {
         done(Ok(()));
     } else {
-        gauge.submit(keys::KeyChange::parse(data), done, Request::ChangeKey);
+        gauge.submit(Attempt::Key, keys::KeyChange::parse(data), done, Request::ChangeKey);
     }
 }
 
@@ -381,12 +389,17 @@ mod tests {
 
     #[test]
     fn last_error_shows_what_is_owed_until_it_is_paid() {
-        let shown = |owed, error| owed_and(owed, error).expect("the file is there");
+        let at = |second: i64| Timestamp::from_second(1_800_000_000 + second).expect("a time");
+        let shown = |owed: &'static str, error: &'static str| {
+            let timed = |second, text: &'static str| Some((at(second), text)).filter(|_| !text.is_empty());
+            owed_and(timed(0, owed), timed(7, error)).expect("the file is there")
+        };
         let (owed, failure) = ("a seal is owed", "df/80/53: a seal is owed");
-        assert_eq!(shown(owed, failure), "a seal is owed\n");
-        assert_eq!(shown(owed, "NACK"), "a seal is owed; last error: NACK\n");
-        assert_eq!(shown(owed, ""), "a seal is owed\n");
-        assert_eq!(shown("", "NACK"), "NACK\n");
+        let (owed_shown, nack) = ("2027-01-15T08:00:00Z: a seal is owed", "2027-01-15T08:00:07Z: NACK");
+        assert_eq!(shown(owed, failure), format!("{owed_shown}\n"));
+        assert_eq!(shown(owed, "NACK"), format!("{owed_shown}; last error: {nack}\n"));
+        assert_eq!(shown(owed, ""), format!("{owed_shown}\n"));
+        assert_eq!(shown("", "NACK"), format!("{nack}\n"));
         assert_eq!(shown("", ""), "");
     }
 

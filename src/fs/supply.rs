@@ -10,7 +10,7 @@ use super::{
     SimItem, find,
 };
 use crate::error::{Error, Result};
-use crate::owner::{Done, Handle, Published, Request, Snapshot};
+use crate::owner::{Attempt, Done, Handle, Published, Request, Snapshot};
 use ti_gauge::chip::Chip;
 
 /// A mounted gauge, with what the tree keeps about it.
@@ -64,20 +64,21 @@ impl Supply {
     /// Queues a request with the value that was written, unless the value is invalid.
     pub(super) fn submit<T, E: Into<Error>>(
         &self,
+        attempt: Attempt,
         value: Result<T, E>,
         done: Done<()>,
         request: impl FnOnce(T, Done<()>) -> Request,
     ) {
         match value {
             Ok(value) => self.handle.submit(request(value, done)),
-            Err(error) => self.refuse(error.into(), done),
+            Err(error) => self.refuse(attempt, error.into(), done),
         }
     }
 
     /// Refuses what was written without asking the gauge. The log and `gauge/last_error` say why, as after any
     /// request that fails.
-    pub(super) fn refuse(&self, error: Error, done: Done<()>) {
-        self.handle.report(&error);
+    pub(super) fn refuse(&self, attempt: Attempt, error: Error, done: Done<()>) {
+        self.handle.report(attempt, &error);
         done(Err(error));
     }
 }

@@ -259,7 +259,10 @@ fn change(chip: &'static Chip, allow_unproven: bool, line: &str) -> Result<Chang
     let (place, value) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
     let row = place.split_once('/').and_then(|(subclass, offset)| chip.row(subclass, offset));
     let Some((subclass, parameter)) = row else {
-        let why = "write begin, SUBCLASS/OFFSET VALUE, commit or abort; this is none, or no such parameter";
+        if place.contains('/') {
+            return Err(super::df::unknown(chip, place));
+        }
+        let why = "write begin, SUBCLASS/OFFSET VALUE, commit or abort; this is none of them";
         return Err(invalid(why));
     };
     check(subclass, parameter, allow_unproven, value.as_bytes())

@@ -3,7 +3,7 @@
 use std::ptr;
 use std::time::Duration;
 
-use super::{Answers, Owner, Seal};
+use super::{Answers, Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
 use ti_gauge::dataflash::Outcome;
@@ -52,12 +52,29 @@ impl Owner {
         }
     }
 
+    /// Asks a gauge that has been there all the time what it is, and compares its pack with the one that was there
+    /// before, as far as that is possible without a key. Another one is in doubt then, and arrives with the next poll.
+    pub(super) fn recognise(&mut self) -> Result<()> {
+        if self.schedule.is_gone() || self.dataflash.doubts() {
+            return Ok(());
+        }
+        self.identified = self.gauge.clock.now();
+        let (answers, limited) = self.identify()?;
+        if answers != self.shared.published().answers {
+            self.dataflash.doubt_pack();
+        } else if limited.is_none() {
+            self.dataflash.compare(&mut self.gauge)?;
+        }
+        Ok(())
+    }
+
     /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
     pub(super) fn arrive(&mut self) -> Result<()> {
         if self.unverified {
             self.schedule.reads(self.gauge.clock.now());
             probe::check(&mut self.gauge)?;
         }
+        self.identified = self.gauge.clock.now();
         let (answers, limited) = self.identify()?;
         let chip = self.gauge.chip;
         self.unverified = false;
@@ -77,7 +94,7 @@ impl Owner {
         });
         match self.limitation() {
             None => self.settle(),
-            Some(why) => self.shared.report(&why),
+            Some(why) => self.shared.report(Attempt::Other, &why),
         }
         Ok(())
     }
@@ -131,6 +148,9 @@ impl Owner {
         // If the power was lost between two polls, what was read of data memory is out of date, and the seal
         // may be open.
         self.forget_dataflash();
+        if is_reported {
+            self.dataflash.forget();
+        }
         self.publish_seal();
         if self.restore.is_empty() {
             let why = "lost its configuration with its power; mount with --restore to write it again";
@@ -150,6 +170,7 @@ impl Owner {
                     Outcome::Unchanged => "configuration is as saved",
                 };
                 log::info!("{}: {done}", self.shared.name());
+                self.shared.succeeded(&Attempt::Restore);
                 self.loss = Loss::Settled;
                 self.schedule.hurry();
             }
@@ -169,8 +190,8 @@ impl Owner {
         let line = error.to_string();
         match &self.loss {
             // In the log only once.
-            Loss::Owed { failure, .. } if *failure == line => self.shared.record(&error),
-            _ => self.shared.report(&error),
+            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::Restore, &error),
+            _ => self.shared.report(Attempt::Restore, &error),
         }
         self.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
         let interval = self.shared.published().interval;
@@ -185,7 +206,7 @@ impl Owner {
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
                 let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);
-                self.shared.report(&Error::new(file, Cause::Protocol(why)));
+                self.shared.report(Attempt::Other, &Error::new(file, Cause::Protocol(why)));
             }
         }
     }
@@ -228,10 +249,12 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
 
 #[cfg(test)]
 mod tests {
-    use super::super::Startup;
     use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Request, Startup};
     use super::*;
     use gauge_bus::clock::Clock as _;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
 
     /// What a part with these answers is taken for when it is to be mounted as that chip.
     fn identified(chip: &str, device_type: u16, firmware_version: u16, hardware_version: u16) -> String {
@@ -342,6 +365,176 @@ mod tests {
             assert_eq!(capacity(&mut rig), 1234);
             rig.clock.sleep(INTERVAL);
             rig.owner.poll_on_time();
+        }
+    }
+
+    /// The contents of two subclasses: Calibration, which distinguishes packs, and Discharge.
+    const CALIBRATION: usize = 104;
+    const TERMINATE: (u8, usize) = (80, 53);
+
+    /// Another pack takes the place of the one that is mounted: its board is calibrated otherwise, and it has another
+    /// Cell Terminate Voltage.
+    fn exchange(rig: &Rig) {
+        rig.sim.set_flash(CALIBRATION as u16, 11, &[9]);
+        rig.sim.set_flash(TERMINATE.0.into(), TERMINATE.1, &3300_u16.to_be_bytes());
+    }
+
+    fn terminate(rig: &mut Rig) -> u16 {
+        let index = rig.index(TERMINATE.0);
+        let read = rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        u16::from_be_bytes([read[0][TERMINATE.1], read[0][TERMINATE.1 + 1]])
+    }
+
+    /// Whether the gauge has been met anew since this was last asked.
+    fn has_arrived(rig: &mut Rig) -> bool {
+        !std::mem::replace(&mut rig.owner.backed_up, true)
+    }
+
+    fn write(rig: &mut Rig, value: i64) -> Result<()> {
+        let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
+        let change = Change::of_value(row, &Value::Int(value)).expect("it fits");
+        rig.ask(|done| Request::WriteAll(vec![change], done))
+    }
+
+    #[test]
+    fn a_refresh_looks_at_the_gauge_anew_and_a_fingerprint_shows_another_pack() {
+        for (open, exchanged) in [(false, false), (false, true), (true, false), (true, true)] {
+            let mut rig = Rig::open();
+            if open {
+                rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
+            }
+            assert_eq!(terminate(&mut rig), 3000);
+            has_arrived(&mut rig);
+            if exchanged {
+                exchange(&rig);
+            }
+            rig.sim.keep_log(true);
+            rig.ask(Request::Refresh).expect("it answers");
+            let asked = rig.sim.log().iter().filter(|record| record.write == [0x00, 0x01, 0x00]).count();
+            assert!(asked >= 1, "it is asked what it is");
+            assert_eq!(
+                rig.sim.get("seal").as_deref() == Some("unsealed"),
+                open,
+                "nothing is unsealed for it"
+            );
+            // Of a sealed gauge the fingerprint is compared with the next access.
+            assert_eq!(has_arrived(&mut rig), open && exchanged);
+            assert_eq!(terminate(&mut rig), if exchanged { 3300 } else { 3000 });
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
+            assert_eq!(has_arrived(&mut rig), !open && exchanged);
+            // The key of another pack has not been tried.
+            if !(open && exchanged) {
+                write(&mut rig, 3100).expect("its values have been read");
+            }
+        }
+    }
+
+    #[test]
+    fn a_failed_poll_forgets_data_flash_and_a_write_to_another_pack_is_refused_once() {
+        for exchanged in [false, true] {
+            let mut rig = Rig::open();
+            assert_eq!(terminate(&mut rig), 3000);
+            let index = rig.index(TERMINATE.0);
+            rig.sim.set("power", "off").expect("a knob");
+            rig.owner.poll_on_time();
+            assert!(rig.handle.kept(index).is_none(), "the pack may be exchanged now");
+            rig.sim.set("power", "on").expect("a knob");
+            if exchanged {
+                exchange(&rig);
+            }
+            rig.clock.sleep(Duration::from_secs(2));
+            rig.owner.poll_on_time();
+            let flash = rig.sim.flash();
+            let outcome = write(&mut rig, 3100);
+            assert_eq!(outcome.is_err(), exchanged, "{outcome:?}");
+            if let Err(error) = outcome {
+                assert!(matches!(error.cause(), Cause::Gone(_)), "{error}");
+                assert!(error.to_string().contains("another pack"), "{error}");
+                assert!(rig.sim.flash() == flash);
+                rig.clock.sleep(INTERVAL);
+                rig.owner.poll_on_time();
+                assert_eq!(terminate(&mut rig), 3300);
+                write(&mut rig, 3100).expect("its values have been read");
+            }
+        }
+    }
+
+    #[test]
+    fn a_register_that_no_pack_changes_by_itself_shows_another_pack() {
+        // The gauge counts in RAM, which it fills when it gets power.
+        let cycles = |rig: &Rig, count: u16| {
+            rig.sim.set_flash(48, 6, &count.to_be_bytes());
+            lose_power(rig);
+        };
+        for (count, is_other) in [(40, false), (41, false), (39, true)] {
+            let mut rig = Rig::open();
+            cycles(&rig, 40);
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
+            assert_eq!(terminate(&mut rig), 3000);
+            has_arrived(&mut rig);
+            cycles(&rig, count);
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
+            let index = rig.index(TERMINATE.0);
+            assert_eq!(rig.handle.kept(index).is_none(), is_other, "{count} cycles");
+            rig.clock.sleep(Duration::from_secs(1));
+            rig.owner.poll_on_time();
+            assert_eq!(has_arrived(&mut rig), is_other, "{count} cycles");
+        }
+        // DesignCapacity() is read again with a refresh.
+        let mut rig = Rig::open();
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        has_arrived(&mut rig);
+        rig.sim.set_flash(48, 11, &1234_u16.to_be_bytes());
+        lose_power(&rig);
+        rig.ask(Request::Refresh).expect("it answers");
+        rig.clock.sleep(Duration::from_secs(1));
+        rig.owner.poll_on_time();
+        assert!(has_arrived(&mut rig));
+    }
+
+    #[test]
+    fn a_parameter_that_this_mount_has_written_is_no_sign_of_another_pack() {
+        let mut rig = Rig::open();
+        let chip = rig.handle.chip();
+        for (offset, value) in [("11", 2200), ("6", 3), ("4", 7)] {
+            let row = chip.row("48", offset).expect("a parameter of the table");
+            let change = Change::of_value(row, &Value::Int(value)).expect("it fits");
+            rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+            has_arrived(&mut rig);
+            for _ in 0..3 {
+                rig.clock.sleep(INTERVAL);
+                rig.owner.poll_on_time();
+            }
+            rig.ask(Request::Refresh).expect("it answers");
+            assert!(!has_arrived(&mut rig), "48/{offset}");
+        }
+    }
+
+    /// I2C has no error detection.
+    #[test]
+    fn a_bit_error_in_a_poll_does_not_make_another_pack() {
+        for transfer in 1..=3 {
+            for byte in 0..18 {
+                for bit in [0, 7] {
+                    let mut rig = Rig::open();
+                    rig.sim.set_flash(48, 6, &40_u16.to_be_bytes());
+                    lose_power(&rig);
+                    rig.clock.sleep(INTERVAL);
+                    rig.owner.poll_on_time();
+                    has_arrived(&mut rig);
+                    rig.clock.sleep(INTERVAL);
+                    rig.sim.set("fault", &format!("flip {transfer} {byte} {bit}")).expect("a fault");
+                    rig.owner.poll_on_time();
+                    rig.sim.set("fault", "none").expect("a knob");
+                    rig.owner.poll_on_time();
+                    let doubts = rig.owner.dataflash.doubts() || has_arrived(&mut rig);
+                    assert!(!doubts, "transfer {transfer} byte {byte} bit {bit}");
+                }
+            }
         }
     }
 

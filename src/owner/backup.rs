@@ -1,20 +1,17 @@
 //! The configuration of a gauge, saved as an image before gaugefs writes to it for the first time.
 
-use std::fs::{self, DirBuilder, File};
-use std::io::{self, Write as _};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
-use nix::unistd::geteuid;
 
 use super::Owner;
 use crate::error::{Error, Result};
-use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
 use ti_gauge::codec;
 use ti_gauge::image::{Entry, Image, toml};
+use ti_gauge::journal;
 
 /// Backups of one gauge's place that are kept.
 const KEPT: usize = 10;
@@ -58,7 +55,8 @@ impl Backup {
         };
         // No backup replaces another.
         let path = (0..).map(named).find(|path| !path.exists()).expect("there are enough seconds");
-        self.store(&path, &text).map_err(|error| {
+        let temporary = self.folder.join(format!("{}.backup.new", self.key));
+        journal::save(&path, &temporary, &text).map_err(|error| {
             let what = "cannot save the configuration before the first write, so nothing was written to the gauge \
                         (choose another folder with --state-dir, or mount with --no-backup)";
             Error::io(path.display().to_string(), what, &error)
@@ -72,28 +70,6 @@ impl Backup {
             }
         }
         Ok(Saved::Written(path))
-    }
-
-    fn store(&self, path: &Path, text: &str) -> io::Result<()> {
-        DirBuilder::new().recursive(true).mode(0o700).create(&self.folder)?;
-        let temporary = self.folder.join(format!("{}.backup.new", self.key));
-        let mut options = File::options();
-        options.write(true).create(true).truncate(true).mode(0o600);
-        let mut file = regular::open(&options, &temporary)?;
-        // If the folder belongs to a service, that service must be able to remove what root leaves there.
-        let owner = fs::metadata(&self.folder)?;
-        let owned =
-            if geteuid().is_root() { fchown(&file, Some(owner.uid()), Some(owner.gid())) } else { Ok(()) };
-        let stored = owned
-            .and_then(|()| file.write_all(text.as_bytes()))
-            .and_then(|()| file.sync_all())
-            .and_then(|()| fs::rename(&temporary, path));
-        if let Err(error) = stored {
-            // The rest would only take up space on a disk that may be full.
-            let _ = fs::remove_file(&temporary);
-            return Err(error);
-        }
-        File::open(&self.folder)?.sync_all()
     }
 
     /// The backups of this place, oldest first.
@@ -153,6 +129,7 @@ fn serial_number(chip: &Chip) -> Option<&ti_gauge::chip::Register> {
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
+    use std::path::Path;
 
     use nix::errno::Errno;
 

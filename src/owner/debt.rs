@@ -3,7 +3,9 @@
 
 use std::time::Duration;
 
-use super::Owner;
+use jiff::Timestamp;
+
+use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::dataflash::Decision;
 
@@ -15,6 +17,8 @@ const LONGEST: Duration = Duration::from_secs(30);
 #[derive(Debug, Default)]
 pub(super) struct Debt {
     next: Option<(Duration, Duration)>,
+    /// What was owed at first, before it was tried again.
+    cause: String,
 }
 
 impl Debt {
@@ -43,18 +47,34 @@ impl Owner {
         let owed = self.dataflash.owed();
         self.debt.note(owed.is_some_and(|owed| !owed.needs_decision), self.gauge.clock.now());
         let text = owed.map_or("", |owed| owed.why);
-        if *self.shared.published().owed != *text {
+        let published = self.shared.published();
+        if *published.owed != *text {
+            if published.owed.is_empty() {
+                self.debt.cause = text.to_string();
+            }
+            // The failure that has left it is over when it is no longer owed.
+            if text.is_empty() && published.last_error.contains(&self.debt.cause) {
+                self.shared.clear_error();
+            }
             // What was shown of an interrupted write before is out of date.
-            self.shared.publish(|published| (published.owed, published.settling) = (text.into(), "".into()));
+            self.shared.publish(|published| {
+                (published.owed, published.settling) = (text.into(), "".into());
+                published.owed_since = Timestamp::now();
+            });
         }
     }
 
     /// Tries to pay what is owed.
     pub(super) fn pay(&mut self) {
+        let data = self.dataflash.owed().is_some_and(|owed| owed.data);
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
             Ok(Some(message)) => {
                 log::warn!("{}: {message}", self.shared.name());
                 self.after_settling();
+                if data {
+                    let error = Error::new(self.gauge.chip.name, Cause::RolledBack(message));
+                    self.shared.record(Attempt::Settle, &error);
+                }
             }
             Ok(None) => {}
             // The first failure was reported; why it still fails is published as what is owed.
@@ -68,10 +88,11 @@ impl Owner {
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
             Ok(Some(found)) => {
                 self.forget_dataflash();
-                self.shared.report(&Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
+                self.shared
+                    .report(Attempt::Settle, &Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
             }
             Ok(None) => {}
-            Err(error) => self.shared.report(&error.into()),
+            Err(error) => self.shared.report(Attempt::Settle, &error.into()),
         }
         self.note_debt();
     }
@@ -86,7 +107,7 @@ impl Owner {
             self.after_settling();
         }
         self.note_debt();
-        let told = self.logged(outcome)?;
+        let told = self.logged(Attempt::Settle, outcome)?;
         if decision.is_some() {
             log::warn!("{}: {told}", self.shared.name());
         }
@@ -143,7 +164,8 @@ mod tests {
             rig.owner.poll_on_time();
             rig.clock.sleep(Duration::from_secs(1));
             let published = rig.handle.published();
-            assert!(*published.owed == *owed && !published.last_error.contains("sealed state"), "{owed}");
+            // A failed poll is less important than the write that has left this.
+            assert!(*published.owed == *owed && published.last_error.contains(&owed), "{owed}");
         }
         // Nobody asks for anything.
         let (mut pays, begun) = (0, rig.clock.now());
@@ -155,6 +177,7 @@ mod tests {
         }
         assert!((2..10).contains(&pays) && rig.clock.now() - begun < Duration::from_secs(100), "{pays}");
         assert_eq!(*rig.handle.published().owed, *"");
+        assert_eq!(*rig.handle.published().last_error, *"", "the write is complete");
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();

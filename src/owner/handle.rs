@@ -2,10 +2,12 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::{Request, Settings};
+use jiff::Timestamp;
+
+use super::{Attempt, Request, Settings};
 use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
@@ -50,8 +52,12 @@ pub struct Published {
     pub interval: Duration,
     /// The last failure, one line; empty for none.
     pub last_error: Arc<str>,
+    /// When that was, and what had failed.
+    pub failed: Option<(Timestamp, Attempt)>,
     /// What a failed access has left to do, one line; empty for nothing.
     pub owed: Arc<str>,
+    /// Since when that has been owed.
+    pub owed_since: Timestamp,
     /// What is known of an interrupted write, since somebody last asked; empty until then.
     pub settling: Arc<str>,
 }
@@ -81,7 +87,8 @@ struct Kept {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().expect("no thread panics while it holds the lock")
+    // Whatever is behind a lock is replaced as a whole, so a thread that has panicked leaves the old value.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {
@@ -94,7 +101,9 @@ impl Shared {
             digest: None,
             interval: settings.interval,
             last_error: "".into(),
+            failed: None,
             owed: "".into(),
+            owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),
         };
         Self {
@@ -132,15 +141,33 @@ impl Shared {
     }
 
     /// Puts a failure into the log and into `gauge/last_error`.
-    pub(super) fn report(&self, error: &Error) {
+    pub(super) fn report(&self, attempt: Attempt, error: &Error) {
         log::warn!("{}{error}", self.prefix);
-        self.record(error);
+        self.record(attempt, error);
     }
 
-    /// Puts a failure into `gauge/last_error` only.
-    pub(super) fn record(&self, error: &Error) {
+    /// Puts a failure into `gauge/last_error` only. While something is owed, it does not replace a failure that is
+    /// more important.
+    pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
-        self.publish(|published| published.last_error = line.into());
+        self.publish(|published| {
+            let shown = published.failed.as_ref().filter(|_| !published.owed.is_empty());
+            if shown.is_none_or(|(_, shown)| shown.importance() <= attempt.importance()) {
+                (published.last_error, published.failed) = (line.into(), Some((Timestamp::now(), attempt)));
+            }
+        });
+    }
+
+    /// Clears `gauge/last_error` if it shows a failure of what has now succeeded.
+    pub(super) fn succeeded(&self, attempt: &Attempt) {
+        if self.published().failed.as_ref().is_some_and(|(_, failed)| attempt.includes(failed)) {
+            self.clear_error();
+        }
+    }
+
+    /// Clears `gauge/last_error`.
+    pub(super) fn clear_error(&self) {
+        self.publish(|published| (published.last_error, published.failed) = ("".into(), None));
     }
 
     /// The gauge's name in messages: the chip's if there is only one gauge.
@@ -248,10 +275,15 @@ impl Handle {
         self.shared.statistics.progress.get()
     }
 
-    /// Puts a failure into the log and into `gauge/last_error`: a request that was refused before it was
+    /// Puts a failure into the log and into `gauge/last_error`: an attempt that was refused before a request was
     /// submitted.
-    pub fn report(&self, error: &Error) {
-        self.shared.report(error);
+    pub fn report(&self, attempt: Attempt, error: &Error) {
+        self.shared.report(attempt, error);
+    }
+
+    /// Clears `gauge/last_error` if it shows a failure of this attempt, which has now succeeded without a request.
+    pub fn succeeded(&self, attempt: &Attempt) {
+        self.shared.succeeded(attempt);
     }
 
     /// Queues a request. Its `Done` is called with the outcome, of a write within 30 s; if the owner has
@@ -281,8 +313,11 @@ impl Signal {
         let count = lock(&self.count);
         let unchanged = |count: &mut u64| *count == seen;
         match limit {
-            None => *self.raised.wait_while(count, unchanged).expect("as in lock"),
-            Some(limit) => *self.raised.wait_timeout_while(count, limit, unchanged).expect("as in lock").0,
+            None => *self.raised.wait_while(count, unchanged).unwrap_or_else(PoisonError::into_inner),
+            Some(limit) => {
+                let waited = self.raised.wait_timeout_while(count, limit, unchanged);
+                *waited.unwrap_or_else(PoisonError::into_inner).0
+            }
         }
     }
 }
@@ -353,7 +388,8 @@ mod tests {
         let seen = rig.owner.shared.signal.wait(u64::MAX, Some(Duration::ZERO));
         rig.handle.take_changed();
         assert!(!rig.handle.take_changed());
-        rig.handle.report(&Error::new("control", Cause::Invalid("no such subcommand".into())));
+        rig.handle
+            .report(Attempt::Control, &Error::new("control", Cause::Invalid("no such subcommand".into())));
         assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
         assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);
         assert!(rig.handle.take_changed());

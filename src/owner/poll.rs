@@ -3,10 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Answers, Owner, Snapshot};
+use super::{Answers, Attempt, Owner, Snapshot};
 use crate::error::{Cause, Error, Result, Step};
-use ti_gauge::chip::Tier;
+use gauge_bus::BusError;
+use ti_gauge::chip::{Chip, Tier};
 use ti_gauge::gauge::Statistics;
+use ti_gauge::registers::Registers;
 
 /// The slow tier is read with every tenth poll, first with the second one, which follows soon after the
 /// first: a mount waits only for what its attributes need.
@@ -178,20 +180,28 @@ impl Owner {
         Statistics::count(&self.shared.statistics.failed_polls);
         // Polls of a gauge that is gone are expected to fail: they are not logged.
         let was_gone = self.schedule.is_gone();
-        self.schedule.failed(self.gauge.clock.now());
+        let now = self.gauge.clock.now();
+        match error.cause() {
+            // Nothing can reach it.
+            Cause::Bus(BusError::Hung(_)) => self.schedule.set_gone(now),
+            _ => self.schedule.failed(now),
+        }
+        // A pack may be exchanged while it does not answer.
+        self.forget_dataflash();
+        self.dataflash.suspect(self.gauge.chip);
         if was_gone {
             return;
         }
-        self.shared.report(error);
+        self.shared.report(Attempt::Poll, error);
         if self.schedule.is_gone() {
-            log::warn!("{}: gone after {FAILURES} failed polls", self.shared.name());
+            log::warn!("{}: the gauge is gone", self.shared.name());
             self.shared.publish(|published| published.snapshot = None);
         }
     }
 
     /// Reads what is due and publishes it as a new Snapshot.
     pub(super) fn poll(&mut self) -> Result<()> {
-        let taken = self.gauge.clock.now();
+        let mut taken = self.gauge.clock.now();
         let (slow, statics) = (self.schedule.reads_slow_tier(), !self.statics_are_current);
         if slow || statics {
             // Both tiers in one pass: a burst may hold registers of each.
@@ -212,29 +222,52 @@ impl Owner {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol(why.into())).at(Step::Read));
         }
+        if self.dataflash.is_surprised(chip, |code| word(chip, &registers, code)) {
+            self.schedule.reads(taken);
+            self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
+            taken = self.gauge.clock.now();
+            if statics {
+                self.rare.read(&mut self.gauge, |tier| tier == Tier::Static)?;
+            }
+            registers = self.rare.clone();
+            registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
+        }
         let number = self.schedule.succeeded(taken);
         Statistics::count(&self.shared.statistics.polls);
-        let word = |code| {
-            let register = chip.registers.iter().find(|register| register.code == code)?;
-            registers.value(register).map(|value| value as u16)
-        };
-        if self.dataflash.polled(chip, word) {
-            log::warn!("{}: another pack answers; its data flash is read anew", self.shared.name());
+        let contradicted = self.dataflash.contradicted(chip, |code| word(chip, &registers, code));
+        if self.dataflash.polled(chip, |code| word(chip, &registers, code)) {
+            let name = contradicted.unwrap_or("data flash");
+            log::warn!("{}: another pack answers, as {name} shows; it is read anew", self.shared.name());
             self.forget_dataflash();
             self.schedule.hurry();
         }
         let snapshot = Snapshot { taken, number, registers, control_status: self.control_status };
         self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
+        self.shared.succeeded(&Attempt::Poll);
         Ok(())
     }
 }
 
+/// The register at an address, in two bytes.
+fn word(chip: &Chip, registers: &Registers, code: u8) -> Option<u16> {
+    let register = chip.registers.iter().find(|register| register.code == code)?;
+    registers.value(register).map(|value| value as u16)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::Startup;
+    use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+    use nix::errno::Errno;
+
     use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Request, Settings, Startup};
     use super::*;
+    use gauge_bus::Bus;
     use gauge_bus::clock::Clock;
+    use gauge_sim::SimBus;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
 
     #[test]
     fn polls_of_many_gauges_are_spread_over_the_interval() {
@@ -268,6 +301,94 @@ mod tests {
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert!(rig.handle.published().snapshot.is_some(), "the gauge is back");
+    }
+
+    /// A driver that hangs in a transfer, as `gauge_bus::bounded` shows it.
+    struct Hangs {
+        bus: SimBus,
+        done: u64,
+        /// The number of that transfer.
+        at: Arc<AtomicU64>,
+        /// It has returned.
+        returned: Arc<AtomicBool>,
+        held: Option<(Vec<u8>, usize)>,
+    }
+
+    impl Bus for Hangs {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            self.done += 1;
+            if self.done == self.at.load(Ordering::SeqCst) {
+                self.held = Some((write.to_vec(), read.len()));
+            }
+            match self.held.take() {
+                Some(held) if !self.returned.load(Ordering::SeqCst) => {
+                    self.held = Some(held);
+                    return Err(BusError::Hung(7));
+                }
+                // It takes effect now.
+                Some((write, length)) => drop(self.bus.transfer(&write, &mut vec![0; length])),
+                None => {}
+            }
+            self.bus.transfer(write, read)
+        }
+    }
+
+    /// A gauge behind such a driver.
+    fn behind_a_driver() -> (Rig, Arc<AtomicU64>, Arc<AtomicBool>) {
+        let (at, returned) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+        let wrap = |bus| -> Box<dyn Bus> {
+            Box::new(Hangs { bus, done: 0, at: at.clone(), returned: returned.clone(), held: None })
+        };
+        let mut rig = Rig::on("bq34z100-g1", Settings::default(), Startup::default(), wrap);
+        rig.owner.open().expect("it answers");
+        (rig, at, returned)
+    }
+
+    #[test]
+    fn a_gauge_whose_driver_hangs_is_gone_until_the_transfer_has_returned() {
+        let (mut rig, at, returned) = behind_a_driver();
+        at.store(rig.transfers() + 1, Ordering::SeqCst);
+        rig.owner.poll_on_time();
+        let published = rig.handle.published();
+        assert!(published.snapshot.is_none() && published.last_error.contains("/dev/i2c-7 hangs"));
+        let error = rig.ask(|done| Request::Control(0x0002, done)).expect_err("it hangs");
+        assert_eq!(error.errno(), Errno::ETIMEDOUT, "{error}");
+        assert!(error.to_string().contains("/dev/i2c-7 hangs"), "{error}");
+        returned.store(true, Ordering::SeqCst);
+        rig.owner.poll_on_time();
+        rig.ask(|done| Request::Control(0x0002, done)).expect("it answers");
+    }
+
+    /// The transfer still takes effect when it returns.
+    #[test]
+    fn a_write_whose_driver_hangs_at_any_transfer_is_settled_when_it_returns() {
+        let mut rig = Rig::open();
+        let (old, before) = (rig.sim.flash(), rig.transfers());
+        write(&mut rig, 3100).expect("the default key");
+        let (new, count) = (rig.sim.flash(), rig.transfers() - before);
+        for number in 1..=count {
+            let (mut rig, at, returned) = behind_a_driver();
+            at.store(before + number, Ordering::SeqCst);
+            write(&mut rig, 3100).expect_err("it hangs");
+            returned.store(true, Ordering::SeqCst);
+            rig.owner.poll_on_time();
+            while let Some(due) = rig.owner.debt.due() {
+                rig.clock.sleep(due.saturating_sub(rig.clock.now()));
+                rig.owner.pay();
+            }
+            let flash = rig.sim.flash();
+            assert!(flash == old || flash == new, "transfer {number}");
+            assert_eq!(*rig.handle.published().owed, *"", "transfer {number}");
+            assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"), "transfer {number}");
+            write(&mut rig, 3100).expect("it answers");
+        }
+    }
+
+    /// Writes Cell Terminate Voltage.
+    fn write(rig: &mut Rig, value: i64) -> Result<()> {
+        let row = rig.handle.chip().row("80", "53").expect("a parameter of the table");
+        let change = Change::of_value(row, &Value::Int(value)).expect("it fits");
+        rig.ask(|done| Request::WriteAll(vec![change], done))
     }
 
     #[test]

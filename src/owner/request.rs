@@ -1,15 +1,15 @@
 //! What the owner can be asked to do, and how it does it.
 
 use std::ptr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use super::{Owner, Seal};
+use super::{Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::chip::{Parameter, Safe, Subclass};
 use ti_gauge::codec;
-use ti_gauge::dataflash::{Change, Decision, Outcome};
+use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::keys;
 use ti_gauge::text;
 
@@ -59,6 +59,37 @@ impl Request {
         }
     }
 
+    /// What it attempts.
+    pub(super) fn attempt(&self) -> Attempt {
+        match self {
+            Request::Read(wanted, _) => Attempt::Read(wanted.clone()),
+            Request::WriteAll(changes, _) => Attempt::Write(places(changes)),
+            Request::Seal(..) => Attempt::Seal,
+            Request::Control(..) => Attempt::Control,
+            Request::ChangeKey(..) => Attempt::Key,
+            Request::Authenticate(..) => Attempt::Authenticate,
+            Request::Settle(..) => Attempt::Settle,
+            Request::Interval(..) => Attempt::Interval,
+            Request::Refresh(_) | Request::Look => Attempt::Poll,
+        }
+    }
+
+    /// The same request, and what answers it if it is dropped without an answer.
+    pub(super) fn or_else_answered(self) -> (Self, Unanswered) {
+        match self {
+            Request::Read(wanted, done) => share(done, |done| Request::Read(wanted, done)),
+            Request::WriteAll(changes, done) => share(done, |done| Request::WriteAll(changes, done)),
+            Request::Seal(goal, done) => share(done, |done| Request::Seal(goal, done)),
+            Request::Control(code, done) => share(done, |done| Request::Control(code, done)),
+            Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
+            Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
+            Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
+            Request::Refresh(done) => share(done, Request::Refresh),
+            Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
+            Request::Look => (Request::Look, Box::new(drop)),
+        }
+    }
+
     /// Answers with an error instead of carrying it out.
     fn refuse(self, error: Error) {
         match self {
@@ -74,6 +105,23 @@ impl Request {
             Request::Look => {}
         }
     }
+}
+
+/// Answers a request that nothing else has answered.
+pub(super) type Unanswered = Box<dyn FnOnce(Error)>;
+
+/// Shares the answer to a request: whoever answers first has answered.
+fn share<T: 'static>(done: Done<T>, request: impl FnOnce(Done<T>) -> Request) -> (Request, Unanswered) {
+    let first = Arc::new(Mutex::new(Some(done)));
+    let second = first.clone();
+    let take = |shared: &Mutex<Option<Done<T>>>| shared.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let answer = move |outcome| take(&first).map_or((), |done| done(outcome));
+    (request(Box::new(answer)), Box::new(move |error| take(&second).map_or((), |done| done(Err(error)))))
+}
+
+/// Where changes are.
+fn places(changes: &[Change]) -> Vec<Place> {
+    changes.iter().map(|change| change.place).collect()
 }
 
 /// What has to be known of a change of the seal state that leads through SEALED.
@@ -132,6 +180,7 @@ impl Owner {
         if let Some(error) = self.refusal(&request, waited) {
             return request.refuse(error);
         }
+        let attempt = request.attempt();
         match request {
             Request::Read(wanted, done) => done(self.read(&wanted, waited)),
             Request::WriteAll(changes, done) => {
@@ -139,7 +188,7 @@ impl Owner {
                     1 => error,
                     _ => error.within("df/transaction"),
                 });
-                done(self.logged(outcome));
+                done(self.logged(attempt, outcome));
             }
             Request::Seal(goal, done) => {
                 if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
@@ -148,12 +197,12 @@ impl Owner {
                 let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
                 self.note_debt();
                 self.publish_seal();
-                done(self.logged(outcome));
+                done(self.logged(attempt, outcome));
             }
             Request::Control(code, done) => {
                 let outcome = self.gauge.ask(code);
                 self.publish_seal();
-                let answer = self.logged(outcome);
+                let answer = self.logged(attempt, outcome);
                 let prefix = &self.shared.prefix;
                 done(
                     answer.map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
@@ -165,14 +214,17 @@ impl Owner {
                 self.note_debt();
                 self.publish_seal();
                 let (prefix, name) = (&self.shared.prefix, change.name.as_str());
-                done(self.logged(outcome).map(|()| log::info!("{prefix}{name} key: changed and tried")));
+                done(
+                    self.logged(attempt, outcome)
+                        .map(|()| log::info!("{prefix}{name} key: changed and tried")),
+                );
             }
             Request::Authenticate(challenge, done) => {
                 // The last digest is no answer to this challenge, even if this one fails.
                 self.shared.publish(|published| published.digest = None);
                 let order = self.shared.auth_order;
                 let digest = authentication::ask(&mut self.gauge, &challenge, order, waited);
-                done(self.logged(digest).map(|digest| {
+                done(self.logged(attempt, digest).map(|digest| {
                     self.shared.publish(|published| published.digest = Some(digest));
                 }));
             }
@@ -180,6 +232,7 @@ impl Owner {
             Request::Refresh(done) => done(self.refresh(submitted)),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
+                self.shared.succeeded(&attempt);
                 done(Ok(()));
             }
             Request::Look => {
@@ -206,8 +259,14 @@ impl Owner {
         let Some(first) = rows.first() else { return Ok(Vec::new()) };
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
         self.note_debt();
-        let read = self.logged(read.map_err(|error| error.within(&format!("df of {}", first.name))))?;
+        let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
+        let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
         let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        if self.dataflash.doubts() {
+            log::warn!("{}: another pack answers, as data flash shows; it is read anew", self.shared.name());
+            self.forget_dataflash();
+            self.schedule.hurry();
+        }
         for (&index, bytes) in wanted.iter().zip(&read) {
             self.shared.keep(index, bytes.clone(), self.schedule.number());
         }
@@ -270,17 +329,18 @@ impl Owner {
         }
     }
 
-    /// Polls now, and forgets what was read of data flash.
+    /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls
+    /// it.
     fn refresh(&mut self, submitted: Duration) -> Result<()> {
         self.forget_dataflash();
-        self.dataflash.forget();
-        // A poll since then is as new as was asked for.
-        if self.schedule.is_newer_than(submitted) {
+        self.dataflash.suspect(self.gauge.chip);
+        // A look since then is as new as was asked for.
+        if self.schedule.is_newer_than(submitted) && submitted < self.identified {
             return Ok(());
         }
         self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
         self.schedule.read_slow_tier();
-        self.update().inspect_err(|error| self.poll_failed(error))
+        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.poll_failed(error))
     }
 
     /// Reads the seal state and CONTROL_STATUS, which a request may have changed. If that fails, so does the
@@ -303,6 +363,7 @@ mod tests {
     use super::super::Startup;
     use super::super::rig::Rig;
     use super::*;
+    use gauge_bus::clock::Clock as _;
     use ti_gauge::chip::{Limited, SIBLINGS};
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
@@ -403,6 +464,38 @@ mod tests {
             matches!(error.cause(), Cause::NotPermitted(_)) && error.to_string().starts_with(SIBLINGS[0].name)
         });
         rig.owner.poll().expect("its standard commands are read");
+    }
+
+    #[test]
+    fn a_failure_is_shown_until_what_had_failed_succeeds() {
+        let mut rig = Rig::open();
+        let shown = |rig: &Rig| rig.handle.published().last_error.to_string();
+        let write = |rig: &mut Rig, value| {
+            let change = change(rig, value);
+            rig.ask(|done| Request::WriteAll(vec![change], done))
+        };
+        rig.sim.set("voltage_mv", "2700").expect("a knob");
+        write(&mut rig, "3100").expect_err("the voltage is too low");
+        let failure = shown(&rig);
+        assert!(failure.contains("Cell Terminate Voltage") && rig.handle.published().failed.is_some());
+        // None of these is what had failed.
+        let index = rig.index(48);
+        rig.ask(Request::Refresh).expect("it answers");
+        rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
+        rig.ask(|done| Request::Seal(Seal::Sealed, done)).expect("it is sealed");
+        assert_eq!(shown(&rig), failure);
+        rig.sim.set("voltage_mv", "12000").expect("a knob");
+        write(&mut rig, "3100").expect("the default key");
+        assert_eq!((shown(&rig), rig.handle.published().failed.clone()), (String::new(), None));
+
+        rig.sim.set("power", "off").expect("a knob");
+        rig.owner.poll_on_time();
+        assert!(shown(&rig).contains("not acknowledged"));
+        rig.sim.set("power", "on").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(2));
+        rig.owner.poll_on_time();
+        assert_eq!(shown(&rig), "");
     }
 
     #[test]

@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use super::{Done, Handle, Owner, Request, Settings, Startup};
 use crate::error::Result;
+use gauge_bus::Bus;
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_sim::{Options, Sim};
+use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::chip::{Chip, Subclass};
 
 pub(super) const INTERVAL: Duration = Duration::from_secs(8);
@@ -28,12 +29,22 @@ impl Rig {
 
     /// The same with another chip and with settings.
     pub(super) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
+        Self::on(chip, settings, startup, |bus| Box::new(bus))
+    }
+
+    /// The same on a bus that is wrapped into another one.
+    pub(super) fn on(
+        chip: &str,
+        settings: Settings,
+        startup: Startup,
+        wrap: impl FnOnce(SimBus) -> Box<dyn Bus>,
+    ) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("it is simulated");
         clock.sleep(Duration::from_secs(1));
         let settings = Settings { interval: INTERVAL, ..settings };
         let chip = Chip::by_name(chip).expect("it has a table");
-        let bus = Box::new(sim.bus());
+        let bus = wrap(sim.bus());
         let (owner, shared) = Owner::new(chip, bus, clock.clone(), settings, startup, Arc::default());
         let (queue, requests) = mpsc::channel();
         Self { clock, sim, owner, handle: Handle::new(shared, queue), requests }
@@ -57,7 +68,7 @@ impl Rig {
         self.handle.submit(request(Box::new(answer)));
         self.clock.sleep(delay);
         let (submitted, request) = self.requests.try_recv().expect("a request");
-        self.owner.serve(submitted, request);
+        self.owner.answer(submitted, request);
         outcome.try_recv().expect("an answer")
     }
 

@@ -122,7 +122,7 @@ fn lines_are_checked_at_once() {
         ("80/53", Errno::EINVAL),
         ("80/53 abc", Errno::EINVAL),
         ("80/53 3701", Errno::ERANGE),
-        ("80/54 1", Errno::EINVAL),
+        ("80/54 1", Errno::ENOENT),
         ("80 53 1", Errno::EINVAL),
         ("112/0 0x0", Errno::EPERM),
         ("104/14 0", Errno::ERANGE),
@@ -151,6 +151,20 @@ fn an_unproven_parameter_is_not_staged() {
     let rows = Chip::by_name("bq34110").expect("a table").subclasses.iter();
     let row = rows.flat_map(|row| row.parameters).find(|row| row.unproven).expect("there are some");
     assert_eq!(tree.stage(&format!("begin\nflash/0x{:04x} 1\n", row.offset)), Err(Errno::EACCES));
+}
+
+#[test]
+fn an_unknown_parameter_is_not_staged_and_the_nearest_one_is_named() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.stage("begin\n80/54 3100\n"), Err(Errno::ENOENT));
+    let told = tree.handle.published().last_error.clone();
+    assert!(
+        told.contains("line 2: no such parameter; did you mean 80/53 (Cell Terminate Voltage)?"),
+        "{told}"
+    );
+    assert_eq!(tree.stage("begin\n80-53 3100\n"), Err(Errno::EINVAL));
+    assert_eq!(tree.stage("begin\n80/53 3100\nabort\n"), Ok(()));
+    assert_eq!(*tree.handle.published().last_error, *"", "lines have been staged");
 }
 
 #[test]

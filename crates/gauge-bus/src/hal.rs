@@ -76,6 +76,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::Busy
             | BusError::ReadOnly
             | BusError::NotRecorded
+            | BusError::Hung(_)
             | BusError::Other(_) => ErrorKind::Other,
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! A [`Bus`] addresses one target with a 7-bit address. It is implemented by a real adapter ([`linux`]), a
 //! recorded gauge ([`replay`]), any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), and
-//! a recorder around another bus ([`trace`]). The layers above measure time and wait with [`clock`], so that
+//! a recorder around another bus ([`trace`]) or one that gives up on a driver that hangs ([`bounded`]). The layers above measure time and wait with [`clock`], so that
 //! tests need not wait.
 //!
 //! All that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. The
@@ -28,10 +28,12 @@
 //! # Ok::<(), BusError>(())
 //! ```
 
+use std::time::Duration;
 use std::{fmt, io};
 
 use rustix::io::Errno;
 
+pub mod bounded;
 pub mod clock;
 pub mod error;
 pub mod hal;
@@ -65,6 +67,8 @@ pub enum BusError {
     ReadOnly,
     /// The bus is a recording that has no answer to this transfer.
     NotRecorded,
+    /// A transfer on the adapter of this number has not returned: its driver hangs.
+    Hung(u64),
     /// Any other error number from the adapter.
     Other(i32),
 }
@@ -92,7 +96,11 @@ impl BusError {
         match self {
             BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short => true,
             BusError::Other(number) => DISTURBED.iter().any(|errno| errno.raw_os_error() == number),
-            BusError::Gone | BusError::Busy | BusError::ReadOnly | BusError::NotRecorded => false,
+            BusError::Gone
+            | BusError::Busy
+            | BusError::ReadOnly
+            | BusError::NotRecorded
+            | BusError::Hung(_) => false,
         }
     }
 
@@ -135,6 +143,11 @@ impl fmt::Display for BusError {
             BusError::Busy => f.write_str("a kernel driver is bound to the address; unbind it first"),
             BusError::ReadOnly => f.write_str("a recording takes no writes"),
             BusError::NotRecorded => f.write_str("the recording has no answer to this"),
+            BusError::Hung(adapter) => write!(
+                f,
+                "/dev/i2c-{adapter} hangs: a transfer has not returned, and nothing is sent on this adapter until it \
+                 does; reset or reconnect the adapter"
+            ),
             BusError::Other(number) => {
                 write!(f, "the adapter answered: {}", error::reason(&io::Error::from_raw_os_error(*number)))
             }
@@ -158,6 +171,10 @@ pub trait Bus: Send {
         Ok(())
     }
 
+    /// Announces the time of the clock after which no further transfer is started. A transfer that is under way then
+    /// is not waited for much longer. `None` ends the limit.
+    fn limit(&mut self, _latest: Option<Duration>) {}
+
     /// Closes an adapter that was unplugged, because the kernel keeps it until its last user has closed it.
     fn release_if_gone(&mut self) {}
 
@@ -173,6 +190,10 @@ impl<B: Bus + ?Sized> Bus for Box<B> {
 
     fn claim(&mut self) -> Result<(), BusError> {
         (**self).claim()
+    }
+
+    fn limit(&mut self, latest: Option<Duration>) {
+        (**self).limit(latest);
     }
 
     fn release_if_gone(&mut self) {
@@ -216,7 +237,8 @@ mod tests {
         for errno in [Errno::OPNOTSUPP, Errno::INVAL, Errno::NOMEM, Errno::ACCESS, Errno::PERM] {
             assert!(!other(errno).is_transient(), "{errno}");
         }
-        for error in [BusError::Gone, BusError::Busy, BusError::ReadOnly, BusError::NotRecorded] {
+        let gone = [BusError::Gone, BusError::Hung(1)];
+        for error in gone.into_iter().chain([BusError::Busy, BusError::ReadOnly, BusError::NotRecorded]) {
             assert!(!error.is_transient(), "{error}");
         }
         assert!(BusError::NoAck.may_be_no_ack() && other(Errno::IO).may_be_no_ack());

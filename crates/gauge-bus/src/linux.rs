@@ -3,7 +3,8 @@
 //! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated
 //! START. The address is claimed with I2C_SLAVE first, because I2C_RDWR does not report that a kernel driver
 //! is bound to it. When the adapter is unplugged, its file is closed: the kernel keeps an unplugged adapter
-//! until its last user has closed it. When the adapter is back, the next transfer opens it again.
+//! until its last user has closed it. When the adapter is back, the next transfer opens it again. A driver that
+//! hangs is given up after a while ([`bounded`](crate::bounded)).
 //!
 //! All `unsafe` code of this crate is here; it calls what the crate `i2cdev` has no function for.
 
@@ -22,6 +23,7 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::sys::stat::{major, minor};
 
+use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Error, ErrorKind, Result};
 use crate::{Bus, BusError};
@@ -123,8 +125,14 @@ pub struct Driver {
     pub device: String,
 }
 
-/// One target address of an adapter.
+/// One target address of an adapter. A driver that hangs in a transfer is waited for no longer than [`PATIENCE`].
 pub struct LinuxBus {
+    target: Bounded,
+    name: String,
+}
+
+/// The same, for the thread that waits for the kernel.
+struct Target {
     adapter: Adapter,
     address: u8,
     clock: Arc<dyn Clock>,
@@ -135,7 +143,7 @@ pub struct LinuxBus {
 
 impl fmt::Debug for LinuxBus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} 0x{:02x}", self.adapter, self.address)
+        f.write_str(&self.name)
     }
 }
 
@@ -152,17 +160,50 @@ impl LinuxBus {
             let why = "the adapter speaks only SMBus, not plain I2C; connect the gauge to another one";
             return Err(Error::new(adapter.to_string(), ErrorKind::SmbusOnly, why));
         }
-        let last = clock.now().saturating_sub(BUS_FREE);
-        Ok(Self { adapter, address, clock, device: Some(device), last })
+        let number = adapter.number();
+        Ok(Self::new(adapter, number, address, clock, Some(device)))
     }
 
     /// A target whose adapter is absent or cannot be opened yet: each transfer tries to open it.
     pub fn absent(path: &Path, address: u8, clock: Arc<dyn Clock>) -> Self {
-        let last = clock.now().saturating_sub(BUS_FREE);
+        let name = path.file_name().and_then(|name| name.to_str()?.strip_prefix("i2c-")?.parse().ok());
         let adapter = Adapter { path: path.to_path_buf(), device: 0 };
-        Self { adapter, address, clock, device: None, last }
+        Self::new(adapter, name.unwrap_or_default(), address, clock, None)
     }
 
+    fn new(
+        adapter: Adapter,
+        number: u64,
+        address: u8,
+        clock: Arc<dyn Clock>,
+        device: Option<LinuxI2CDevice>,
+    ) -> Self {
+        let name = format!("{adapter} 0x{address:02x}");
+        let last = clock.now().saturating_sub(BUS_FREE);
+        let target = Target { adapter, address, clock: clock.clone(), device, last };
+        Self { target: Bounded::new(target, number, PATIENCE, clock), name }
+    }
+}
+
+impl Bus for LinuxBus {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        self.target.transfer(write, read)
+    }
+
+    fn claim(&mut self) -> Result<(), BusError> {
+        self.target.claim()
+    }
+
+    fn limit(&mut self, latest: Option<Duration>) {
+        self.target.limit(latest);
+    }
+
+    fn release_if_gone(&mut self) {
+        self.target.release_if_gone();
+    }
+}
+
+impl Target {
     /// The open device; opens it again if the adapter was unplugged and is back.
     fn device(&mut self) -> Result<&mut LinuxI2CDevice, BusError> {
         self.release_if_gone();
@@ -179,7 +220,7 @@ impl LinuxBus {
     }
 }
 
-impl Bus for LinuxBus {
+impl Bus for Target {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let since = self.clock.now().saturating_sub(self.last);
         if since < BUS_FREE {

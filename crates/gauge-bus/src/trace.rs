@@ -9,6 +9,7 @@ use std::io::Write as _;
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::clock::Clock;
 use crate::error::{Error, Result};
@@ -66,6 +67,10 @@ impl Bus for Trace {
 
     fn claim(&mut self) -> Result<(), BusError> {
         self.bus.claim()
+    }
+
+    fn limit(&mut self, latest: Option<Duration>) {
+        self.bus.limit(latest);
     }
 
     fn release_if_gone(&mut self) {

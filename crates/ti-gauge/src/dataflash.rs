@@ -126,6 +126,8 @@ pub struct DataFlash {
     identity: Option<Identity>,
     /// Blocks of this gauge as they were last read or written.
     known: Known,
+    /// What distinguishes the pack, from before a time in which it may have been exchanged; empty once compared.
+    fingerprint: Known,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
     /// The journal of a read could not be written, which has been reported.
@@ -138,10 +140,43 @@ impl DataFlash {
         Self { limits, journal, ..Self::default() }
     }
 
-    /// Forgets what was read from data flash: after the gauge returns, or when a full reread is requested.
+    /// Forgets what was read from data flash: the gauge has lost it, or is another one.
     pub fn forget(&mut self) {
         (self.gate, self.signed) = (None, false);
         self.known.clear();
+        self.fingerprint.clear();
+    }
+
+    /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
+    /// compared when data flash is open for the next time.
+    pub fn suspect(&mut self, chip: &'static Chip) {
+        let known = std::mem::take(&mut self.known);
+        let mut fingerprint = std::mem::take(&mut self.fingerprint);
+        self.forget();
+        // An exchange of a gauge with RAM is a loss of power, which it reports.
+        if chip.volatile.is_none() {
+            for place in pack::mark_windows(chip) {
+                if let Some(content) = known.get(place) {
+                    fingerprint.note(chip, place, content);
+                }
+            }
+            self.fingerprint = fingerprint;
+        }
+    }
+
+    /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
+    pub fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if self.fingerprint.is_empty() || gauge.seal()? == Seal::Sealed {
+            return Ok(());
+        }
+        sequence(gauge).enable(gauge)?;
+        self.learn_marks(gauge).map(drop)
+    }
+
+    /// Forgets everything, after an access that was not brought to its end. What it has left is found in the journal.
+    pub fn start_over(&mut self) {
+        let Self { limits, wear, journal, .. } = std::mem::take(self);
+        *self = Self { limits, wear, journal, ..Self::default() };
     }
 
     /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
@@ -170,8 +205,11 @@ impl DataFlash {
                 }
             }
             let read = session.open(gauge).and_then(|()| {
-                let read = |subclass: &&Subclass| read_subclass(gauge, subclass, &mut self.known);
-                wanted.iter().map(read).collect::<Result<_>>()
+                // What the pack is compared by later. That it cannot be read is no reason not to read the rest.
+                if let Err(error) = self.learn_marks(gauge) {
+                    log::debug!("{}: {error}", gauge.chip.name);
+                }
+                wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
             self.end(session, gauge, read)
@@ -270,7 +308,9 @@ impl DataFlash {
         self.check_gate(gauge, voltage_mv)?;
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
-        self.learn_marks(gauge)?;
+        if let Some(row) = self.learn_marks(gauge)? {
+            return Err(self.other_pack(gauge, row));
+        }
         let mut dirty = gather(gauge, changes)?;
         dirty.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         // The window holds the block that was read last, so a single block need not be loaded again.
@@ -312,32 +352,53 @@ impl DataFlash {
         programmed.map(|()| Outcome::Written { reset, old })
     }
 
-    /// Reads, once after the gauge has arrived, what distinguishes its pack.
-    fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<()> {
+    /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
+    /// one than before; then it is in doubt.
+    fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
+        let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
             if self.known.get(place).is_none() {
                 let content = sequence(gauge).load(gauge, place)?;
+                other = other.or(self.fingerprint.contradicts(gauge.chip, place, &content));
                 self.known.note(gauge.chip, place, content);
             }
         }
-        Ok(())
+        self.fingerprint.clear();
+        self.doubts |= other.is_some();
+        Ok(other)
+    }
+
+    fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
+        let chip = gauge.chip;
+        read_subclass(gauge, subclass, |place, content| {
+            if chip.volatile.is_none() && self.known.contradicts(chip, place, content).is_some() {
+                self.known.clear();
+                self.doubts = true;
+            }
+            self.known.note(chip, place, *content);
+        })
     }
 
     /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
-        let Some(row) = self.known.contradicts(gauge.chip, place, content) else {
+        let before = [&self.known, &self.fingerprint];
+        let Some(row) = before.iter().find_map(|known| known.contradicts(gauge.chip, place, content)) else {
             self.known.note(gauge.chip, place, *content);
             return Ok(());
         };
+        Err(self.other_pack(gauge, row))
+    }
+
+    fn other_pack(&mut self, gauge: &Gauge, row: Row) -> Error {
         let why = format!(
             "{} ({}) is not what it was when it was read: another pack answers, or another program has written to \
              it; check its values before you write",
             row.1.name,
             Place::of(row)
         );
-        self.known.clear();
+        self.forget();
         self.doubts = true;
-        Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify))
+        Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify)
     }
 
     /// The blocks next to those that change, where they are known. On a part with a flat address space they are

@@ -223,12 +223,13 @@ impl Gauge {
 
     /// Lets no transfer start later than `time` from now; `None` removes the limit.
     pub fn limit(&mut self, time: Option<Duration>) {
-        self.deadline = time.map(|time| self.clock.now() + time);
+        self.limit_until(time.map(|time| self.clock.now() + time));
     }
 
     /// Lets no transfer start later than that; `None` removes the limit.
     pub fn limit_until(&mut self, deadline: Option<Duration>) {
         self.deadline = deadline;
+        self.bus.limit(deadline);
     }
 
     fn is_late(&self) -> bool {
@@ -653,6 +654,15 @@ impl Gauge {
     pub fn set_secret(&mut self, secret: bool) {
         self.secrets = if secret { self.secrets + 1 } else { self.secrets.saturating_sub(1) };
         self.bus.set_secret(self.secrets > 0);
+    }
+
+    /// Forgets all that is known of the gauge, after an access that was not brought to its end.
+    pub fn start_over(&mut self) {
+        self.forget_refusal();
+        self.limit_until(None);
+        (self.expected, self.secrets) = (None, 0);
+        self.bus.set_secret(false);
+        self.statistics.progress.end();
     }
 
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.

@@ -23,7 +23,7 @@ use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
-pub use disk::{Disk, File};
+pub use disk::{Disk, File, save};
 
 mod disk;
 
@@ -141,40 +141,10 @@ impl Journal {
             found.as_str()
         );
         // Marks, and a neighbour on either side of each block.
-        match self.store(&path, &text, LINE * (3 * blocks + 8)) {
+        match disk::store(&*self.disk, &path, &path.with_extension("new"), &text, LINE * (3 * blocks + 8)) {
             Ok(file) => Ok(OpenJournal { disk: self.disk.clone(), file, path }),
             Err(error) => Err(refused(&path, &error)),
         }
-    }
-
-    fn store(&self, path: &Path, text: &str, room: usize) -> io::Result<Box<dyn File>> {
-        self.create_folder(&self.folder)?;
-        let temporary = path.with_extension("new");
-        let stored = self.disk.create(&temporary).and_then(|mut file| {
-            file.append(text.as_bytes())?;
-            file.reserve((text.len() + room) as u64)?;
-            file.sync()?;
-            self.disk.rename(&temporary, path)?;
-            Ok(file)
-        });
-        if stored.is_err() {
-            // The rest would only take up space on a disk that may be full.
-            let _ = self.disk.remove(&temporary);
-            return stored;
-        }
-        self.disk.sync(&self.folder)?;
-        stored
-    }
-
-    /// Creates the folder and those above it. On return they are on disk.
-    fn create_folder(&self, folder: &Path) -> io::Result<()> {
-        let Some(above) = folder.parent().filter(|_| !self.disk.exists(folder)) else { return Ok(()) };
-        self.create_folder(above)?;
-        match self.disk.create_folder(folder) {
-            Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
-            _ => {}
-        }
-        self.disk.sync(above)
     }
 
     /// The entry of an interrupted write, if there is one.

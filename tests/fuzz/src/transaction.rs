@@ -68,7 +68,7 @@ pub(crate) fn run(input: &[u8]) {
 
 fn written(fs: &Fs, node: Node, data: &[u8]) -> Result<()> {
     let (sender, receiver) = mpsc::channel();
-    fs.write(node, data, Box::new(move |outcome| drop(sender.send(outcome))));
+    fs.write(node, 0, data, Box::new(move |outcome| drop(sender.send(outcome))));
     receiver.recv().expect("every write is answered")
 }
 

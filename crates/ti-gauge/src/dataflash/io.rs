@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use super::blocks::{Dirty, locate};
-use super::pack::Known;
+use super::blocks::{Dirty, Window, locate};
 use super::schemes::sequence;
 use crate::chip::Subclass;
 use crate::codec::WINDOW;
@@ -24,13 +23,18 @@ pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Res
     Ok(byte[0])
 }
 
-pub(super) fn read_subclass(gauge: &mut Gauge, subclass: &Subclass, known: &mut Known) -> Result<Vec<u8>> {
+/// Reads a whole subclass, and passes each of its blocks to `note`.
+pub(super) fn read_subclass(
+    gauge: &mut Gauge,
+    subclass: &Subclass,
+    mut note: impl FnMut(Window, &[u8; WINDOW]),
+) -> Result<Vec<u8>> {
     let length = usize::from(subclass.stored());
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
         let window = sequence(gauge).load(gauge, place)?;
-        known.note(gauge.chip, place, window);
+        note(place, &window);
         bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
     Ok(bytes)

@@ -36,6 +36,10 @@ impl Known {
         self.0.clear();
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Bytes of a parameter, if every byte of it is known.
     fn bytes(&self, (subclass, parameter): Row) -> Option<Vec<u8>> {
         let places = (parameter.offset..).take(parameter.kind.size());
@@ -96,6 +100,10 @@ pub(super) fn compare<E>(
     let mut certain = false;
     for Mark { subclass: id, offset, bytes } in &plan.marks {
         let Some(row) = row(chip, *id, *offset) else { continue };
+        // No gaugefs has written that.
+        if row.1.kind.size() != bytes.len() {
+            return Ok(Match::Other(row.1.name.into()));
+        }
         let mut held = Vec::with_capacity(bytes.len());
         let mut torn = false;
         for (number, offset) in (*offset..).take(bytes.len()).enumerate() {

@@ -19,8 +19,44 @@ pub(super) struct KnownPack {
     pub(super) firmware_version: u16,
     /// The word that distinguishes packs; `None` until it has been read.
     pack: Option<u16>,
+    /// CycleCount(), which only rises, and DesignCapacity(), as last polled; `None` since a write.
+    cycles: Option<u16>,
+    design: Option<u16>,
     /// Whether it reported a loss of power then; only for parts with data memory in RAM.
     lost: Option<bool>,
+}
+
+impl KnownPack {
+    fn new(firmware_version: u16) -> Self {
+        Self { firmware_version, pack: None, cycles: None, design: None, lost: None }
+    }
+
+    /// Data flash has been written, and with it what the registers show of it.
+    pub(super) fn rewritten(&mut self) {
+        (self.pack, self.cycles, self.design) = (None, None, None);
+    }
+}
+
+/// The registers that distinguish packs.
+struct Distinct {
+    pack: Option<u16>,
+    cycles: Option<u16>,
+    design: Option<u16>,
+}
+
+impl Distinct {
+    fn of(chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> Self {
+        let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
+            Some(Word::Register(code)) => value(code),
+            _ => None,
+        };
+        // What a gauge with RAM shows after a loss of power is that of no pack.
+        let of = |role: Role| {
+            let register = chip.register(role).filter(|_| chip.volatile.is_none());
+            register.and_then(|register| value(register.code))
+        };
+        Self { pack, cycles: of(Role::CycleCount), design: of(Role::ChargeFullDesign) }
+    }
 }
 
 /// State of the gauge before a write.
@@ -47,7 +83,8 @@ impl DataFlash {
             Some(Word::Answer(_)) => answers.chem_id,
             _ => None,
         };
-        self.known_pack = Some(KnownPack { firmware_version: answers.firmware_version, pack, lost: None });
+        let firmware_version = answers.firmware_version;
+        self.known_pack = Some(KnownPack { pack, ..KnownPack::new(firmware_version) });
     }
 
     /// Whether another gauge has answered instead of the one whose values were read.
@@ -55,22 +92,47 @@ impl DataFlash {
         self.doubts
     }
 
+    /// The gauge has answered otherwise than when it was identified.
+    pub fn doubt_pack(&mut self) {
+        self.doubts = true;
+    }
+
+    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or
+    /// another count of cycles, by which later polls are judged. I2C has no error detection.
+    pub fn is_surprised(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
+        let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
+        cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
+    }
+
+    /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by
+    /// its address.
+    pub fn contradicted(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> Option<&'static str> {
+        let known = self.known_pack?;
+        let now = Distinct::of(chip, value);
+        let changes =
+            |then: Option<u16>, now: Option<u16>| then.zip(now).is_some_and(|(then, now)| then != now);
+        let falls = |then: Option<u16>, now: Option<u16>| then.zip(now).is_some_and(|(then, now)| then > now);
+        let name = chip.preflight.pack.as_ref().map_or("", |pack| pack.name);
+        let rows = [
+            (now.pack.is_some() && changes(known.pack, now.pack), name),
+            (falls(known.cycles, now.cycles), "CycleCount()"),
+            (changes(known.design, now.design), "DesignCapacity()"),
+        ];
+        rows.into_iter().find(|(contradicts, _)| *contradicts).map(|(_, name)| name)
+    }
+
     /// Notes a poll; `value` returns a register by its address. Returns whether another pack answers now.
     pub fn polled(&mut self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
         let flags = chip.register(Role::Flags).and_then(|flags| value(flags.code));
-        let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
-            Some(Word::Register(code)) => value(code),
-            _ => None,
-        };
+        let contradicted = self.contradicted(chip, &value).is_some();
+        let Distinct { pack, cycles, design } = Distinct::of(chip, value);
         let Some(known_pack) = &mut self.known_pack else { return false };
         if let (Some(bit), Some(flags)) = (chip.volatile, flags) {
             known_pack.lost = Some(flags & bit != 0);
         }
-        match (known_pack.pack, pack) {
-            (Some(old), Some(new)) if old != new => self.doubts = true,
-            (None, Some(new)) => known_pack.pack = Some(new),
-            _ => {}
-        }
+        known_pack.pack = known_pack.pack.or(pack);
+        (known_pack.cycles, known_pack.design) = (cycles, design);
+        self.doubts |= contradicted;
         self.doubts
     }
 
@@ -117,8 +179,7 @@ impl DataFlash {
                 version
             }
         };
-        let known_pack =
-            self.known_pack.get_or_insert(KnownPack { firmware_version, pack: None, lost: None });
+        let known_pack = self.known_pack.get_or_insert(KnownPack::new(firmware_version));
         let Some(pack) = pack else { return Ok(()) };
         let ask = |gauge: &mut Gauge| read_word(gauge, pack.word);
         match known_pack.pack {
@@ -235,8 +296,11 @@ impl DataFlash {
                 }
             }
         }
-        if touched && !matches!(outcome, Ok(Outcome::Unchanged)) {
-            known_pack.pack = None;
+        if !matches!(outcome, Ok(Outcome::Unchanged)) {
+            (known_pack.cycles, known_pack.design) = (None, None);
+            if touched {
+                known_pack.pack = None;
+            }
         }
     }
 }

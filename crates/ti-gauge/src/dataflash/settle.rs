@@ -44,6 +44,8 @@ pub struct Owed<'a> {
     pub why: &'a str,
     /// Trying again does not help: a person has to decide.
     pub needs_decision: bool,
+    /// A write is neither done nor undone; otherwise only the seal is owed.
+    pub data: bool,
 }
 
 /// What a person may decide about an interrupted write.
@@ -118,7 +120,8 @@ impl DataFlash {
     /// What is owed to the gauge, if anything is.
     pub fn owed(&self) -> Option<Owed<'_>> {
         let pending = self.pending.as_ref()?;
-        Some(Owed { why: &pending.why, needs_decision: pending.undecided })
+        let data = pending.entry.as_ref().is_none_or(|entry| entry.plan.is_some());
+        Some(Owed { why: &pending.why, needs_decision: pending.undecided, data })
     }
 
     /// Keeps what a session has left to be settled.
@@ -236,6 +239,9 @@ impl DataFlash {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
                 self.known.clear();
+                if let Some(known_pack) = &mut self.known_pack {
+                    known_pack.rewritten();
+                }
                 return Ok(message);
             }
             Ok(Verdict::Undecided(why)) => {

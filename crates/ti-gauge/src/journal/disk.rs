@@ -40,6 +40,50 @@ pub trait File: Debug + Send {
     fn sync(&mut self) -> io::Result<()>;
 }
 
+/// Stores a file as a whole: it gets its name when its content is on disk. Reserves `room` more bytes to append.
+/// On return all of it is on disk, the folders above it included.
+pub(super) fn store(
+    disk: &dyn Disk,
+    path: &Path,
+    temporary: &Path,
+    text: &str,
+    room: usize,
+) -> io::Result<Box<dyn File>> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    create_folder(disk, folder)?;
+    let stored = disk.create(temporary).and_then(|mut file| {
+        file.append(text.as_bytes())?;
+        file.reserve((text.len() + room) as u64)?;
+        file.sync()?;
+        disk.rename(temporary, path)?;
+        Ok(file)
+    });
+    if stored.is_err() {
+        // The rest would only take up space on a disk that may be full.
+        let _ = disk.remove(temporary);
+        return stored;
+    }
+    disk.sync(folder)?;
+    stored
+}
+
+/// Creates a folder and those above it. On return they are on disk.
+fn create_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
+    let Some(above) = folder.parent().filter(|_| !disk.exists(folder)) else { return Ok(()) };
+    create_folder(disk, above)?;
+    match disk.create_folder(folder) {
+        Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    disk.sync(above)
+}
+
+/// Stores a file as a whole on the host's disk, by way of a temporary name in the same folder. On return it is on
+/// disk. Only its owner can read it; if root writes it, that is the owner of the folder.
+pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
+    store(&Host, path, temporary, text, 0).map(drop)
+}
+
 /// The file system of the host.
 #[derive(Debug)]
 pub(super) struct Host;

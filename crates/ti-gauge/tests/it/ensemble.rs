@@ -19,7 +19,7 @@ use ti_gauge::error::{Cause, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::journal::Folder;
+use crate::journal::{Folder, PowerCut, until_cut};
 use crate::rig::{Rig, cause};
 
 /// Runs in the everyday test.
@@ -145,9 +145,6 @@ fn draw_fault(random: &mut Random, transfers: u64) -> Fault {
     }
 }
 
-/// The panic with which the code of the host stops when it loses power.
-struct PowerCut;
-
 struct Host<B> {
     bus: B,
     clock: Arc<SimClock>,
@@ -184,7 +181,7 @@ struct Run {
     sim: Sim,
     folder: Folder,
     access: Access,
-    /// The clock, and whether a bytes of flash may differ at the end from what they were.
+    /// For each byte of flash, whether the gauge rewrites it by itself.
     moves: Vec<bool>,
 }
 
@@ -443,11 +440,7 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
         run.sim.set("fault", text).map_err(|error| format!("`{text}`: {error:?}"))?;
     }
     let begun = run.clock.now();
-    let outcome = match catch_unwind(AssertUnwindSafe(|| run.act(&mut host))) {
-        Ok(outcome) => Some(outcome),
-        Err(cut) if cut.is::<PowerCut>() => None,
-        Err(panic) => resume_unwind(panic),
-    };
+    let outcome = until_cut(|| run.act(&mut host));
     let taken = run.clock.now() - begun;
     let is_paused = matches!(fault, Fault::Pause(..))
         || matches!(&fault, Fault::Sim(text) if text.starts_with("power-cut"));
@@ -507,7 +500,7 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
         if let Fault::Sim(text) = &second {
             run.sim.set("fault", text).expect("a fault");
         }
-        if catch_unwind(AssertUnwindSafe(|| pay(&mut host, &run.clock))).is_err() {
+        if until_cut(|| pay(&mut host, &run.clock)).is_none() {
             told.push("the host lost power while settling".into());
         }
         run.sim.set("fault", "none").expect("a knob");

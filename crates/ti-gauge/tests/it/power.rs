@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,7 +18,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::{Disk, File, Journal};
 use ti_gauge::keys::Keys;
 
-use crate::journal::{Case, PowerCut};
+use crate::journal::{Case, PowerCut, until_cut};
 use crate::rig::Rig;
 
 /// Two blocks with and without a reset, on a part with subclasses and on one with flat addresses.
@@ -313,11 +313,7 @@ pub(crate) fn host<T>(
     let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
     let journal = Journal::new(FOLDER.into(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
     let mut dataflash = DataFlash::new(Limits::default(), Some(journal.on(Arc::new(disk.clone()))));
-    let said = match catch_unwind(AssertUnwindSafe(|| work(&mut dataflash, &mut gauge))) {
-        Ok(said) => Some(said),
-        Err(cut) if cut.is::<PowerCut>() => None,
-        Err(panic) => resume_unwind(panic),
-    };
+    let said = until_cut(|| work(&mut dataflash, &mut gauge));
     let state = disk.state().clone();
     (said, power.done.load(Ordering::Relaxed), state)
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
+use sha1::{Digest as _, Sha1};
 use ti_gauge::chip::{FLAT, Kind};
 use ti_gauge::dataflash::{Change, Decision, Place};
 use ti_gauge::gauge::Seal;
@@ -73,6 +74,33 @@ fn a_journal_of_another_part_or_firmware_is_left_to_a_person() {
             text.replacen(then, other, 1)
         });
         rig.is_undecided(other);
+    }
+}
+
+/// Its sum is right, so nothing but its content shows that no gaugefs has written it.
+#[test]
+fn a_journal_with_an_impossible_place_is_left_to_a_person() {
+    let resummed = |text: String, from: &str, to: &str| {
+        let (head, plan) = text.split_once("\nreset ").expect("a plan");
+        let (plan, _) = plan.rsplit_once("\nend ").expect("a plan");
+        let plan = format!("reset {plan}\n");
+        assert!(plan.contains(from), "{plan}");
+        let plan = plan.replacen(from, to, 1);
+        let sum: String = Sha1::digest(&plan).iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("{head}\n{plan}end {sum}\n")
+    };
+    let long = format!("\nmark 104 11 {}", "00".repeat(70_000));
+    for (from, to) in [
+        ("\nblock 48 0 ", "\nblock 80 65504 "),
+        ("\nblock 48 0 ", "\nblock 80 65535 "),
+        ("\nmark 104 11 ", "\nmark 104 11 0000"),
+        ("\nmark 104 11 ", &*long),
+    ] {
+        let folder = Folder::new("impossible");
+        let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
+        half_way(&mut rig, &folder);
+        folder.edit(|text| resummed(text, from, to));
+        rig.is_undecided(&to[..20.min(to.len())]);
     }
 }
 
