@@ -97,13 +97,13 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             background::notify();
             service::wait(&device, &*clock)?;
             let mounted = fuse::serve(tree, device, how, signal)?;
-            shutdown.reach(Phase::Serving(handles.clone(), mounted.answers()));
+            shutdown.reach(Phase::Serving(handles.clone(), mounted.announcer()));
             mounted
         }
         None => {
             mountpoint::make(&mountpoint)?;
             let mounted = fuse::mount(tree, &mountpoint, how, signal)?;
-            shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone()));
+            shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));
             mounted
         }
     };

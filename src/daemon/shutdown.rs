@@ -18,9 +18,9 @@ pub(super) enum Phase {
     #[default]
     Starting,
     /// A signal has to unmount this.
-    Mounted(PathBuf, Vec<Handle>),
+    Mounted(PathBuf, Vec<Handle>, fuse::Announcer),
     /// `service::attach` has mounted it, and `service::detach` will unmount it.
-    Serving(Vec<Handle>, fuse::Answers),
+    Serving(Vec<Handle>, fuse::Announcer),
     /// It is unmounted, and `run` is about to return.
     Ending,
 }
@@ -53,16 +53,16 @@ impl Shutdown {
 }
 
 fn end(signal: Signal, phase: &mut Phase) {
-    let (path, handles) = match phase {
+    let (path, handles, announcer) = match phase {
         Phase::Starting => {
             eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
             std::process::exit(1);
         }
-        Phase::Mounted(path, handles) => (path, handles),
-        Phase::Serving(handles, answers) => {
+        Phase::Mounted(path, handles, announcer) => (path, handles, announcer),
+        Phase::Serving(handles, announcer) => {
             log::info!("{signal}: ending");
             finish(handles);
-            answers.flush();
+            announcer.stop();
             std::process::exit(0);
         }
         Phase::Ending => return,
@@ -75,6 +75,7 @@ fn end(signal: Signal, phase: &mut Phase) {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
             finish(handles);
+            announcer.stop();
             std::process::exit(i32::from(detached.is_err()));
         }
         Err(error) => log::error!("{error}"),

@@ -1,125 +1,144 @@
-//! The threads that notify the kernel: of names that have a new value, and of nodeids that were renewed.
+//! The thread that notifies the kernel of names that have a new value.
 //!
-//! They hold no lock while they notify. The kernel may have to wait for the answer to a request before it
-//! takes the notification, and the handler of that request needs the locks.
+//! It holds no lock while it notifies: the kernel may need the answer to a request before it takes the
+//! notification, and the handler of that request needs the locks.
+//!
+//! # Why the daemon can always end
+//!
+//! A notification is a write(2) to `/dev/fuse` that waits for locks in the kernel and cannot be killed. If a
+//! request holds such a lock until it is answered, and the daemon is killed, both wait for ever: the request
+//! is never answered, and it is not aborted either, because the thread in the write(2) keeps `/dev/fuse` open.
+//! Therefore:
+//!
+//! - `inval_inode` is never sent for a file. It waits for the file's pages, and a page stays locked from the
+//!   moment the kernel queues a READ or WRITE until the answer, which can take the gauge seconds. Not even
+//!   files without a known request are safe, because the next write(2) may be in the queue already. A file
+//!   that is held open gets its new value without a notification, see `getattr` in `adapter`.
+//! - What is sent, `inval_entry` and `inval_inode` for a folder, waits only for the folder's lock. The kernel
+//!   holds it during LOOKUP, READDIR and attempts to change the folder, which the handlers answer at once;
+//!   they wait neither for a gauge nor for this thread.
+//! - Before the daemon ends, it calls [`Announcer::stop`] while the handlers still work.
+//!
+//! What remains is a SIGKILL in the microseconds in which a notification waits for such a handler. To make that
+//! rarer still, names that the kernel does not keep are not announced.
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
+use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
 use fuser::{INodeNo, Notifier};
 
+use super::adapter::present;
 use super::inodes::{Now, Value};
-use super::{Table, lock, thread};
+use super::{Table, host, lock};
+use crate::error::Result;
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
-
-/// Time within which the kernel forgets a nodeid that nobody holds open.
-const FORGET: Duration = Duration::from_millis(30);
-
-/// Time limit for the last answers, each of which is one message to the kernel.
-const FLUSH: Duration = Duration::from_secs(2);
 
 /// An answer to a write, given when the kernel has been notified of everything that the write changed.
 pub(super) type Answer = Box<dyn FnOnce() + Send>;
 
-/// The answers to writes that wait until the kernel has been notified of what was changed.
+/// Controls the thread that notifies the kernel.
 #[derive(Clone)]
-pub struct Answers {
-    answers: Arc<Mutex<Vec<Answer>>>,
+pub struct Announcer {
+    queue: Arc<Mutex<Queue>>,
     signal: Arc<Signal>,
 }
 
-impl Answers {
-    /// No answers; `signal` wakes the thread that gives them.
+#[derive(Default)]
+struct Queue {
+    answers: Vec<Answer>,
+    /// The thread has to end after these answers.
+    stopping: bool,
+    /// The thread has ended.
+    stopped: bool,
+}
+
+impl Announcer {
+    /// One whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
-        Self { answers: Arc::default(), signal }
+        Self { queue: Arc::default(), signal }
     }
 
-    /// Adds one. The caller has to raise the signal.
-    pub(super) fn push(&self, answer: Answer) {
-        lock(&self.answers).push(answer);
+    /// Starts the thread. It ends when the tree is unmounted.
+    pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
+        let mut announcing =
+            Announcing { fs, table, notifier, announcer: self.clone(), folders: HashMap::new() };
+        let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
+        let started = builder.spawn(move || announcing.run());
+        started.map(drop).map_err(|error| host("a thread", &error))
     }
 
-    fn take(&self) -> Vec<Answer> {
-        std::mem::take(&mut lock(&self.answers))
+    /// Gives an answer when the kernel has been notified of everything that has changed until now. The caller
+    /// has to raise the signal.
+    pub(super) fn answer(&self, answer: Answer) {
+        if let Some(answer) = self.add(answer, false) {
+            answer();
+        }
     }
 
-    /// Returns when all of them have been given, or after a time limit if the tree is unmounted.
-    pub fn flush(&self) {
-        let (done, is_done) = mpsc::channel::<()>();
-        self.push(Box::new(move || drop(done)));
+    /// Gives the answers that are waiting. When it returns, no notification is under way, and none will follow.
+    pub fn stop(&self) {
+        let (last, is_given) = mpsc::channel::<()>();
+        self.add(Box::new(move || drop(last)), true);
         self.signal.raise();
-        // Nothing is sent: the channel disconnects when its answer's turn comes.
-        let _ = is_done.recv_timeout(FLUSH);
+        // Nothing is sent: the channel disconnects when the last answer is given.
+        let _ = is_given.recv();
+    }
+
+    /// Returns the answer if the thread has ended.
+    fn add(&self, answer: Answer, stopping: bool) -> Option<Answer> {
+        let mut queue = lock(&self.queue);
+        if queue.stopped {
+            return Some(answer);
+        }
+        queue.stopping |= stopping;
+        queue.answers.push(answer);
+        None
+    }
+
+    fn take(&self) -> (Vec<Answer>, bool) {
+        let mut queue = lock(&self.queue);
+        (std::mem::take(&mut queue.answers), queue.stopping)
     }
 }
 
-/// Notifies the kernel of the names whose value changed, then answers the writes that changed them.
-pub(super) struct Announcer {
+/// The thread.
+struct Announcing {
     fs: Arc<Fs>,
     table: Arc<Table>,
     notifier: Notifier,
-    answers: Answers,
-    renewals: Arc<Renewals>,
+    announcer: Announcer,
     /// The names that each folder held at the last look.
     folders: HashMap<Node, Vec<String>>,
 }
 
-/// What the [`Announcer`] passes to the [`Renewer`].
-#[derive(Default)]
-struct Renewals {
-    signal: Signal,
-    /// The tree is unmounted.
-    over: AtomicBool,
+/// However the thread ends, no write is left without an answer.
+impl Drop for Announcing {
+    fn drop(&mut self) {
+        lock(&self.announcer.queue).stopped = true;
+        self.announcer.take().0.into_iter().for_each(|answer| answer());
+    }
 }
 
-/// Starts the threads. They end when the tree is unmounted.
-pub(super) fn start(
-    fs: Arc<Fs>,
-    table: Arc<Table>,
-    notifier: Notifier,
-    answers: Answers,
-) -> crate::error::Result<()> {
-    let renewals = Arc::new(Renewals::default());
-    let mut renewer = Renewer {
-        fs: fs.clone(),
-        table: table.clone(),
-        notifier: notifier.clone(),
-        renewals: renewals.clone(),
-        gauges: HashMap::new(),
-    };
-    let mut announcer = Announcer { fs, table, notifier, answers, renewals, folders: HashMap::new() };
-    thread("notify", move || announcer.run())?;
-    thread("renew", move || renewer.run())
-}
-
-impl Announcer {
+impl Announcing {
     fn run(&mut self) {
         let mut seen = 0;
         loop {
-            seen = self.answers.signal.wait(seen, None);
-            let answers = self.answers.take();
+            seen = self.announcer.signal.wait(seen, None);
+            let (answers, stopping) = self.announcer.take();
             let announced = self.announce();
             // Only now, so that whoever reads right after a write gets the result of the write.
             answers.into_iter().for_each(|answer| answer());
-            if announced.is_err() {
-                self.renewals.over.store(true, Ordering::SeqCst);
-            }
-            if announced.is_err() || lock(&self.table).is_renewal_pending() {
-                self.renewals.signal.raise();
-            }
-            if announced.is_err() {
+            if stopping || announced.is_err() {
                 return;
             }
         }
     }
 
-    /// Retires every nodeid whose file has another value now, then notifies the kernel of their names. Looks
-    /// only at the gauges that have changed, because many gauges are polled one after the other.
+    /// Retires every nodeid whose file has another value now, then notifies the kernel of the names that it
+    /// keeps. Looks only at the gauges that have changed, because many gauges are polled one after the other.
     fn announce(&mut self) -> std::io::Result<()> {
         let gauges = self.fs.take_changed();
         let has_changed = |node: Node| match node {
@@ -135,14 +154,15 @@ impl Announcer {
             .collect();
         let mut changed = Vec::new();
         for (number, node, value) in files {
-            if self.value(node) == value {
+            if present(&self.fs, node) == value {
                 continue;
             }
             let mut inodes = lock(&self.table);
             let folder = inodes.current(self.fs.parent(node));
-            let named = inodes.current(node) == Some(number);
+            // The kernel asks for other names each time they are used.
+            let kept = inodes.current(node) == Some(number) && self.fs.may_be_cached(node);
             inodes.retire(number, Now::read());
-            if let Some(folder) = folder.filter(|_| named) {
+            if let Some(folder) = folder.filter(|_| kept) {
                 changed.push((folder, node));
             }
         }
@@ -152,10 +172,6 @@ impl Announcer {
             }
         }
         self.announce_folders(&gauges)
-    }
-
-    fn value(&self, node: Node) -> Value {
-        Value::of(self.fs.content(node)).unwrap_or(Value::Gone)
     }
 
     /// The kernel keeps listings as well; some change when a value appears or disappears.
@@ -176,73 +192,6 @@ impl Announcer {
         }
         Ok(())
     }
-}
-
-/// Shows files that are held open their new value, under the nodeid that they have. The kernel takes such a
-/// notification only when no read or write of the file is under way. Those wait for the file's gauge, so each
-/// gauge has a thread of its own that waits for them.
-struct Renewer {
-    fs: Arc<Fs>,
-    table: Arc<Table>,
-    notifier: Notifier,
-    renewals: Arc<Renewals>,
-    gauges: HashMap<u16, Sender<u64>>,
-}
-
-impl Renewer {
-    fn run(&mut self) {
-        let signal = &self.renewals.clone().signal;
-        let mut seen = 0;
-        let mut due = None;
-        loop {
-            // Without a limit while no file is held open across a change, so that nothing wakes the machine.
-            let limit = due.map(|due: Instant| due.saturating_duration_since(Instant::now()));
-            seen = signal.wait(seen, limit);
-            if self.renewals.over.load(Ordering::SeqCst) {
-                return;
-            }
-            self.renew();
-            // Most superseded nodeids are not held open, and are forgotten at once.
-            if lock(&self.table).next_due().is_some() {
-                signal.wait(seen, Some(FORGET));
-            }
-            due = lock(&self.table).next_due();
-        }
-    }
-
-    fn renew(&mut self) {
-        let now = Now::read();
-        let mut inodes = lock(&self.table);
-        let due = inodes.take_due(now);
-        for &(number, node) in &due {
-            let value = Value::of(self.fs.content(node)).unwrap_or(Value::Gone);
-            inodes.renew(number, value, now);
-        }
-        drop(inodes);
-        for (number, node) in due {
-            let Node::Of(gauge, _) = node else { continue };
-            let notify = self.gauges.entry(gauge).or_insert_with(|| inval_inodes(self.notifier.clone()));
-            // Fails if the thread could not be started; try again with the next file.
-            if notify.send(number).is_err() {
-                self.gauges.remove(&gauge);
-            }
-        }
-    }
-}
-
-/// A thread that notifies the kernel of nodeids that have another value now.
-fn inval_inodes(notifier: Notifier) -> Sender<u64> {
-    let (sender, numbers) = mpsc::channel();
-    let run = move || {
-        for number in numbers {
-            // It may fail because the nodeid has been forgotten in the meantime.
-            let _ = notifier.inval_inode(INodeNo(number), 0, 0);
-        }
-    };
-    if let Err(error) = thread("renew", run) {
-        log::warn!("files that are held open may not follow: {error}");
-    }
-    sender
 }
 
 /// ENOENT means that the kernel does not know the name; any other error, that the tree is unmounted.

@@ -452,15 +452,48 @@ fn a_writer_reads_the_stored_value() {
     assert_eq!(read(), "3000\n");
     for (written, value) in [("0xc1c", "3100\n"), (" 3200 \n", "3200\n"), ("3000", "3000\n")] {
         file.write_all_at(written.as_bytes(), 0).expect("written");
-        until(value, || read() == value);
+        assert_eq!(read(), value);
     }
     assert_eq!(file.write_at(b"99999999", 0).map_err(errno), Err(Errno::ERANGE));
-    until("the old value", || read() == "3000\n");
-    // Each write happens while the kernel is being notified of the previous one.
+    assert_eq!(read(), "3000\n");
+    // The kernel takes over the file's size and time with the answer to a truncation.
+    file.write_all_at(b"003000", 0).expect("written");
+    file.set_len(0).expect("truncated");
+    assert_eq!(read(), "3000\n");
     for millivolts in 3001..3012 {
         file.write_all_at(millivolts.to_string().as_bytes(), 0).expect("written");
     }
-    until("the last value", || read() == "3011\n");
+    assert_eq!(read(), "3011\n");
+}
+
+/// A parameter that is held open gets its new value although that has to be read from the gauge. Each read
+/// returns one value, neither cut off nor padded.
+#[test]
+fn a_parameter_held_open_gets_the_new_value() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = fs::File::open(mount.path("df/48/43")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0).expect("reads");
+        String::from_utf8_lossy(&buffer[..length]).into_owned()
+    };
+    assert_eq!(read(), "Texas Inst.\n");
+    for (name, text, before, after) in [
+        ("df/48/43", "TI", "Texas Inst.\n", "TI\n"),
+        ("gauge/refresh", "1", "TI\n", "TI\n"),
+        ("df/48/43", "Texas", "TI\n", "Texas\n"),
+    ] {
+        assert_eq!(mount.echo(text, name), Ok(()));
+        // It is renewed two seconds after the change.
+        let end = Instant::now() + Duration::from_millis(2500);
+        let mut last = read();
+        while Instant::now() < end {
+            last = read();
+            assert!(last == before || last == after, "{last:?} after {text} to {name}");
+        }
+        assert_eq!(last, after);
+        assert_eq!(file.metadata().expect("it is open").size(), after.len() as u64);
+    }
 }
 
 /// Every simulated gauge has the files that monitors need, and shows a written value.
