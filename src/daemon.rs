@@ -90,7 +90,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
-    let how = fuse::Options { private: mount.private, read_only: mount.read_only };
+    let how = fuse::Options { private: mount.private, read_only: mount.read_only, ..Default::default() };
     let mounted = match device {
         Some(device) => {
             // Its mount is the answer.

@@ -5,17 +5,17 @@
 //!   a nodeid of its own with its exact size, GETATTR and READ of that nodeid serve those bytes for ever, and
 //!   FORGET drops it. So no reader gets the size of one value with the bytes of another, and a value that
 //!   has not changed comes from the kernel's page cache without a message.
-//! - `notify` is the thread that notifies the kernel of names that have a new value.
+//! - `notify` is the thread that notifies the kernel that files have a new value.
 //!
 //! `open` is answered ENOSYS once, after which the kernel does not ask again; so is `opendir`, except over
 //! the kernel's own supplies, where the kernel must not keep the root's listing.
 //!
 //! A new value is a new nodeid: it becomes the current one under the lock, the lock is released, and then
-//! the kernel is notified that the name has changed. A file that is held open across a change keeps its
+//! the kernel is notified, so that it looks the name up again. A file that is held open across a change keeps its
 //! nodeid; that nodeid is renewed when no read of the old value can be under way any more. The kernel finds out
 //! without a notification, because it has to ask for the file's attributes again by then.
 
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -41,6 +41,8 @@ pub struct Options {
     pub private: bool,
     /// Every write is refused.
     pub read_only: bool,
+    /// The kernel keeps no names of files, as before Linux 6.16.
+    pub names_not_kept: bool,
 }
 
 /// A mounted tree. Dropping it unmounts the tree.
@@ -129,6 +131,9 @@ fn start(
         _alive: alive,
     };
     let session = begin(adapter)?;
+    if !options.names_not_kept {
+        announcer.keep_names(session.as_fd());
+    }
     let notifier = session.notifier();
     let session = session.spawn().map_err(|error| host("a thread", &error))?;
     announcer.start(fs, table, notifier)?;

@@ -96,15 +96,21 @@ impl Adapter {
         }
     }
 
-    fn ttl(&self, node: Node) -> Duration {
-        if self.fs.may_be_cached(node) { TTL } else { Duration::ZERO }
+    /// How long the kernel may keep a name. That of a file means the value that it had.
+    fn name_ttl(&self, node: Node) -> Duration {
+        let fixed = self.fs.shape(node) != Shape::File;
+        if self.fs.may_be_cached(node) && (fixed || self.announcer.keeps_names()) {
+            TTL
+        } else {
+            Duration::ZERO
+        }
     }
 
     /// How long the kernel may keep the attributes.
     fn attr_ttl(&self, shown: &Shown) -> Duration {
         match self.fs.shape(shown.node) {
             Shape::File => shown.valid,
-            Shape::Folder | Shape::Link => self.ttl(shown.node),
+            Shape::Folder | Shape::Link => self.name_ttl(shown.node),
         }
     }
 
@@ -187,6 +193,10 @@ impl Filesystem for Adapter {
         Ok(())
     }
 
+    fn destroy(&mut self) {
+        self.announcer.close();
+    }
+
     fn lookup(&self, request: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
         let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
         let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
@@ -201,7 +211,7 @@ impl Filesystem for Adapter {
         let Some(value) = value else { return reply.error(Errno::ENOENT) };
         let shown = inodes.enter(node, value, request.pid(), Now::read());
         drop(inodes);
-        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.ttl(node));
+        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
         reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
     }
 

@@ -335,6 +335,13 @@ impl<W> Inodes<W> {
         }
     }
 
+    /// A folder has another listing from now on.
+    pub(super) fn restamp(&mut self, number: u64, now: Now) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.since = now.time;
+        }
+    }
+
     /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one.
     pub(super) fn touch(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {

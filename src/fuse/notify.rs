@@ -1,31 +1,27 @@
-//! The thread that notifies the kernel of names that have a new value.
-//!
-//! It holds no lock while it notifies: the kernel may need the answer to a request before it takes the
-//! notification, and the handler of that request needs the locks.
+//! The thread that notifies the kernel that files have a new value.
 //!
 //! # Why the daemon can always end
 //!
-//! A notification is a write(2) to `/dev/fuse` that waits for locks in the kernel and cannot be killed. If a
-//! request holds such a lock until it is answered, and the daemon is killed, both wait for ever: the request
-//! is never answered, and it is not aborted either, because the thread in the write(2) keeps `/dev/fuse` open.
-//! Therefore:
+//! A notification is a write(2) to `/dev/fuse`. Some of them wait in the kernel for a lock that a request holds
+//! until the daemon has answered it. If the daemon is killed in that moment, the request is never answered; nor
+//! does the kernel abort it, because the waiting thread, which no signal can end, keeps `/dev/fuse` open. Only
+//! notifications that wait for nothing are sent:
 //!
-//! - `inval_inode` is never sent for a file. It waits for the file's pages, and a page stays locked from the
-//!   moment the kernel queues a READ or WRITE until the answer, which can take the gauge seconds. Not even
-//!   files without a known request are safe, because the next write(2) may be in the queue already. A file
-//!   that is held open gets its new value without a notification, see `getattr` in `adapter`.
-//! - What is sent, `inval_entry` and `inval_inode` for a folder, waits only for the folder's lock. The kernel
-//!   holds it during LOOKUP, READDIR and attempts to change the folder, which the handlers answer at once;
-//!   they wait neither for a gauge nor for this thread.
-//! - Before the daemon ends, it calls [`Announcer::stop`] while the handlers still work.
+//! | notification | waits for | |
+//! | --- | --- | --- |
+//! | `inval_inode` of a file | its pages; a READ or WRITE locks one until it is answered | not sent; see `getattr` in `adapter` |
+//! | `inval_entry` | the lock of the folder, which a LOOKUP holds until it is answered | not sent |
+//! | `inval_inode` of a folder, without its pages | nothing | when its listing has changed |
+//! | `FUSE_NOTIFY_INC_EPOCH` | nothing | when a file has a new value |
 //!
-//! What remains is a SIGKILL in the microseconds in which a notification waits for such a handler. To make that
-//! rarer still, names that the kernel does not keep are not announced.
+//! The last one makes the kernel look up every name again. Linux has it since 6.16; an older one may not keep the
+//! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
 use std::collections::HashMap;
-use std::ffi::OsStr;
-use std::sync::mpsc;
-use std::sync::{Arc, Mutex};
+use std::fs::File;
+use std::io::Write;
+use std::os::fd::BorrowedFd;
+use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
@@ -36,6 +32,9 @@ use crate::error::Result;
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
 
+/// The code of the notification that makes the kernel look up every name again.
+const FUSE_NOTIFY_INC_EPOCH: u32 = 8;
+
 /// An answer to a write, given when the kernel has been notified of everything that the write changed.
 pub(super) type Answer = Box<dyn FnOnce() + Send>;
 
@@ -44,6 +43,8 @@ pub(super) type Answer = Box<dyn FnOnce() + Send>;
 pub struct Announcer {
     queue: Arc<Mutex<Queue>>,
     signal: Arc<Signal>,
+    /// `/dev/fuse`, if the kernel keeps names. The crate `fuser` does not have the notification that this takes.
+    names: Arc<OnceLock<File>>,
 }
 
 #[derive(Default)]
@@ -58,10 +59,24 @@ struct Queue {
 impl Announcer {
     /// One whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
-        Self { queue: Arc::default(), signal }
+        Self { queue: Arc::default(), signal, names: Arc::default() }
     }
 
-    /// Starts the thread. It ends when the tree is unmounted.
+    /// Lets the kernel keep the names of files, if it can be notified that they are out of date.
+    pub(super) fn keep_names(&self, device: BorrowedFd<'_>) {
+        let Ok(device) = device.try_clone_to_owned().map(File::from) else { return };
+        match look_up_again(&device) {
+            Ok(()) => drop(self.names.set(device)),
+            Err(_) => log::info!("Linux 6.16 and later read attributes faster"),
+        }
+    }
+
+    /// Whether the kernel may keep the names of files.
+    pub(super) fn keeps_names(&self) -> bool {
+        self.names.get().is_some()
+    }
+
+    /// Starts the thread. It ends when the session has ended.
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
         let mut announcing =
             Announcing { fs, table, notifier, announcer: self.clone(), folders: HashMap::new() };
@@ -85,6 +100,12 @@ impl Announcer {
         self.signal.raise();
         // Nothing is sent: the channel disconnects when the last answer is given.
         let _ = is_given.recv();
+    }
+
+    /// Has the thread give the answers that are waiting, and end.
+    pub(super) fn close(&self) {
+        lock(&self.queue).stopping = true;
+        self.signal.raise();
     }
 
     /// Returns the answer if the thread has ended.
@@ -128,18 +149,18 @@ impl Announcing {
         loop {
             seen = self.announcer.signal.wait(seen, None);
             let (answers, stopping) = self.announcer.take();
-            let announced = self.announce();
+            self.announce();
             // Only now, so that whoever reads right after a write gets the result of the write.
             answers.into_iter().for_each(|answer| answer());
-            if stopping || announced.is_err() {
+            if stopping {
                 return;
             }
         }
     }
 
-    /// Retires every nodeid whose file has another value now, then notifies the kernel of the names that it
-    /// keeps. Looks only at the gauges that have changed, because many gauges are polled one after the other.
-    fn announce(&mut self) -> std::io::Result<()> {
+    /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their
+    /// names. Looks only at the gauges that have changed, because many gauges are polled one after the other.
+    fn announce(&mut self) {
         let gauges = self.fs.take_changed();
         let has_changed = |node: Node| match node {
             Node::Of(gauge, _) => gauges.contains(&gauge),
@@ -152,30 +173,27 @@ impl Announcing {
             .filter(|(_, node, _)| has_changed(*node))
             .map(|(number, node, value)| (number, node, value.clone()))
             .collect();
-        let mut changed = Vec::new();
+        let mut outdated = false;
         for (number, node, value) in files {
             if present(&self.fs, node) == value {
                 continue;
             }
             let mut inodes = lock(&self.table);
-            let folder = inodes.current(self.fs.parent(node));
             // The kernel asks for other names each time they are used.
-            let kept = inodes.current(node) == Some(number) && self.fs.may_be_cached(node);
+            outdated |= inodes.current(node) == Some(number) && self.fs.may_be_cached(node);
             inodes.retire(number, Now::read());
-            if let Some(folder) = folder.filter(|_| kept) {
-                changed.push((folder, node));
-            }
         }
-        for (folder, node) in changed {
-            if let Some(name) = self.fs.file_name(node) {
-                ignore_unknown(self.notifier.inval_entry(INodeNo(folder), OsStr::new(&name)))?;
-            }
+        if let Some(device) = self.announcer.names.get().filter(|_| outdated)
+            && let Err(error) = look_up_again(device)
+        {
+            log::warn!("/dev/fuse: the kernel shows some values two seconds late: {error}");
         }
-        self.announce_folders(&gauges)
+        self.announce_folders(&gauges);
     }
 
-    /// The kernel keeps listings as well; some change when a value appears or disappears.
-    fn announce_folders(&mut self, gauges: &[u16]) -> std::io::Result<()> {
+    /// The kernel keeps listings as well; some change when a value appears or disappears. It drops a listing when
+    /// it finds that the folder's time has changed.
+    fn announce_folders(&mut self, gauges: &[u16]) {
         for folder in self.fs.changing_folders(gauges) {
             let Some(number) = lock(&self.table).current(folder) else {
                 // The kernel does not know it, and will ask for a new listing when it does.
@@ -187,17 +205,20 @@ impl Announcing {
             // The first time there is nothing to compare with: the listing may have changed since the kernel
             // asked for it.
             if before.is_none() || before.as_ref() != self.folders.get(&folder) {
-                ignore_unknown(self.notifier.inval_inode(INodeNo(number), 0, 0))?;
+                lock(&self.table).restamp(number, Now::read());
+                // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows is
+                // invalid from now on; the pages of the listing stay, and so nothing waits for them.
+                let _ = self.notifier.inval_inode(INodeNo(number), -1, 0);
             }
         }
-        Ok(())
     }
 }
 
-/// ENOENT means that the kernel does not know the name; any other error, that the tree is unmounted.
-fn ignore_unknown(notified: std::io::Result<()>) -> std::io::Result<()> {
-    match notified {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        other => other,
-    }
+/// Makes the kernel look up every name again before it uses it.
+fn look_up_again(mut device: &File) -> std::io::Result<()> {
+    // struct fuse_out_header: length, code, and 0 in place of a request's number.
+    let mut message = [0; 16];
+    message[..4].copy_from_slice(&16_u32.to_ne_bytes());
+    message[4..8].copy_from_slice(&FUSE_NOTIFY_INC_EPOCH.to_ne_bytes());
+    device.write_all(&message)
 }

@@ -2,6 +2,7 @@
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -68,6 +69,22 @@ impl Mount {
         restore: Vec<Change>,
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
     ) -> Option<Self> {
+        Self::of(
+            chip,
+            Settings { keys, interval, restore, ..Settings::default() },
+            prepare,
+            bus,
+            fuse::Options::default(),
+        )
+    }
+
+    fn of(
+        chip: &str,
+        settings: Settings,
+        prepare: impl FnOnce(&Sim),
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+        options: fuse::Options,
+    ) -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
@@ -82,7 +99,6 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings = Settings { keys, interval, restore, ..Settings::default() };
         let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = MountedGauge {
             name: "BAT0".into(),
@@ -96,7 +112,7 @@ impl Mount {
             group: false,
         };
         let tree = Arc::new(Fs::new(vec![entry], access));
-        let mounted = fuse::mount(tree, &folder, fuse::Options::default(), signal).expect("a mount");
+        let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
         // The second poll, half a second later, reads the registers that no attribute needs.
         until("the second poll", || statistic(&handle, "polls") >= 2);
         Some(Self { folder, sim, handle, _mounted: mounted })
@@ -373,6 +389,41 @@ fn an_open_file_shows_new_values() {
     let since = fs::metadata(mount.path("current_now")).and_then(|file| file.modified()).expect("a time");
     assert!(since > before);
     until("the new current", || read().is_ok_and(|text| mount.shows("current_now", &text)));
+}
+
+/// What a refresh has changed is seen as soon as the write to `gauge/refresh` returns, whether the kernel can keep
+/// names or not. A folder that is open meanwhile stays where it is.
+#[test]
+fn a_refresh_is_seen_at_once() {
+    for names_not_kept in [false, true] {
+        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        let options = fuse::Options { names_not_kept, ..fuse::Options::default() };
+        let mount = Mount::of("bq34z100-g1", settings, |_| {}, |sim| Box::new(sim.bus()), options);
+        let Some(mount) = mount else { return };
+        let held = fs::File::open(mount.path("")).expect("opens");
+        let path = format!("/proc/self/fd/{}", held.as_raw_fd());
+        let listed = |folder: &Path| {
+            let mut names =
+                fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").file_name());
+            names.any(|name| name == "time_to_empty_now")
+        };
+        mount.sim.set("speed", "30").expect("a knob");
+        for (load, flows) in [("500", true), ("0", false), ("600", true), ("0", false)] {
+            mount.sim.set("load_ma", load).expect("a knob");
+            let flowing = |current: &str| (current != "0") == flows;
+            until("a poll that finds the load", || {
+                assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+                let (current, uevent) = (mount.cat("current_now"), mount.cat("uevent"));
+                assert!(uevent.contains(&format!("CURRENT_NOW={current}\n")), "{current} in {uevent}");
+                let shown = uevent.contains("TIME_TO_EMPTY_NOW=");
+                assert_eq!(mount.path("time_to_empty_now").exists(), shown);
+                assert_eq!(listed(&mount.path("")), shown);
+                assert_eq!(listed(Path::new(&path)), shown);
+                flowing(&current) && shown == flows
+            });
+        }
+        assert_eq!(fs::read_link(&path).expect("it is open"), mount.path(""));
+    }
 }
 
 /// The file of a value, and its line in uevent, exist only while the gauge has the value.
