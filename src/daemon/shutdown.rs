@@ -61,8 +61,7 @@ fn end(signal: Signal, phase: &mut Phase) {
         Phase::Mounted(path, handles, announcer) => (path, handles, announcer),
         Phase::Serving(handles, announcer) => {
             log::info!("{signal}: ending");
-            finish(handles);
-            announcer.stop();
+            answer(handles, announcer);
             std::process::exit(0);
         }
         Phase::Ending => return,
@@ -74,16 +73,23 @@ fn end(signal: Signal, phase: &mut Phase) {
         Err(error) if error.errno() == Errno::EBUSY => {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
-            finish(handles);
-            announcer.stop();
+            answer(handles, announcer);
             std::process::exit(i32::from(detached.is_err()));
         }
         Err(error) => log::error!("{error}"),
     }
 }
 
-/// Waits until the gauges' owners have completed the request that they are serving, such as a transaction,
-/// and keeps them from starting another.
+/// Answers every write that was accepted with its outcome, and accepts no other. When it returns, the answers
+/// have reached the kernel.
+fn answer(handles: &[Handle], announcer: &fuse::Announcer) {
+    announcer.refuse();
+    finish(handles);
+    announcer.stop();
+}
+
+/// Waits until the gauges' owners have completed the requests that were submitted, such as transactions, and
+/// keeps them from doing anything else.
 pub(super) fn finish(handles: &[Handle]) {
     let (done, is_done) = mpsc::channel::<()>();
     for handle in handles {

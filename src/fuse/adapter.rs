@@ -122,8 +122,25 @@ impl Adapter {
         drop(inodes);
         if let Some(node) = node.filter(|_| first) {
             let arrival = Arrival { adapter: self.clone(), number, answered: false };
-            self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from))));
+            self.announcer.pass_on(|refused| match refused {
+                Some(error) => arrival.with(Err(error)),
+                None => self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from)))),
+            });
         }
+    }
+
+    fn pass_on_write(&self, number: u64, node: Node, data: &[u8], reply: ReplyWrite) {
+        self.inodes().write_begins(number, Now::read());
+        let mut writing = Writing {
+            fs: self.fs.clone(),
+            table: self.table.clone(),
+            announcer: self.announcer.clone(),
+            number,
+            node,
+            length: u32::try_from(data.len()).unwrap_or(u32::MAX),
+            reply: Some(reply),
+        };
+        self.fs.write(node, data, Box::new(move |outcome| writing.answer(outcome)));
     }
 
     /// The errno of every request to add, remove or rename something, which this tree does not allow.
@@ -167,6 +184,40 @@ impl Drop for Arrival {
         if !self.answered {
             self.answer(&Err(Error::host("", nix::errno::Errno::ENODEV, "the gauge has been given up")));
         }
+    }
+}
+
+/// A write that was passed on. It gets an answer, even if the gauge's owner ends without giving one.
+struct Writing {
+    fs: Arc<Fs>,
+    table: Arc<Table>,
+    announcer: Announcer,
+    number: u64,
+    node: Node,
+    length: u32,
+    reply: Option<ReplyWrite>,
+}
+
+impl Writing {
+    fn answer(&mut self, outcome: Result<()>) {
+        let Some(reply) = self.reply.take() else { return };
+        let (fs, table, number, node, length) =
+            (self.fs.clone(), self.table.clone(), self.number, self.node, self.length);
+        self.announcer.answer(Box::new(move || {
+            lock(&table).write_ends(number, present(&fs, node), Now::read());
+            match outcome {
+                Ok(()) => reply.written(length),
+                Err(error) => reply.error(errno(&error)),
+            }
+        }));
+        self.fs.raise(node);
+    }
+}
+
+impl Drop for Writing {
+    fn drop(&mut self) {
+        let why = "the gauge has been given up during a write; mount it again to find out what it holds";
+        self.answer(Err(Error::host("", nix::errno::Errno::ENOTRECOVERABLE, why)));
     }
 }
 
@@ -358,26 +409,10 @@ impl Filesystem for Adapter {
         if offset != 0 && !appends && !self.fs.is_stream(node) {
             return reply.error(Errno::EINVAL);
         }
-        self.inodes().write_begins(number, Now::read());
-        let written = u32::try_from(data.len()).unwrap_or(u32::MAX);
-        let (table, announcer, fs) = (self.table.clone(), self.announcer.clone(), self.fs.clone());
-        self.fs.write(
-            node,
-            data,
-            Box::new(move |outcome| {
-                let fs_of_node = fs.clone();
-                announcer.answer(Box::new(move || {
-                    let mut inodes = lock(&table);
-                    inodes.write_ends(number, present(&fs, node), Now::read());
-                    drop(inodes);
-                    match outcome {
-                        Ok(()) => reply.written(written),
-                        Err(error) => reply.error(errno(&error)),
-                    }
-                }));
-                fs_of_node.raise(node);
-            }),
-        );
+        self.announcer.pass_on(|refused| match refused {
+            Some(error) => reply.error(errno(&error)),
+            None => self.pass_on_write(number, node, data, reply),
+        });
     }
 
     fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {

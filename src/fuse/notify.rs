@@ -28,7 +28,7 @@ use fuser::{INodeNo, Notifier};
 use super::adapter::present;
 use super::inodes::{Now, Value};
 use super::{Table, host, lock};
-use crate::error::Result;
+use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
 
@@ -45,6 +45,8 @@ pub struct Announcer {
     signal: Arc<Signal>,
     /// `/dev/fuse`, if the kernel keeps names. The crate `fuser` does not have the notification that this takes.
     names: Arc<OnceLock<File>>,
+    /// The daemon is ending. Locked while a request is passed on to a gauge's owner.
+    ending: Arc<Mutex<bool>>,
 }
 
 #[derive(Default)]
@@ -59,7 +61,7 @@ struct Queue {
 impl Announcer {
     /// One whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
-        Self { queue: Arc::default(), signal, names: Arc::default() }
+        Self { queue: Arc::default(), signal, names: Arc::default(), ending: Arc::default() }
     }
 
     /// Lets the kernel keep the names of files, if it can be notified that they are out of date.
@@ -91,6 +93,19 @@ impl Announcer {
         if let Some(answer) = self.add(answer, false) {
             answer();
         }
+    }
+
+    /// Refuses every later write, and every later read of a value that has to be read from a gauge.
+    pub fn refuse(&self) {
+        *lock(&self.ending) = true;
+    }
+
+    /// Passes a request on to a gauge's owner, or refuses it because the daemon is ending. A request that is
+    /// passed on precedes whatever the daemon sends to the owner after [`Self::refuse`].
+    pub(super) fn pass_on(&self, request: impl FnOnce(Option<Error>)) {
+        let ending = lock(&self.ending);
+        let why = "gaugefs is ending, so nothing was sent; mount again and try again";
+        request(ending.then(|| Error::new("", Cause::NotNow(why.into()))));
     }
 
     /// Gives the answers that are waiting. When it returns, no notification is under way, and none will follow.

@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::RealClock;
@@ -459,6 +459,31 @@ fn files_appear_and_disappear_with_their_values() {
     mount.sim.set("power", "on").expect("a knob");
     until("the gauge back", || mount.shows("present", "1"));
     until("its voltage", || mount.path("voltage_now").exists());
+}
+
+/// A bus on which the gauge's owner panics during a write.
+struct Panics(gauge_sim::SimBus, Arc<AtomicBool>);
+
+impl Bus for Panics {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        assert!(!self.1.load(Ordering::SeqCst), "as the test wants it");
+        self.0.transfer(write, read)
+    }
+}
+
+/// Nobody knows what came of such a write, so EIO, which means that nothing has changed, would be wrong.
+#[test]
+fn a_write_that_nobody_answers_is_unknown() {
+    let now = Arc::new(AtomicBool::new(false));
+    let bus = |sim: &Sim| Box::new(Panics(sim.bus(), now.clone())) as Box<dyn Bus>;
+    let hour = Duration::from_secs(3600);
+    let Some(mount) = Mount::with("bq34z100-g1", hour, Keys::default(), |_| {}, Vec::new(), bus) else {
+        return;
+    };
+    now.store(true, Ordering::SeqCst);
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
+    // The owner is gone for this one, too.
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
 }
 
 /// Only the owner can read data flash, and only the owner can write.
