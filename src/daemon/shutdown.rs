@@ -76,6 +76,11 @@ fn end(signal: Signal, phase: &mut Phase) {
             answer(handles, announcer);
             std::process::exit(i32::from(detached.is_err()));
         }
+        // Somebody else has detached it, but a file is still open.
+        Err(_) if !mountpoint::is_ours(path) => {
+            answer(handles, announcer);
+            std::process::exit(0);
+        }
         Err(error) => log::error!("{error}"),
     }
 }

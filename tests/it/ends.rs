@@ -9,6 +9,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -31,7 +32,12 @@ struct Connections(PathBuf);
 
 impl Connections {
     fn mount() -> Self {
-        let folder = std::env::temp_dir().join(format!("gaugefs-ends-connections-{}", std::process::id()));
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let folder = std::env::temp_dir().join(format!(
+            "gaugefs-connections-{}-{}",
+            std::process::id(),
+            COUNT.fetch_add(1, Relaxed)
+        ));
         fs::create_dir(&folder).expect("a folder");
         let kind = Some("fusectl");
         mount(kind, &folder, kind, MsFlags::empty(), None::<&str>).expect("connections can be aborted");
@@ -98,6 +104,10 @@ impl Daemon {
 
     fn file(&self, name: &str) -> PathBuf {
         self.place().join("BAT0").join(name)
+    }
+
+    fn send(&self, signal: Signal) {
+        kill(Pid::from_raw(self.process.id() as i32), signal).expect("it runs");
     }
 
     fn is_mounted(&self) -> bool {
@@ -281,7 +291,7 @@ fn end(number: u64, random: &mut Random, connections: &Connections) {
     let after = Duration::from_micros(random.below(3_000_000));
     thread::sleep(after);
     let what = format!("{number}: {signal} after {after:?}");
-    kill(Pid::from_raw(daemon.process.id() as i32), signal).expect("it runs");
+    daemon.send(signal);
 
     let start = Instant::now();
     while daemon.process.try_wait().expect("a child").is_none() {
@@ -346,10 +356,37 @@ fn end(number: u64, random: &mut Random, connections: &Connections) {
     assert!(left.is_empty(), "{what}: {left:?} are left");
 }
 
+fn may_abort() -> bool {
+    let may = geteuid().is_root() && File::options().read(true).write(true).open("/dev/fuse").is_ok();
+    if !may {
+        eprintln!("SKIPPED: only root can abort the mount of a daemon that hangs; none was ended");
+    }
+    may
+}
+
+/// The kernel ends the session of a detached mount only when the last file is closed.
+#[test]
+fn a_daemon_ends_on_sigterm_although_its_detached_mount_is_in_use() {
+    if !may_abort() {
+        return;
+    }
+    let connections = Connections::mount();
+    let mut daemon = Daemon::start("detached", &connections);
+    let held = File::open(daemon.file("present")).expect("opens");
+    umount2(&daemon.place(), MntFlags::MNT_DETACH).expect("detached");
+    daemon.send(Signal::SIGTERM);
+    let mut ended = None;
+    within("the end", || {
+        ended = daemon.process.try_wait().expect("a child");
+        ended.is_some()
+    });
+    assert!(ended.is_some_and(|status| status.success()), "{ended:?}");
+    drop(held);
+}
+
 #[test]
 fn a_daemon_ended_at_any_moment_ends_and_was_truthful() {
-    if !geteuid().is_root() || File::options().read(true).write(true).open("/dev/fuse").is_err() {
-        eprintln!("SKIPPED: only root can abort the mount of a daemon that hangs; none was ended");
+    if !may_abort() {
         return;
     }
     let connections = Connections::mount();
