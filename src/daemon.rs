@@ -91,20 +91,20 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
-    let how = fuse::Options { private: mount.private, read_only: mount.read_only };
+    let how = fuse::Options { private: mount.private, read_only: mount.read_only, ..Default::default() };
     let mounted = match device {
         Some(device) => {
             // Its mount is the answer.
             background::notify();
             service::wait(&device, &*clock)?;
             let mounted = fuse::serve(tree, device, how, signal)?;
-            shutdown.reach(Phase::Serving(handles.clone(), mounted.answers()));
+            shutdown.reach(Phase::Serving(handles.clone(), mounted.announcer()));
             mounted
         }
         None => {
             mountpoint::make(&mountpoint)?;
             let mounted = fuse::mount(tree, &mountpoint, how, signal)?;
-            shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone()));
+            shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));
             mounted
         }
     };

@@ -5,16 +5,17 @@
 //!   a nodeid of its own with its exact size, GETATTR and READ of that nodeid serve those bytes for ever, and
 //!   FORGET drops it. So no reader gets the size of one value with the bytes of another, and a value that
 //!   has not changed comes from the kernel's page cache without a message.
-//! - `notify` tells the kernel which names have a new value, from threads of its own.
+//! - `notify` is the thread that notifies the kernel that files have a new value.
 //!
 //! `open` is answered ENOSYS once, after which the kernel does not ask again; so is `opendir`, except over
 //! the kernel's own supplies, where the kernel must not keep the root's listing.
 //!
 //! A new value is a new nodeid: it becomes the current one under the lock, the lock is released, and then
-//! the kernel is notified that the name has changed. A file that is held open across a change keeps its
-//! nodeid; that nodeid is renewed when no read of the old value can be under way any more.
+//! the kernel is notified, so that it looks the name up again. A file that is held open across a change keeps its
+//! nodeid; that nodeid is renewed when no read of the old value can be under way any more. The kernel finds out
+//! without a notification, because it has to ask for the file's attributes again by then.
 
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -31,7 +32,7 @@ mod notify;
 
 use adapter::{Adapter, Waiter};
 use inodes::{Inodes, Now};
-pub use notify::Answers;
+pub use notify::Announcer;
 
 /// How to mount.
 #[derive(Clone, Copy, Debug, Default)]
@@ -40,6 +41,8 @@ pub struct Options {
     pub private: bool,
     /// Every write is refused.
     pub read_only: bool,
+    /// The kernel keeps no names of files, as before Linux 6.16.
+    pub names_not_kept: bool,
 }
 
 /// A mounted tree. Dropping it unmounts the tree.
@@ -47,7 +50,7 @@ pub struct Mounted {
     session: fuser::BackgroundSession,
     /// Disconnects when the session has ended and its adapter is dropped.
     over: Receiver<()>,
-    answers: Answers,
+    announcer: Announcer,
 }
 
 impl Mounted {
@@ -56,9 +59,9 @@ impl Mounted {
         self.session.guard.is_finished()
     }
 
-    /// The writes that have not been answered yet.
-    pub fn answers(&self) -> Answers {
-        self.answers.clone()
+    /// The thread that has to be stopped before the process exits while the tree is still mounted.
+    pub fn announcer(&self) -> Announcer {
+        self.announcer.clone()
     }
 
     /// Returns when somebody else has unmounted the tree.
@@ -118,23 +121,26 @@ fn start(
     begin: impl FnOnce(Adapter) -> Result<Session<Adapter>>,
 ) -> Result<Mounted> {
     let table = Arc::new(Mutex::new(Inodes::new(Now::read())));
-    let answers = Answers::new(signal);
+    let announcer = Announcer::new(signal);
     let (alive, over) = mpsc::channel();
-    let adapter =
-        Adapter { fs: fs.clone(), table: table.clone(), options, answers: answers.clone(), _alive: alive };
+    let adapter = Adapter {
+        fs: fs.clone(),
+        table: table.clone(),
+        options,
+        announcer: announcer.clone(),
+        _alive: alive,
+    };
     let session = begin(adapter)?;
+    if !options.names_not_kept {
+        announcer.keep_names(session.as_fd());
+    }
     let notifier = session.notifier();
     let session = session.spawn().map_err(|error| host("a thread", &error))?;
-    notify::start(fs, table, notifier, answers.clone())?;
-    Ok(Mounted { session, over, answers })
+    announcer.start(fs, table, notifier)?;
+    Ok(Mounted { session, over, announcer })
 }
 
-fn thread(name: &str, body: impl FnOnce() + Send + 'static) -> Result<()> {
-    let builder = std::thread::Builder::new().name(name.into()).stack_size(128 * 1024);
-    builder.spawn(body).map(|_| ()).map_err(|error| host("a thread", &error))
-}
-
-/// The nodeids, shared by the handlers and the threads that notify the kernel.
+/// The nodeids, shared by the handlers and the thread that notifies the kernel.
 type Table = Mutex<Inodes<Waiter>>;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

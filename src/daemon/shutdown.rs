@@ -19,9 +19,9 @@ pub(super) enum Phase {
     #[default]
     Starting,
     /// A signal has to unmount this.
-    Mounted(PathBuf, Vec<Handle>),
+    Mounted(PathBuf, Vec<Handle>, fuse::Announcer),
     /// `service::attach` has mounted it, and `service::detach` will unmount it.
-    Serving(Vec<Handle>, fuse::Answers),
+    Serving(Vec<Handle>, fuse::Announcer),
     /// It is unmounted, and `run` is about to return.
     Ending,
 }
@@ -54,18 +54,16 @@ impl Shutdown {
 }
 
 fn end(signal: Signal, phase: &mut Phase) {
-    let (path, handles) = match phase {
+    let (path, handles, announcer) = match phase {
         Phase::Starting => {
             eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
             lock::remove_all();
             std::process::exit(1);
         }
-        Phase::Mounted(path, handles) => (path, handles),
-        Phase::Serving(handles, answers) => {
+        Phase::Mounted(path, handles, announcer) => (path, handles, announcer),
+        Phase::Serving(handles, announcer) => {
             log::info!("{signal}: ending");
-            finish(handles);
-            answers.flush();
-            lock::remove_all();
+            answer(handles, announcer);
             std::process::exit(0);
         }
         Phase::Ending => return,
@@ -77,16 +75,29 @@ fn end(signal: Signal, phase: &mut Phase) {
         Err(error) if error.errno() == Errno::EBUSY => {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
-            finish(handles);
-            lock::remove_all();
+            answer(handles, announcer);
             std::process::exit(i32::from(detached.is_err()));
+        }
+        // Somebody else has detached it, but a file is still open.
+        Err(_) if !mountpoint::is_ours(path) => {
+            answer(handles, announcer);
+            std::process::exit(0);
         }
         Err(error) => log::error!("{error}"),
     }
 }
 
-/// Waits until the gauges' owners have completed the request that they are serving, such as a transaction,
-/// and keeps them from starting another.
+/// Answers every write that was accepted with its outcome, and accepts no other. When it returns, the answers
+/// have reached the kernel, and the locks are removed.
+fn answer(handles: &[Handle], announcer: &fuse::Announcer) {
+    announcer.refuse();
+    finish(handles);
+    announcer.stop();
+    lock::remove_all();
+}
+
+/// Waits until the gauges' owners have completed the requests that were submitted, such as transactions, and
+/// keeps them from doing anything else.
 pub(super) fn finish(handles: &[Handle]) {
     let (done, is_done) = mpsc::channel::<()>();
     for handle in handles {

@@ -12,27 +12,32 @@ use std::time::{Duration, Instant, SystemTime};
 
 use fuser::{
     AccessFlags, BsdFileFlags, CopyFileRangeFlags, Errno, FileAttr, FileHandle, FileType, Filesystem,
-    FopenFlags, Generation, INodeNo, IoctlFlags, LockOwner, OpenFlags, PollEvents, PollFlags, PollNotifier,
-    RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty, ReplyEntry, ReplyIoctl,
-    ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request, TimeOrNow, WriteFlags,
+    FopenFlags, Generation, INodeNo, InitFlags, IoctlFlags, KernelConfig, LockOwner, OpenFlags, PollEvents,
+    PollFlags, PollNotifier, RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty,
+    ReplyEntry, ReplyIoctl, ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request,
+    TimeOrNow, WriteFlags,
 };
 
-use super::inodes::{Inodes, Now, Shown, Value};
-use super::notify::Answers;
+use super::inodes::{Inode, Inodes, Now, Shown, Value};
+use super::notify::Announcer;
 use super::{Options, Table, lock};
 use crate::error::{Error, Result};
 use crate::fs::{Fs, Node, Shape};
 
-/// How long the kernel may keep a name and a size without asking. This bounds how long a lost notification
-/// or a dead daemon goes unnoticed.
+/// How long the kernel may keep a name without asking. This bounds how long a lost notification or a dead
+/// daemon goes unnoticed.
 const TTL: Duration = Duration::from_secs(2);
-
-/// How long the kernel may keep the estimated size of an unread file. Reading the file corrects it.
-const UNREAD_TTL: Duration = Duration::from_secs(3600);
 
 /// A request that is answered when an unread value has arrived.
 pub(super) enum Waiter {
-    Read { offset: u64, size: u32, reply: ReplyData },
+    Read {
+        offset: u64,
+        size: u32,
+        reply: ReplyData,
+    },
+    /// A GETATTR that precedes a READ, and fails as that would.
+    SizeToRead(ReplyAttr),
+    /// A GETATTR for `stat`.
     Attributes(ReplyAttr),
 }
 
@@ -47,7 +52,7 @@ pub(super) struct Adapter {
     pub(super) fs: Arc<Fs>,
     pub(super) table: Arc<Table>,
     pub(super) options: Options,
-    pub(super) answers: Answers,
+    pub(super) announcer: Announcer,
     /// Disconnects when the session has ended and drops its adapter.
     pub(super) _alive: Sender<()>,
 }
@@ -91,12 +96,51 @@ impl Adapter {
         }
     }
 
-    fn ttl(&self, node: Node) -> Duration {
-        if self.fs.may_be_cached(node) { TTL } else { Duration::ZERO }
+    /// How long the kernel may keep a name. That of a file means the value that it had.
+    fn name_ttl(&self, node: Node) -> Duration {
+        let fixed = self.fs.shape(node) != Shape::File;
+        if self.fs.may_be_cached(node) && (fixed || self.announcer.keeps_names()) {
+            TTL
+        } else {
+            Duration::ZERO
+        }
     }
 
+    /// How long the kernel may keep the attributes.
     fn attr_ttl(&self, shown: &Shown) -> Duration {
-        if shown.unread { UNREAD_TTL } else { self.ttl(shown.node) }
+        match self.fs.shape(shown.node) {
+            Shape::File => shown.valid,
+            Shape::Folder | Shape::Link => self.name_ttl(shown.node),
+        }
+    }
+
+    /// Answers a request when the nodeid's value has been read from the gauge.
+    fn answer_when_read(&self, mut inodes: MutexGuard<'_, Inodes<Waiter>>, number: u64, waiter: Waiter) {
+        let node = inodes.get(number).map(Inode::node);
+        // The first answer becomes the value of this nodeid, for this request and every other.
+        let first = inodes.wait(number, waiter);
+        drop(inodes);
+        if let Some(node) = node.filter(|_| first) {
+            let arrival = Arrival { adapter: self.clone(), number, answered: false };
+            self.announcer.pass_on(|refused| match refused {
+                Some(error) => arrival.with(Err(error)),
+                None => self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from)))),
+            });
+        }
+    }
+
+    fn pass_on_write(&self, number: u64, node: Node, offset: u64, data: &[u8], reply: ReplyWrite) {
+        self.inodes().write_begins(number, Now::read());
+        let mut writing = Writing {
+            fs: self.fs.clone(),
+            table: self.table.clone(),
+            announcer: self.announcer.clone(),
+            number,
+            node,
+            length: u32::try_from(data.len()).unwrap_or(u32::MAX),
+            reply: Some(reply),
+        };
+        self.fs.write(node, offset, data, Box::new(move |outcome| writing.answer(outcome)));
     }
 
     /// The errno of every request to add, remove or rename something, which this tree does not allow.
@@ -126,8 +170,9 @@ impl Arrival {
             match (waiter, read) {
                 (Waiter::Read { offset, size, reply }, Ok(bytes)) => reply.data(slice(bytes, offset, size)),
                 (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
-                (Waiter::Attributes(reply), _) => {
-                    reply.attr(&Duration::ZERO, &self.adapter.attr(&shown));
+                (Waiter::SizeToRead(reply), Err(error)) => reply.error(errno(error)),
+                (Waiter::Attributes(reply) | Waiter::SizeToRead(reply), _) => {
+                    reply.attr(&self.adapter.attr_ttl(&shown), &self.adapter.attr(&shown));
                 }
             }
         }
@@ -142,6 +187,45 @@ impl Drop for Arrival {
     }
 }
 
+/// A write that was passed on. It gets an answer, even if the gauge's owner ends without giving one.
+struct Writing {
+    fs: Arc<Fs>,
+    table: Arc<Table>,
+    announcer: Announcer,
+    number: u64,
+    node: Node,
+    length: u32,
+    reply: Option<ReplyWrite>,
+}
+
+impl Writing {
+    fn answer(&mut self, outcome: Result<()>) {
+        let Some(reply) = self.reply.take() else { return };
+        let (fs, table, number, node, length) =
+            (self.fs.clone(), self.table.clone(), self.number, self.node, self.length);
+        self.announcer.answer(Box::new(move || {
+            lock(&table).write_ends(number, present(&fs, node), Now::read());
+            match outcome {
+                Ok(()) => reply.written(length),
+                Err(error) => reply.error(errno(&error)),
+            }
+        }));
+        self.fs.raise(node);
+    }
+}
+
+impl Drop for Writing {
+    fn drop(&mut self) {
+        let why = "the gauge has been given up during a write; mount it again to find out what it holds";
+        self.answer(Err(Error::host("", nix::errno::Errno::ENOTRECOVERABLE, why)));
+    }
+}
+
+/// The value that a file has now.
+pub(super) fn present(fs: &Fs, node: Node) -> Value {
+    Value::of(fs.content(node)).unwrap_or(Value::Gone)
+}
+
 fn errno(error: &Error) -> Errno {
     Errno::from_i32(error.errno() as i32)
 }
@@ -152,6 +236,18 @@ fn slice(bytes: &[u8], offset: u64, size: u32) -> &[u8] {
 }
 
 impl Filesystem for Adapter {
+    fn init(&mut self, _: &Request, config: &mut KernelConfig) -> std::io::Result<()> {
+        // See `getattr`. Linux has had it since 3.10.
+        if config.add_capabilities(InitFlags::FUSE_AUTO_INVAL_DATA).is_err() {
+            log::warn!("this kernel is too old to show changes in files that are held open");
+        }
+        Ok(())
+    }
+
+    fn destroy(&mut self) {
+        self.announcer.close();
+    }
+
     fn lookup(&self, request: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
         let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
         let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
@@ -166,7 +262,7 @@ impl Filesystem for Adapter {
         let Some(value) = value else { return reply.error(Errno::ENOENT) };
         let shown = inodes.enter(node, value, request.pid(), Now::read());
         drop(inodes);
-        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.ttl(node));
+        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
         reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
     }
 
@@ -174,16 +270,30 @@ impl Filesystem for Adapter {
         self.inodes().forget(ino.into(), lookups);
     }
 
-    fn getattr(&self, _: &Request, ino: INodeNo, _: Option<FileHandle>, reply: ReplyAttr) {
-        let number = u64::from(ino);
+    /// The kernel sends this before a read if the attributes that it has are no longer valid, and drops the
+    /// bytes that it has if the file's time differs. This is how a file that is held open gets its new value.
+    fn getattr(&self, _: &Request, ino: INodeNo, handle: Option<FileHandle>, reply: ReplyAttr) {
+        let (number, now) = (u64::from(ino), Now::read());
+        // `fstat` passes no handle.
+        let reads = handle.is_some();
         let mut inodes = self.inodes();
+        if let Some(node) = inodes.due(number, now) {
+            let value = present(&self.fs, node);
+            // The estimated size of an unread value would be wrong for whoever is reading the old value.
+            if reads || !matches!(value, Value::Unread(_)) {
+                inodes.renew(number, value, now);
+            }
+        }
         let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+        if reads && inode.is_unread() {
+            return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
+        }
         if inode.is_awaited() {
             // The size arrives with the value.
-            inodes.wait(number, Waiter::Attributes(reply));
-            return;
+            return self.answer_when_read(inodes, number, Waiter::Attributes(reply));
         }
-        let shown = inode.shown(number);
+        inodes.settle(number, now);
+        let Some(shown) = inodes.shown(number, now) else { return reply.error(Errno::ESTALE) };
         drop(inodes);
         reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
     }
@@ -211,8 +321,12 @@ impl Filesystem for Adapter {
         if mode.is_some() || uid.is_some() || gid.is_some() {
             return reply.error(self.fixed());
         }
-        let shown = self.inodes().shown(ino.into());
-        let Some(shown) = shown else { return reply.error(Errno::ESTALE) };
+        let number = u64::from(ino);
+        let mut inodes = self.inodes();
+        let Some(shown) = inodes.shown(number, Now::read()) else { return reply.error(Errno::ESTALE) };
+        // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
+        inodes.touch(number);
+        drop(inodes);
         if size.is_some() && !self.fs.may_be_written(shown.node) {
             return reply.error(Errno::EACCES);
         }
@@ -262,9 +376,8 @@ impl Filesystem for Adapter {
         reply: ReplyData,
     ) {
         let number = u64::from(ino);
-        let mut inodes = self.inodes();
+        let inodes = self.inodes();
         let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
-        let node = inode.node();
         match inode.value() {
             Value::Bytes(bytes) => {
                 let bytes = bytes.clone();
@@ -275,13 +388,7 @@ impl Filesystem for Adapter {
             Value::Fixed => return reply.error(Errno::EISDIR),
             Value::Unread(_) => {}
         }
-        // The first answer becomes the value of this nodeid, for this read and every other.
-        let first = inodes.wait(number, Waiter::Read { offset, size, reply });
-        drop(inodes);
-        if first {
-            let arrival = Arrival { adapter: self.clone(), number, answered: false };
-            self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from))));
-        }
+        self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply });
     }
 
     fn write(
@@ -302,24 +409,10 @@ impl Filesystem for Adapter {
         if offset != 0 && !appends && !self.fs.is_stream(node) {
             return reply.error(Errno::EINVAL);
         }
-        self.inodes().write_begins(number, Now::read());
-        let written = u32::try_from(data.len()).unwrap_or(u32::MAX);
-        let (table, answers, fs) = (self.table.clone(), self.answers.clone(), self.fs.clone());
-        self.fs.write(
-            node,
-            offset,
-            data,
-            Box::new(move |outcome| {
-                answers.push(Box::new(move || {
-                    match outcome {
-                        Ok(()) => reply.written(written),
-                        Err(error) => reply.error(errno(&error)),
-                    }
-                    lock(&table).write_ended(number);
-                }));
-                fs.raise(node);
-            }),
-        );
+        self.announcer.pass_on(|refused| match refused {
+            Some(error) => reply.error(errno(&error)),
+            None => self.pass_on_write(number, node, offset, data, reply),
+        });
     }
 
     fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {

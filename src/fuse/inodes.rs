@@ -3,7 +3,7 @@
 //! One nodeid is one immutable value, so a reader never gets the size of one value with the bytes of
 //! another. A new value gets a new nodeid; the old one is superseded and keeps its bytes. Only a file that is
 //! held open across a change has to follow it under the nodeid that it has: that nodeid is renewed, either
-//! after a delay or when a write through it has been answered.
+//! after a delay or when a write through it is answered.
 //!
 //! This module knows neither FUSE nor any lock, and reads no clock: every caller passes the time.
 
@@ -19,6 +19,10 @@ pub(super) const ROOT: u64 = 1;
 /// Delay before an open file switches to its new value, so that no read of the old value is still under
 /// way. 50 ms was too short: one torn read in 5 million.
 pub(super) const RENEWAL_DELAY: Duration = Duration::from_secs(2);
+
+/// Time after a renewal in which each GETATTR shows another file time, so that each reader drops the old bytes
+/// itself. It cannot rely on the first reader, which makes the new size visible before it drops the bytes.
+const SETTLING: Duration = Duration::from_millis(50);
 
 /// The present time on both clocks: one measures delays, the other is shown as a file's time.
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +67,7 @@ impl Value {
     }
 }
 
-/// What `stat` shows of a nodeid, apart from what follows from the node alone.
+/// What `stat` shows of a nodeid, apart from what follows from its node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub(super) number: u64,
@@ -71,8 +75,8 @@ pub(super) struct Shown {
     pub(super) size: u64,
     /// When the nodeid got its present value.
     pub(super) since: SystemTime,
-    /// The size is an estimate until the file is read.
-    pub(super) unread: bool,
+    /// How long the kernel may keep this, which is not longer than until a renewal.
+    pub(super) valid: Duration,
 }
 
 /// One nodeid. `W` is a request that waits for the value.
@@ -87,6 +91,8 @@ pub(super) struct Inode<W> {
     since: SystemTime,
     /// When another value took its place, while that is not yet shown under this nodeid.
     superseded: Option<Instant>,
+    /// When it was last renewed, if that is less than [`SETTLING`] ago.
+    renewed: Option<Instant>,
     /// Writes that have not been answered. The kernel keeps the file's page locked until they are.
     writing: u32,
     /// Requests that wait for an unread value, from the first READ until the value arrives.
@@ -95,7 +101,17 @@ pub(super) struct Inode<W> {
 
 impl<W> Inode<W> {
     fn new(node: Node, value: Value, thread: u32, since: SystemTime) -> Self {
-        Self { node, lookups: 1, thread, value, since, superseded: None, writing: 0, waiting: None }
+        Self {
+            node,
+            lookups: 1,
+            thread,
+            value,
+            since,
+            superseded: None,
+            renewed: None,
+            writing: 0,
+            waiting: None,
+        }
     }
 
     /// The file, folder or link.
@@ -113,14 +129,29 @@ impl<W> Inode<W> {
         self.waiting.is_some()
     }
 
+    /// Whether its value has to be read from the gauge.
+    pub(super) fn is_unread(&self) -> bool {
+        matches!(self.value, Value::Unread(_))
+    }
+
     fn is_idle(&self) -> bool {
         self.writing == 0 && !self.is_awaited()
     }
 
+    /// When it is renewed; `None` while it is up to date or in use.
+    fn due(&self) -> Option<Instant> {
+        self.superseded.filter(|_| self.is_idle()).map(|since| since + RENEWAL_DELAY)
+    }
+
     /// What `stat` shows of it; `number` is its own.
-    pub(super) fn shown(&self, number: u64) -> Shown {
-        let unread = matches!(self.value, Value::Unread(_));
-        Shown { number, node: self.node, size: self.value.size(), since: self.since, unread }
+    pub(super) fn shown(&self, number: u64, now: Now) -> Shown {
+        let valid = match self.superseded {
+            _ if self.renewed.is_some() => Duration::ZERO,
+            // Even if it is superseded at once, it is not renewed earlier.
+            None => RENEWAL_DELAY,
+            Some(_) => self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)),
+        };
+        Shown { number, node: self.node, size: self.value.size(), since: self.since, valid }
     }
 }
 
@@ -132,8 +163,6 @@ pub(super) struct Inodes<W> {
     live: HashMap<u64, Inode<W>>,
     /// The nodeid that a lookup of the node finds, unless the value has changed.
     current: HashMap<Node, u64>,
-    /// Nodeids through which a write has been answered since the last renewal.
-    written: Vec<u64>,
 }
 
 impl<W> Inodes<W> {
@@ -144,7 +173,6 @@ impl<W> Inodes<W> {
             started: now.time,
             live: HashMap::from([(ROOT, Inode::new(Node::Root, Value::Fixed, 0, now.time))]),
             current: HashMap::from([(Node::Root, ROOT)]),
-            written: Vec::new(),
         }
     }
 
@@ -154,8 +182,8 @@ impl<W> Inodes<W> {
     }
 
     /// What `stat` shows of it.
-    pub(super) fn shown(&self, number: u64) -> Option<Shown> {
-        self.get(number).map(|inode| inode.shown(number))
+    pub(super) fn shown(&self, number: u64, now: Now) -> Option<Shown> {
+        self.get(number).map(|inode| inode.shown(number, now))
     }
 
     /// The nodeid of a node's present value, if the kernel knows one.
@@ -178,7 +206,7 @@ impl<W> Inodes<W> {
             let own = inode.thread == thread && thread != 0 && !inode.is_awaited();
             if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
                 inode.lookups += 1;
-                return inode.shown(number);
+                return inode.shown(number, now);
             }
             self.retire(number, now);
         }
@@ -186,7 +214,7 @@ impl<W> Inodes<W> {
         self.next += 1;
         let since = if value == Value::Fixed { self.started } else { now.time };
         let inode = Inode::new(node, value, thread, since);
-        let shown = inode.shown(number);
+        let shown = inode.shown(number, now);
         self.live.insert(number, inode);
         self.current.insert(node, number);
         shown
@@ -239,8 +267,10 @@ impl<W> Inodes<W> {
         let waiting = inode.waiting.take().unwrap_or_default();
         if let Some(bytes) = value {
             inode.value = Value::Bytes(bytes.clone());
+            // A renewed nodeid gets its new size only now.
+            inode.renewed = inode.renewed.map(|_| now.instant);
         }
-        let shown = inode.shown(number);
+        let shown = inode.shown(number, now);
         if value.is_some() && inode.superseded.is_none() && inode.writing == 0 {
             // Lookups until the next poll find the value that was read.
             if let Some(other) = self.current(shown.node).filter(|&other| other != number) {
@@ -270,43 +300,52 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The write has been answered.
-    pub(super) fn write_ended(&mut self, number: u64) {
-        if let Some(inode) = self.live.get_mut(&number) {
-            inode.writing -= 1;
-            self.written.push(number);
+    /// The write is about to be answered. The nodeid shows the file's present value from now on, so that the
+    /// writer reads the result of its write.
+    pub(super) fn write_ends(&mut self, number: u64, value: Value, now: Now) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.writing -= 1;
+        if inode.writing == 0 {
+            self.renew(number, value, now);
         }
     }
 
-    /// Whether [`Self::take_due`] has anything to return, now or later.
-    pub(super) fn is_renewal_pending(&self) -> bool {
-        !self.written.is_empty() || self.live.values().any(|inode| inode.superseded.is_some())
+    /// The node of a nodeid that has to be renewed before it is shown; `None` if it need not be.
+    pub(super) fn due(&self, number: u64, now: Now) -> Option<Node> {
+        let inode = self.get(number)?;
+        inode.due().filter(|due| *due <= now.instant).map(|_| inode.node)
     }
 
-    /// When [`Self::take_due`] has to be called next. A nodeid that is being read or written has to wait for
-    /// the answer, which calls for a renewal by itself.
-    pub(super) fn next_due(&self) -> Option<Instant> {
-        let idle = self.live.values().filter(|inode| inode.is_idle());
-        idle.filter_map(|inode| inode.superseded).min().map(|oldest| oldest + RENEWAL_DELAY)
-    }
-
-    /// The nodeids to renew now: a superseded one after the delay, a written one at once, so that the writer
-    /// reads the result of its write.
-    pub(super) fn take_due(&mut self, now: Now) -> Vec<(u64, Node)> {
-        let written = std::mem::take(&mut self.written);
-        let is_due = |(number, inode): &(&u64, &Inode<W>)| {
-            let settled = inode.superseded.is_some_and(|since| now.instant >= since + RENEWAL_DELAY);
-            inode.is_idle() && (settled || written.contains(number))
-        };
-        self.live.iter().filter(is_due).map(|(&number, inode)| (number, inode.node)).collect()
-    }
-
-    /// Gives a nodeid its node's present value.
+    /// Gives a nodeid its file's present value.
     pub(super) fn renew(&mut self, number: u64, value: Value, now: Now) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.value = value;
+        inode.superseded = None;
+        inode.renewed = Some(now.instant);
+        inode.since = now.time;
+        self.touch(number);
+    }
+
+    /// Ends the time of settling, or gives the nodeid a new file time until then.
+    pub(super) fn settle(&mut self, number: u64, now: Now) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.renewed = inode.renewed.filter(|&since| now.instant < since + SETTLING);
+        if inode.renewed.is_some() {
+            self.touch(number);
+        }
+    }
+
+    /// A folder has another listing from now on.
+    pub(super) fn restamp(&mut self, number: u64, now: Now) {
         if let Some(inode) = self.live.get_mut(&number) {
-            inode.superseded = None;
-            inode.value = value;
             inode.since = now.time;
+        }
+    }
+
+    /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one.
+    pub(super) fn touch(&mut self, number: u64) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.since += Duration::from_nanos(1);
         }
     }
 }
@@ -342,13 +381,17 @@ mod tests {
         Inodes::new(at(0))
     }
 
-    /// Renews what is due, to the value that every file has now.
-    fn renew(inodes: &mut Inodes<u32>, value: &Value, now: Now) -> Vec<u64> {
-        let due: Vec<u64> = inodes.take_due(now).into_iter().map(|(number, _)| number).collect();
-        for &number in &due {
-            inodes.renew(number, value.clone(), now);
+    /// Gives a nodeid the file's present value if it is due, as GETATTR does.
+    fn renew(inodes: &mut Inodes<u32>, number: u64, value: Value, now: Now) -> bool {
+        let due = inodes.due(number, now).is_some();
+        if due {
+            inodes.renew(number, value, now);
         }
         due
+    }
+
+    fn shown(inodes: &Inodes<u32>, number: u64, millis: u64) -> Shown {
+        inodes.shown(number, at(millis)).expect("the nodeid is known")
     }
 
     fn value(inodes: &Inodes<u32>, number: u64) -> &Value {
@@ -371,7 +414,7 @@ mod tests {
         let new = inodes.enter(FILE, bytes("10\n"), THREAD, at(5));
         assert_ne!(new.number, old.number);
         assert_eq!((new.size, new.since), (3, at(5).time));
-        assert_eq!(inodes.shown(old.number), Some(old));
+        assert_eq!(shown(&inodes, old.number, 5), Shown { valid: RENEWAL_DELAY, ..old });
         assert_eq!(value(&inodes, old.number), &bytes("9\n"));
         // An old value that comes back gets a nodeid of its own.
         let again = inodes.enter(FILE, bytes("9\n"), THREAD, at(9));
@@ -457,9 +500,9 @@ mod tests {
         assert!(!inodes.wait(mine, 2));
         assert!(inodes.wait(theirs, 3), "a different nodeid waits for itself");
         let (shown, waiters) = inodes.arrived(mine, Some(&b"3000\n"[..].into()), at(3)).expect("it is known");
-        assert_eq!((shown.size, shown.unread, waiters), (5, false, vec![1, 2]));
+        assert_eq!((shown.size, waiters), (5, vec![1, 2]));
         assert_eq!(inodes.enter(FILE, bytes("3000\n"), THREAD + 2, at(4)).number, mine);
-        assert!(inodes.shown(theirs).is_some_and(|shown| shown.unread));
+        assert!(inodes.get(theirs).is_some_and(Inode::is_unread));
         let (_, waiters) = inodes.arrived(theirs, Some(&b"3000\n"[..].into()), at(5)).expect("it is known");
         assert_eq!(waiters, [3]);
     }
@@ -470,7 +513,7 @@ mod tests {
         let number = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
         inodes.wait(number, 1);
         let (shown, waiters) = inodes.arrived(number, None, at(3)).expect("it is known");
-        assert_eq!((shown.size, shown.unread, waiters), (4096, true, vec![1]));
+        assert_eq!((shown.size, waiters), (4096, vec![1]));
         assert!(inodes.wait(number, 2), "the next reader asks again");
     }
 
@@ -488,20 +531,59 @@ mod tests {
     fn a_superseded_nodeid_is_renewed_only_after_the_delay() {
         let mut inodes = inodes();
         let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
-        assert!(!inodes.is_renewal_pending());
+        assert_eq!(inodes.due(number, at(9 * delay())), None, "its value has not changed");
         inodes.retire(number, at(10));
         inodes.retire(number, at(500));
-        assert!(inodes.is_renewal_pending());
-        assert_eq!(inodes.next_due(), Some(at(10 + delay()).instant));
-        assert!(renew(&mut inodes, &bytes("22\n"), at(9 + delay())).is_empty());
+        assert!(!renew(&mut inodes, number, bytes("22\n"), at(9 + delay())));
         assert_eq!(value(&inodes, number), &bytes("1\n"));
-        assert_eq!(renew(&mut inodes, &bytes("22\n"), at(10 + delay())), [number]);
-        let shown = inodes.shown(number).expect("it is known");
-        assert_eq!((shown.size, shown.since), (3, at(10 + delay()).time));
-        assert!(!inodes.is_renewal_pending());
-        assert_eq!(inodes.next_due(), None);
-        // From now on a change of the new value is noticed.
-        assert_eq!(inodes.up_to_date().count(), 1);
+        assert!(renew(&mut inodes, number, bytes("22\n"), at(10 + delay())));
+        assert_eq!(shown(&inodes, number, 10 + delay()).size, 3);
+        assert_eq!(inodes.due(number, at(9 * delay())), None);
+        assert_eq!(inodes.up_to_date().count(), 1, "a change of the new value is noticed");
+    }
+
+    #[test]
+    fn attributes_are_not_valid_beyond_a_renewal() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        assert_eq!(shown(&inodes, number, 100).valid, RENEWAL_DELAY);
+        inodes.retire(number, at(100));
+        assert_eq!(shown(&inodes, number, 300).valid, RENEWAL_DELAY - Duration::from_millis(200));
+        assert_eq!(shown(&inodes, number, 5 * delay()).valid, Duration::ZERO);
+        inodes.write_begins(number, at(300));
+        assert_eq!(shown(&inodes, number, 300).valid, Duration::ZERO);
+    }
+
+    #[test]
+    fn a_renewed_nodeid_has_a_new_time_for_each_reader_until_it_has_settled() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        let mut times = vec![shown(&inodes, number, 0).since];
+        // The calendar's clock need not have advanced.
+        inodes.renew(number, bytes("1\n"), at(0));
+        for millis in [0, 1, 49] {
+            inodes.settle(number, at(millis));
+            let now = shown(&inodes, number, millis);
+            assert_eq!(now.valid, Duration::ZERO);
+            assert!(!times.contains(&now.since), "at {millis} ms");
+            times.push(now.since);
+        }
+        inodes.settle(number, at(50));
+        let settled = shown(&inodes, number, 50);
+        assert_eq!((settled.valid, Some(&settled.since)), (RENEWAL_DELAY, times.last()));
+    }
+
+    #[test]
+    fn a_nodeid_that_is_renewed_with_an_unread_value_settles_when_the_value_has_arrived() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        inodes.renew(number, Value::Unread(4096), at(0));
+        inodes.wait(number, 1);
+        inodes.arrived(number, Some(&b"22\n"[..].into()), at(700));
+        inodes.settle(number, at(701));
+        assert_eq!(shown(&inodes, number, 701).valid, Duration::ZERO);
+        inodes.settle(number, at(750));
+        assert_eq!(shown(&inodes, number, 750).valid, RENEWAL_DELAY);
     }
 
     #[test]
@@ -509,10 +591,8 @@ mod tests {
         let mut inodes = inodes();
         let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
         inodes.retire(number, at(0));
-        renew(&mut inodes, &Value::Unread(4096), at(delay()));
         inodes.wait(number, 1);
-        inodes.retire(number, at(delay()));
-        assert!(renew(&mut inodes, &bytes("2\n"), at(3 * delay())).is_empty());
+        assert!(!renew(&mut inodes, number, bytes("2\n"), at(3 * delay())));
     }
 
     #[test]
@@ -520,21 +600,14 @@ mod tests {
         let mut inodes = inodes();
         let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
         inodes.write_begins(number, at(0));
+        inodes.write_begins(number, at(0));
         assert_eq!(inodes.current(FILE), None, "lookups no longer find it");
-        assert_eq!(inodes.next_due(), None);
-        assert!(renew(&mut inodes, &bytes("2\n"), at(5 * delay())).is_empty());
-        inodes.write_ended(number);
-        assert_eq!(renew(&mut inodes, &bytes("2\n"), at(5 * delay())), [number]);
-    }
-
-    #[test]
-    fn a_written_nodeid_is_renewed_at_once() {
-        let mut inodes = inodes();
-        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
-        inodes.write_begins(number, at(10));
-        inodes.write_ended(number);
-        assert_eq!(renew(&mut inodes, &bytes("2\n"), at(11)), [number]);
-        assert_eq!(value(&inodes, number), &bytes("2\n"));
+        assert!(!renew(&mut inodes, number, bytes("2\n"), at(5 * delay())));
+        inodes.write_ends(number, bytes("2\n"), at(5 * delay()));
+        assert_eq!(value(&inodes, number), &bytes("1\n"), "there is another write");
+        inodes.write_ends(number, bytes("3\n"), at(5 * delay()));
+        assert_eq!(value(&inodes, number), &bytes("3\n"));
+        assert_eq!(inodes.current(FILE), None);
     }
 
     #[derive(Clone, Debug)]
@@ -551,7 +624,8 @@ mod tests {
         WriteEnds(usize),
         /// The nodeids whose files have changed are retired.
         Announce,
-        Renew,
+        /// A nodeid is renewed if it is due.
+        Renew(usize),
         Wait(u64),
     }
 
@@ -566,7 +640,7 @@ mod tests {
             1 => nodeid().prop_map(Step::WriteBegins),
             1 => nodeid().prop_map(Step::WriteEnds),
             1 => Just(Step::Announce),
-            1 => Just(Step::Renew),
+            2 => nodeid().prop_map(Step::Renew),
             1 => (0..2 * delay()).prop_map(Step::Wait),
         ]
     }
@@ -580,7 +654,6 @@ mod tests {
         /// `None` before the first READ is answered.
         bytes: Option<Vec<u8>>,
         writing: u32,
-        written: bool,
         waiting: Vec<u32>,
     }
 
@@ -596,6 +669,14 @@ mod tests {
         count: u32,
     }
 
+    fn read_bytes((bytes, read): &(Vec<u8>, bool)) -> Option<Vec<u8>> {
+        read.then(|| bytes.clone())
+    }
+
+    fn as_value(bytes: Option<&[u8]>) -> Value {
+        bytes.map_or(Value::Unread(4096), |bytes| Value::Bytes(bytes.into()))
+    }
+
     impl Model {
         fn new() -> Self {
             let files = (0..3).map(|file| (vec![b'a' + file], true)).collect();
@@ -603,12 +684,11 @@ mod tests {
         }
 
         fn bytes(&self, file: u32) -> Option<Vec<u8>> {
-            let (bytes, read) = &self.files[file as usize];
-            read.then(|| bytes.clone())
+            read_bytes(&self.files[file as usize])
         }
 
         fn value(&self, file: u32) -> Value {
-            self.bytes(file).map_or(Value::Unread(4096), |bytes| Value::Bytes(bytes.into()))
+            as_value(self.bytes(file).as_deref())
         }
 
         /// Any nodeid that the kernel knows.
@@ -678,10 +758,14 @@ mod tests {
                 Step::WriteEnds(picked) => {
                     let Some(number) = self.pick(picked) else { return };
                     let known = self.known.get_mut(&number).expect("it was picked");
-                    if known.writing > 0 {
-                        known.writing -= 1;
-                        known.written = true;
-                        inodes.write_ended(number);
+                    if known.writing == 0 {
+                        return;
+                    }
+                    let bytes = read_bytes(&self.files[known.file as usize]);
+                    inodes.write_ends(number, as_value(bytes.as_deref()), now);
+                    known.writing -= 1;
+                    if known.writing == 0 {
+                        known.bytes = bytes;
                     }
                 }
                 Step::Announce => {
@@ -694,18 +778,15 @@ mod tests {
                         }
                     }
                 }
-                Step::Renew => {
-                    for (number, node) in inodes.take_due(now) {
-                        let known = &self.known[&number];
-                        assert_eq!(node, Node::Covered(known.file));
-                        assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
-                        let settled = self.now >= known.last_lookup + delay();
-                        assert!(known.written || settled, "only after the delay");
-                        inodes.renew(number, self.value(known.file), now);
-                        let bytes = self.bytes(known.file);
-                        self.known.get_mut(&number).expect("as above").bytes = bytes;
-                    }
-                    self.known.values_mut().for_each(|known| known.written = false);
+                Step::Renew(picked) => {
+                    let Some(number) = self.pick(picked) else { return };
+                    let Some(node) = inodes.due(number, now) else { return };
+                    let known = self.known.get_mut(&number).expect("it was picked");
+                    assert_eq!(node, Node::Covered(known.file));
+                    assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
+                    assert!(self.now >= known.last_lookup + delay(), "only after the delay");
+                    known.bytes = read_bytes(&self.files[known.file as usize]);
+                    inodes.renew(number, as_value(known.bytes.as_deref()), now);
                 }
                 Step::Wait(millis) => self.now += millis,
             }
@@ -727,7 +808,6 @@ mod tests {
                 last_lookup: 0,
                 bytes: bytes.clone(),
                 writing: 0,
-                written: false,
                 waiting: Vec::new(),
             });
             assert_eq!((known.file, &known.bytes), (file, &bytes), "a lookup finds the present value");
@@ -741,12 +821,9 @@ mod tests {
         fn check(&self, inodes: &Inodes<u32>) {
             assert_eq!(inodes.live.len(), self.known.len() + 1, "the root, and what was not forgotten");
             for (&number, known) in &self.known {
-                let (bytes, size) = match &known.bytes {
-                    Some(bytes) => (Value::Bytes(bytes.as_slice().into()), bytes.len() as u64),
-                    None => (Value::Unread(4096), 4096),
-                };
-                assert_eq!(value(inodes, number), &bytes);
-                assert_eq!(inodes.shown(number).expect("it is known").size, size);
+                assert_eq!(value(inodes, number), &as_value(known.bytes.as_deref()));
+                let size = known.bytes.as_ref().map_or(4096, |bytes| bytes.len() as u64);
+                assert_eq!(shown(inodes, number, self.now).size, size);
             }
         }
     }

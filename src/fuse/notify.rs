@@ -1,126 +1,181 @@
-//! The threads that notify the kernel: of names that have a new value, and of nodeids that were renewed.
+//! The thread that notifies the kernel that files have a new value.
 //!
-//! They hold no lock while they notify. The kernel may have to wait for the answer to a request before it
-//! takes the notification, and the handler of that request needs the locks.
+//! # Why the daemon can always end
+//!
+//! A notification is a write(2) to `/dev/fuse`. Some of them wait in the kernel for a lock that a request holds
+//! until the daemon has answered it. If the daemon is killed in that moment, the request is never answered; nor
+//! does the kernel abort it, because the waiting thread, which no signal can end, keeps `/dev/fuse` open. Only
+//! notifications that wait for nothing are sent:
+//!
+//! | notification | waits for | |
+//! | --- | --- | --- |
+//! | `inval_inode` of a file | its pages; a READ or WRITE locks one until it is answered | not sent; see `getattr` in `adapter` |
+//! | `inval_entry` | the lock of the folder, which a LOOKUP holds until it is answered | not sent |
+//! | `inval_inode` of a folder, without its pages | nothing | when its listing has changed |
+//! | `FUSE_NOTIFY_INC_EPOCH` | nothing | when a file has a new value |
+//!
+//! The last one makes the kernel look up every name again. Linux has it since 6.16; an older one may not keep the
+//! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
 use std::collections::HashMap;
-use std::ffi::OsStr;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::fs::File;
+use std::io::Write;
+use std::os::fd::BorrowedFd;
+use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
+use super::adapter::present;
 use super::inodes::{Now, Value};
-use super::{Table, lock, thread};
+use super::{Table, host, lock};
+use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
 
-/// Time within which the kernel forgets a nodeid that nobody holds open.
-const FORGET: Duration = Duration::from_millis(30);
-
-/// Time limit for the last answers, each of which is one message to the kernel.
-const FLUSH: Duration = Duration::from_secs(2);
+/// The code of the notification that makes the kernel look up every name again.
+const FUSE_NOTIFY_INC_EPOCH: u32 = 8;
 
 /// An answer to a write, given when the kernel has been notified of everything that the write changed.
 pub(super) type Answer = Box<dyn FnOnce() + Send>;
 
-/// The answers to writes that wait until the kernel has been notified of what was changed.
+/// Controls the thread that notifies the kernel.
 #[derive(Clone)]
-pub struct Answers {
-    answers: Arc<Mutex<Vec<Answer>>>,
+pub struct Announcer {
+    queue: Arc<Mutex<Queue>>,
     signal: Arc<Signal>,
+    /// `/dev/fuse`, if the kernel keeps names. The crate `fuser` does not have the notification that this takes.
+    names: Arc<OnceLock<File>>,
+    /// The daemon is ending. Locked while a request is passed on to a gauge's owner.
+    ending: Arc<Mutex<bool>>,
 }
 
-impl Answers {
-    /// No answers; `signal` wakes the thread that gives them.
+#[derive(Default)]
+struct Queue {
+    answers: Vec<Answer>,
+    /// The thread has to end after these answers.
+    stopping: bool,
+    /// The thread has ended.
+    stopped: bool,
+}
+
+impl Announcer {
+    /// One whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
-        Self { answers: Arc::default(), signal }
+        Self { queue: Arc::default(), signal, names: Arc::default(), ending: Arc::default() }
     }
 
-    /// Adds one. The caller has to raise the signal.
-    pub(super) fn push(&self, answer: Answer) {
-        lock(&self.answers).push(answer);
+    /// Lets the kernel keep the names of files, if it can be notified that they are out of date.
+    pub(super) fn keep_names(&self, device: BorrowedFd<'_>) {
+        let Ok(device) = device.try_clone_to_owned().map(File::from) else { return };
+        match look_up_again(&device) {
+            Ok(()) => drop(self.names.set(device)),
+            Err(_) => log::info!("Linux 6.16 and later read attributes faster"),
+        }
     }
 
-    fn take(&self) -> Vec<Answer> {
-        std::mem::take(&mut lock(&self.answers))
+    /// Whether the kernel may keep the names of files.
+    pub(super) fn keeps_names(&self) -> bool {
+        self.names.get().is_some()
     }
 
-    /// Returns when all of them have been given, or after a time limit if the tree is unmounted.
-    pub fn flush(&self) {
-        let (done, is_done) = mpsc::channel::<()>();
-        self.push(Box::new(move || drop(done)));
+    /// Starts the thread. It ends when the session has ended.
+    pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
+        let mut announcing =
+            Announcing { fs, table, notifier, announcer: self.clone(), folders: HashMap::new() };
+        let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
+        let started = builder.spawn(move || announcing.run());
+        started.map(drop).map_err(|error| host("a thread", &error))
+    }
+
+    /// Gives an answer when the kernel has been notified of everything that has changed until now. The caller
+    /// has to raise the signal.
+    pub(super) fn answer(&self, answer: Answer) {
+        if let Some(answer) = self.add(answer, false) {
+            answer();
+        }
+    }
+
+    /// Refuses every later write, and every later read of a value that has to be read from a gauge.
+    pub fn refuse(&self) {
+        *lock(&self.ending) = true;
+    }
+
+    /// Passes a request on to a gauge's owner, or refuses it because the daemon is ending. A request that is
+    /// passed on precedes whatever the daemon sends to the owner after [`Self::refuse`].
+    pub(super) fn pass_on(&self, request: impl FnOnce(Option<Error>)) {
+        let ending = lock(&self.ending);
+        let why = "gaugefs is ending, so nothing was sent; mount again and try again";
+        request(ending.then(|| Error::new("", Cause::NotNow(why.into()))));
+    }
+
+    /// Gives the answers that are waiting. When it returns, no notification is under way, and none will follow.
+    pub fn stop(&self) {
+        let (last, is_given) = mpsc::channel::<()>();
+        self.add(Box::new(move || drop(last)), true);
         self.signal.raise();
-        // Nothing is sent: the channel disconnects when its answer's turn comes.
-        let _ = is_done.recv_timeout(FLUSH);
+        // Nothing is sent: the channel disconnects when the last answer is given.
+        let _ = is_given.recv();
+    }
+
+    /// Has the thread give the answers that are waiting, and end.
+    pub(super) fn close(&self) {
+        lock(&self.queue).stopping = true;
+        self.signal.raise();
+    }
+
+    /// Returns the answer if the thread has ended.
+    fn add(&self, answer: Answer, stopping: bool) -> Option<Answer> {
+        let mut queue = lock(&self.queue);
+        if queue.stopped {
+            return Some(answer);
+        }
+        queue.stopping |= stopping;
+        queue.answers.push(answer);
+        None
+    }
+
+    fn take(&self) -> (Vec<Answer>, bool) {
+        let mut queue = lock(&self.queue);
+        (std::mem::take(&mut queue.answers), queue.stopping)
     }
 }
 
-/// Notifies the kernel of the names whose value changed, then answers the writes that changed them.
-pub(super) struct Announcer {
+/// The thread.
+struct Announcing {
     fs: Arc<Fs>,
     table: Arc<Table>,
     notifier: Notifier,
-    answers: Answers,
-    renewals: Arc<Renewals>,
+    announcer: Announcer,
     /// The names that each folder held at the last look.
     folders: HashMap<Node, Vec<String>>,
 }
 
-/// What the [`Announcer`] passes to the [`Renewer`].
-#[derive(Default)]
-struct Renewals {
-    signal: Signal,
-    /// The tree is unmounted.
-    over: AtomicBool,
+/// However the thread ends, no write is left without an answer.
+impl Drop for Announcing {
+    fn drop(&mut self) {
+        lock(&self.announcer.queue).stopped = true;
+        self.announcer.take().0.into_iter().for_each(|answer| answer());
+    }
 }
 
-/// Starts the threads. They end when the tree is unmounted.
-pub(super) fn start(
-    fs: Arc<Fs>,
-    table: Arc<Table>,
-    notifier: Notifier,
-    answers: Answers,
-) -> crate::error::Result<()> {
-    let renewals = Arc::new(Renewals::default());
-    let mut renewer = Renewer {
-        fs: fs.clone(),
-        table: table.clone(),
-        notifier: notifier.clone(),
-        renewals: renewals.clone(),
-        gauges: HashMap::new(),
-    };
-    let mut announcer = Announcer { fs, table, notifier, answers, renewals, folders: HashMap::new() };
-    thread("notify", move || announcer.run())?;
-    thread("renew", move || renewer.run())
-}
-
-impl Announcer {
+impl Announcing {
     fn run(&mut self) {
         let mut seen = 0;
         loop {
-            seen = self.answers.signal.wait(seen, None);
-            let answers = self.answers.take();
-            let announced = self.announce();
+            seen = self.announcer.signal.wait(seen, None);
+            let (answers, stopping) = self.announcer.take();
+            self.announce();
             // Only now, so that whoever reads right after a write gets the result of the write.
             answers.into_iter().for_each(|answer| answer());
-            if announced.is_err() {
-                self.renewals.over.store(true, Ordering::SeqCst);
-            }
-            if announced.is_err() || lock(&self.table).is_renewal_pending() {
-                self.renewals.signal.raise();
-            }
-            if announced.is_err() {
+            if stopping {
                 return;
             }
         }
     }
 
-    /// Retires every nodeid whose file has another value now, then notifies the kernel of their names. Looks
-    /// only at the gauges that have changed, because many gauges are polled one after the other.
-    fn announce(&mut self) -> std::io::Result<()> {
+    /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their
+    /// names. Looks only at the gauges that have changed, because many gauges are polled one after the other.
+    fn announce(&mut self) {
         let gauges = self.fs.take_changed();
         let has_changed = |node: Node| match node {
             Node::Of(gauge, _) => gauges.contains(&gauge),
@@ -133,33 +188,27 @@ impl Announcer {
             .filter(|(_, node, _)| has_changed(*node))
             .map(|(number, node, value)| (number, node, value.clone()))
             .collect();
-        let mut changed = Vec::new();
+        let mut outdated = false;
         for (number, node, value) in files {
-            if self.value(node) == value {
+            if present(&self.fs, node) == value {
                 continue;
             }
             let mut inodes = lock(&self.table);
-            let folder = inodes.current(self.fs.parent(node));
-            let named = inodes.current(node) == Some(number);
+            // The kernel asks for other names each time they are used.
+            outdated |= inodes.current(node) == Some(number) && self.fs.may_be_cached(node);
             inodes.retire(number, Now::read());
-            if let Some(folder) = folder.filter(|_| named) {
-                changed.push((folder, node));
-            }
         }
-        for (folder, node) in changed {
-            if let Some(name) = self.fs.file_name(node) {
-                ignore_unknown(self.notifier.inval_entry(INodeNo(folder), OsStr::new(&name)))?;
-            }
+        if let Some(device) = self.announcer.names.get().filter(|_| outdated)
+            && let Err(error) = look_up_again(device)
+        {
+            log::warn!("/dev/fuse: the kernel shows some values two seconds late: {error}");
         }
-        self.announce_folders(&gauges)
+        self.announce_folders(&gauges);
     }
 
-    fn value(&self, node: Node) -> Value {
-        Value::of(self.fs.content(node)).unwrap_or(Value::Gone)
-    }
-
-    /// The kernel keeps listings as well; some change when a value appears or disappears.
-    fn announce_folders(&mut self, gauges: &[u16]) -> std::io::Result<()> {
+    /// The kernel keeps listings as well; some change when a value appears or disappears. It drops a listing when
+    /// it finds that the folder's time has changed.
+    fn announce_folders(&mut self, gauges: &[u16]) {
         for folder in self.fs.changing_folders(gauges) {
             let Some(number) = lock(&self.table).current(folder) else {
                 // The kernel does not know it, and will ask for a new listing when it does.
@@ -171,84 +220,20 @@ impl Announcer {
             // The first time there is nothing to compare with: the listing may have changed since the kernel
             // asked for it.
             if before.is_none() || before.as_ref() != self.folders.get(&folder) {
-                ignore_unknown(self.notifier.inval_inode(INodeNo(number), 0, 0))?;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Shows files that are held open their new value, under the nodeid that they have. The kernel takes such a
-/// notification only when no read or write of the file is under way. Those wait for the file's gauge, so each
-/// gauge has a thread of its own that waits for them.
-struct Renewer {
-    fs: Arc<Fs>,
-    table: Arc<Table>,
-    notifier: Notifier,
-    renewals: Arc<Renewals>,
-    gauges: HashMap<u16, Sender<u64>>,
-}
-
-impl Renewer {
-    fn run(&mut self) {
-        let signal = &self.renewals.clone().signal;
-        let mut seen = 0;
-        let mut due = None;
-        loop {
-            // Without a limit while no file is held open across a change, so that nothing wakes the machine.
-            let limit = due.map(|due: Instant| due.saturating_duration_since(Instant::now()));
-            seen = signal.wait(seen, limit);
-            if self.renewals.over.load(Ordering::SeqCst) {
-                return;
-            }
-            self.renew();
-            // Most superseded nodeids are not held open, and are forgotten at once.
-            if lock(&self.table).next_due().is_some() {
-                signal.wait(seen, Some(FORGET));
-            }
-            due = lock(&self.table).next_due();
-        }
-    }
-
-    fn renew(&mut self) {
-        let now = Now::read();
-        let mut inodes = lock(&self.table);
-        let due = inodes.take_due(now);
-        for &(number, node) in &due {
-            let value = Value::of(self.fs.content(node)).unwrap_or(Value::Gone);
-            inodes.renew(number, value, now);
-        }
-        drop(inodes);
-        for (number, node) in due {
-            let Node::Of(gauge, _) = node else { continue };
-            let notify = self.gauges.entry(gauge).or_insert_with(|| inval_inodes(self.notifier.clone()));
-            // Fails if the thread could not be started; try again with the next file.
-            if notify.send(number).is_err() {
-                self.gauges.remove(&gauge);
+                lock(&self.table).restamp(number, Now::read());
+                // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows is
+                // invalid from now on; the pages of the listing stay, and so nothing waits for them.
+                let _ = self.notifier.inval_inode(INodeNo(number), -1, 0);
             }
         }
     }
 }
 
-/// A thread that notifies the kernel of nodeids that have another value now.
-fn inval_inodes(notifier: Notifier) -> Sender<u64> {
-    let (sender, numbers) = mpsc::channel();
-    let run = move || {
-        for number in numbers {
-            // It may fail because the nodeid has been forgotten in the meantime.
-            let _ = notifier.inval_inode(INodeNo(number), 0, 0);
-        }
-    };
-    if let Err(error) = thread("renew", run) {
-        log::warn!("files that are held open may not follow: {error}");
-    }
-    sender
-}
-
-/// ENOENT means that the kernel does not know the name; any other error, that the tree is unmounted.
-fn ignore_unknown(notified: std::io::Result<()>) -> std::io::Result<()> {
-    match notified {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        other => other,
-    }
+/// Makes the kernel look up every name again before it uses it.
+fn look_up_again(mut device: &File) -> std::io::Result<()> {
+    // struct fuse_out_header: length, code, and 0 in place of a request's number.
+    let mut message = [0; 16];
+    message[..4].copy_from_slice(&16_u32.to_ne_bytes());
+    message[4..8].copy_from_slice(&FUSE_NOTIFY_INC_EPOCH.to_ne_bytes());
+    device.write_all(&message)
 }

@@ -3,6 +3,7 @@
 mod cli;
 mod config;
 mod doctor;
+mod ends;
 mod input;
 mod keys;
 mod manual;

@@ -2,10 +2,11 @@
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::RealClock;
@@ -68,6 +69,22 @@ impl Mount {
         restore: Vec<Change>,
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
     ) -> Option<Self> {
+        Self::of(
+            chip,
+            Settings { keys, interval, restore, ..Settings::default() },
+            prepare,
+            bus,
+            fuse::Options::default(),
+        )
+    }
+
+    fn of(
+        chip: &str,
+        settings: Settings,
+        prepare: impl FnOnce(&Sim),
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+        options: fuse::Options,
+    ) -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
@@ -82,7 +99,6 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let signal = Arc::new(Signal::default());
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let settings = Settings { keys, interval, restore, ..Settings::default() };
         let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = MountedGauge {
             name: "BAT0".into(),
@@ -96,7 +112,7 @@ impl Mount {
             group: false,
         };
         let tree = Arc::new(Fs::new(vec![entry], access));
-        let mounted = fuse::mount(tree, &folder, fuse::Options::default(), signal).expect("a mount");
+        let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
         // The second poll, half a second later, reads the registers that no attribute needs.
         until("the second poll", || statistic(&handle, "polls") >= 2);
         Some(Self { folder, sim, handle, _mounted: mounted })
@@ -375,6 +391,41 @@ fn an_open_file_shows_new_values() {
     until("the new current", || read().is_ok_and(|text| mount.shows("current_now", &text)));
 }
 
+/// What a refresh has changed is seen as soon as the write to `gauge/refresh` returns, whether the kernel can keep
+/// names or not. A folder that is open meanwhile stays where it is.
+#[test]
+fn a_refresh_is_seen_at_once() {
+    for names_not_kept in [false, true] {
+        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        let options = fuse::Options { names_not_kept, ..fuse::Options::default() };
+        let mount = Mount::of("bq34z100-g1", settings, |_| {}, |sim| Box::new(sim.bus()), options);
+        let Some(mount) = mount else { return };
+        let held = fs::File::open(mount.path("")).expect("opens");
+        let path = format!("/proc/self/fd/{}", held.as_raw_fd());
+        let listed = |folder: &Path| {
+            let mut names =
+                fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").file_name());
+            names.any(|name| name == "time_to_empty_now")
+        };
+        mount.sim.set("speed", "30").expect("a knob");
+        for (load, flows) in [("500", true), ("0", false), ("600", true), ("0", false)] {
+            mount.sim.set("load_ma", load).expect("a knob");
+            let flowing = |current: &str| (current != "0") == flows;
+            until("a poll that finds the load", || {
+                assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+                let (current, uevent) = (mount.cat("current_now"), mount.cat("uevent"));
+                assert!(uevent.contains(&format!("CURRENT_NOW={current}\n")), "{current} in {uevent}");
+                let shown = uevent.contains("TIME_TO_EMPTY_NOW=");
+                assert_eq!(mount.path("time_to_empty_now").exists(), shown);
+                assert_eq!(listed(&mount.path("")), shown);
+                assert_eq!(listed(Path::new(&path)), shown);
+                flowing(&current) && shown == flows
+            });
+        }
+        assert_eq!(fs::read_link(&path).expect("it is open"), mount.path(""));
+    }
+}
+
 /// The file of a value, and its line in uevent, exist only while the gauge has the value.
 #[test]
 fn files_appear_and_disappear_with_their_values() {
@@ -408,6 +459,31 @@ fn files_appear_and_disappear_with_their_values() {
     mount.sim.set("power", "on").expect("a knob");
     until("the gauge back", || mount.shows("present", "1"));
     until("its voltage", || mount.path("voltage_now").exists());
+}
+
+/// A bus on which the gauge's owner panics during a write.
+struct Panics(gauge_sim::SimBus, Arc<AtomicBool>);
+
+impl Bus for Panics {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        assert!(!self.1.load(Ordering::SeqCst), "as the test wants it");
+        self.0.transfer(write, read)
+    }
+}
+
+/// Nobody knows what came of such a write, so EIO, which means that nothing has changed, would be wrong.
+#[test]
+fn a_write_that_nobody_answers_is_unknown() {
+    let now = Arc::new(AtomicBool::new(false));
+    let bus = |sim: &Sim| Box::new(Panics(sim.bus(), now.clone())) as Box<dyn Bus>;
+    let hour = Duration::from_secs(3600);
+    let Some(mount) = Mount::with("bq34z100-g1", hour, Keys::default(), |_| {}, Vec::new(), bus) else {
+        return;
+    };
+    now.store(true, Ordering::SeqCst);
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
+    // The owner is gone for this one, too.
+    assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
 }
 
 /// Only the owner can read data flash, and only the owner can write.
@@ -452,15 +528,48 @@ fn a_writer_reads_the_stored_value() {
     assert_eq!(read(), "3000\n");
     for (written, value) in [("0xc1c", "3100\n"), (" 3200 \n", "3200\n"), ("3000", "3000\n")] {
         file.write_all_at(written.as_bytes(), 0).expect("written");
-        until(value, || read() == value);
+        assert_eq!(read(), value);
     }
     assert_eq!(file.write_at(b"99999999", 0).map_err(errno), Err(Errno::ERANGE));
-    until("the old value", || read() == "3000\n");
-    // Each write happens while the kernel is being notified of the previous one.
+    assert_eq!(read(), "3000\n");
+    // The kernel takes over the file's size and time with the answer to a truncation.
+    file.write_all_at(b"003000", 0).expect("written");
+    file.set_len(0).expect("truncated");
+    assert_eq!(read(), "3000\n");
     for millivolts in 3001..3012 {
         file.write_all_at(millivolts.to_string().as_bytes(), 0).expect("written");
     }
-    until("the last value", || read() == "3011\n");
+    assert_eq!(read(), "3011\n");
+}
+
+/// A parameter that is held open gets its new value although that has to be read from the gauge. Each read
+/// returns one value, neither cut off nor padded.
+#[test]
+fn a_parameter_held_open_gets_the_new_value() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = fs::File::open(mount.path("df/48/43")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0).expect("reads");
+        String::from_utf8_lossy(&buffer[..length]).into_owned()
+    };
+    assert_eq!(read(), "Texas Inst.\n");
+    for (name, text, before, after) in [
+        ("df/48/43", "TI", "Texas Inst.\n", "TI\n"),
+        ("gauge/refresh", "1", "TI\n", "TI\n"),
+        ("df/48/43", "Texas", "TI\n", "Texas\n"),
+    ] {
+        assert_eq!(mount.echo(text, name), Ok(()));
+        // It is renewed two seconds after the change.
+        let end = Instant::now() + Duration::from_millis(2500);
+        let mut last = read();
+        while Instant::now() < end {
+            last = read();
+            assert!(last == before || last == after, "{last:?} after {text} to {name}");
+        }
+        assert_eq!(last, after);
+        assert_eq!(file.metadata().expect("it is open").size(), after.len() as u64);
+    }
 }
 
 /// Every simulated gauge has the files that monitors need, and shows a written value.

@@ -119,10 +119,11 @@ fn a_stopped_service_finishes_its_write_and_begins_no_other() {
         assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write has not begun");
     }
     service.signal(Signal::SIGTERM);
-    // It waits behind the first, and the daemon ends before its turn.
+    // The daemon still answers, but accepts no other write.
     let second = thread::spawn(move || fs::write(parameter, "3200\n"));
     writer.join().expect("no panic").expect("written");
-    second.join().expect("no panic").expect_err("the daemon has ended");
+    let refused = second.join().expect("no panic").expect_err("the daemon is ending");
+    assert_eq!(refused.raw_os_error(), Some(nix::errno::Errno::EAGAIN as i32));
     let (code, messages) = service.ended();
     assert_eq!(code, Some(0), "{messages}");
     assert_eq!(messages.matches("written and verified").count(), 1, "{messages}");
