@@ -262,7 +262,13 @@ impl Owner {
         let why = format!(
             "a defect of gaugefs has stopped this: {text}; the gauge is identified again, please report it"
         );
-        let error = Error::host(self.shared.name(), Errno::EIO, why);
+        // EIO after a write means that the old bytes are back, and that is not known yet.
+        let errno = if matches!(attempt, Attempt::Poll | Attempt::Read(_)) {
+            Errno::EIO
+        } else {
+            Errno::ENOTRECOVERABLE
+        };
+        let error = Error::host(self.shared.name(), errno, why);
         self.gauge.start_over();
         self.dataflash.start_over();
         self.forget_dataflash();
@@ -356,7 +362,7 @@ mod tests {
             rig.owner.open().expect("it answers");
             at.store(rig.transfers() + number, Ordering::SeqCst);
             let error = write(&mut rig).expect_err("a panic");
-            assert_eq!(error.errno(), Errno::EIO, "{error}");
+            assert_eq!(error.errno(), Errno::ENOTRECOVERABLE, "{error}");
             let published = rig.handle.published();
             assert!(published.snapshot.is_none() && published.last_error.contains("index out of bounds"));
 

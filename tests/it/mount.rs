@@ -482,7 +482,7 @@ fn a_write_that_nobody_answers_is_unknown() {
     };
     now.store(true, Ordering::SeqCst);
     assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
-    // The owner is gone for this one, too.
+    // A panic ends one write, and not the owner.
     assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
 }
 
