@@ -361,6 +361,18 @@ impl Fs {
         self.shape(node) == Shape::File && self.mode(node) & 0o200 != 0
     }
 
+    /// Refuses a file that somebody wants to make, which is one whose name is mistyped. The log and `gauge/last_error`
+    /// name the parameter that was probably meant.
+    pub fn refuse_new(&self, folder: Node, name: &str) -> Error {
+        let Node::Of(gauge, Item::Df(item)) = folder else {
+            return Error::host("", Errno::ENOENT, "there is no such file, and none can be made");
+        };
+        let supply = &self.supplies[usize::from(gauge)];
+        let error = df::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
+        supply.handle.report(Attempt::Other, &error);
+        error
+    }
+
     /// What a folder holds now.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
         self.ask(folder, |folder| folder.list())

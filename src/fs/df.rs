@@ -267,6 +267,16 @@ impl Supply {
         (value_text(subclass, parameter, bytes) + "\n").into_bytes()
     }
 
+    /// The path of a folder below `df`.
+    pub(super) fn df_folder(&self, item: DfItem) -> String {
+        match item {
+            DfItem::Flat => "flash".into(),
+            DfItem::Subclass(at) => self.subclass(at).id.to_string(),
+            DfItem::Class(at) => format!("by-name/{}", self.chip().class_dir(self.subclass(at))),
+            _ => String::new(),
+        }
+    }
+
     /// The changes of the open transaction.
     fn staged(&self) -> Option<Arc<Staged>> {
         self.transaction.staged(self.handle.now())

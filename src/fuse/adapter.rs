@@ -462,8 +462,10 @@ impl Filesystem for Adapter {
 
     // Requests that sysfs refuses too. The default methods of the trait would log a warning for each.
 
-    fn create(&self, _: &Request, _: INodeNo, _: &OsStr, _: u32, _: u32, _: i32, reply: ReplyCreate) {
-        reply.error(self.fixed());
+    /// Asked for a name that LOOKUP did not find: a mistyped one, written to with `>`.
+    fn create(&self, _: &Request, parent: INodeNo, name: &OsStr, _: u32, _: u32, _: i32, reply: ReplyCreate) {
+        let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
+        reply.error(errno(&self.fs.refuse_new(folder, &name.to_string_lossy())));
     }
 
     fn link(&self, _: &Request, _: INodeNo, _: INodeNo, _: &OsStr, reply: ReplyEntry) {

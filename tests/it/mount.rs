@@ -277,7 +277,17 @@ fn refused_writes_return_their_errno_and_change_nothing() {
     assert_eq!(mount.cat("df/80/53"), "3300");
     assert_eq!(fs::create_dir(mount.path("mine")).map_err(errno), Err(Errno::EPERM));
     assert_eq!(fs::remove_file(mount.path("capacity")).map_err(errno), Err(Errno::EPERM));
-    assert_eq!(fs::File::create(mount.path("mine")).map(|_| ()).map_err(errno), Err(Errno::EPERM));
+    assert_eq!(fs::File::create(mount.path("mine")).map(|_| ()).map_err(errno), Err(Errno::ENOENT));
+    for (typo, meant) in [
+        ("df/80/54", "80/53 (Cell Terminate Voltage)"),
+        ("df/by-name/it-cfg/cell-terminate-voltag", "80/53 (Cell Terminate Voltage)"),
+    ] {
+        // As a shell does for `>`.
+        assert_eq!(fs::write(mount.path(typo), "3100\n").map_err(errno), Err(Errno::ENOENT), "{typo}");
+        let error = mount.cat("gauge/last_error");
+        assert!(error.contains(&format!("no such parameter; did you mean {meant}?")), "{error}");
+    }
+    assert_eq!(fs::write(mount.path("df/999"), "3100\n").map_err(errno), Err(Errno::ENOENT));
     assert_eq!(fs::rename(mount.path("temp"), mount.path("mine")).map_err(errno), Err(Errno::EPERM));
     assert_eq!(fs::hard_link(mount.path("temp"), mount.path("mine")).map_err(errno), Err(Errno::EPERM));
 }

@@ -201,6 +201,8 @@ fn semantics_of_the_errnos() {
     let Some(mount) = Mount::new("bq34z100-g1", &["--poll", "0.5"]) else { return };
     occurs("not a value of that type", mount.echo("abc", parameter));
     occurs("outside the range", mount.echo("9999", parameter));
+    let typo = fs::write(mount.path("df/80/54"), "3100\n").map_err(errno);
+    occurs("no such parameter", typo);
     occurs("no transaction is open", mount.echo("commit", "df/transaction"));
     mount.echo("begin", "df/transaction").expect("a transaction");
     occurs("a transaction is open", mount.echo("3100", parameter));

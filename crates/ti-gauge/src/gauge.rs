@@ -548,7 +548,12 @@ impl Gauge {
         if self.try_key(key, goal)? {
             return Ok(true);
         }
-        self.wait(self.chip.security.key_silence);
+        let silence = self.chip.security.key_silence;
+        if self.deadline.is_some_and(|deadline| self.clock.now() + silence >= deadline) {
+            let why = "the gauge did not take the key, and no time is left to send it once more; try again";
+            return Err(Error::new(self.chip.model, Cause::TimedOut(why.into())).at(Step::Unseal));
+        }
+        self.wait(silence);
         self.try_key(key, goal)
     }
 

@@ -23,8 +23,7 @@ use ti_gauge::text;
 use crate::disk::Memory;
 use crate::script::Script;
 
-/// A request is answered within this time, whatever the gauge does. A silence before a key that has begun is not cut
-/// short, so it may come on top.
+/// A request is answered within this time, whatever the gauge does.
 const ANSWER: Duration = Duration::from_secs(30);
 /// Except for a change of keys, because a gauge takes a key only after several seconds of silence.
 const KEYS: Duration = Duration::from_secs(180);
@@ -211,8 +210,7 @@ struct Engine<'a> {
 
 impl Engine<'_> {
     fn access(&mut self, access: impl FnOnce(&mut DataFlash, &mut Gauge) -> Result<()>) {
-        let limit = ANSWER + self.gauge.chip.security.key_silence;
-        self.access_within(limit, access);
+        self.access_within(ANSWER, access);
     }
 
     fn access_within(
