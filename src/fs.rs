@@ -373,6 +373,18 @@ impl Fs {
         error
     }
 
+    /// Reports that a defect of gaugefs has stopped something: to the gauge that a node belongs to, or to all. The log
+    /// has the place.
+    pub fn report_defect(&self, node: Option<Node>) {
+        let why = "a defect of gaugefs has stopped a request; the log has its place; please report it";
+        let error = Error::host("", Errno::EIO, why);
+        for (index, supply) in (0_u16..).zip(&self.supplies) {
+            if !matches!(node, Some(Node::Of(gauge, _)) if gauge != index) {
+                supply.handle.report(Attempt::Other, &error);
+            }
+        }
+    }
+
     /// What a folder holds now.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
         self.ask(folder, |folder| folder.list())

@@ -18,7 +18,7 @@
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use fuser::{Config, MountOption, Session, SessionACL};
 
@@ -144,5 +144,6 @@ fn start(
 type Table = Mutex<Inodes<Waiter>>;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().expect("no thread panics while it holds the lock")
+    // What a thread that has panicked left is a table of values, each of which is whole.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

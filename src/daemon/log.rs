@@ -59,6 +59,8 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             });
         }
     }
+    // A panic ends one piece of work, and nobody reads the standard error of a daemon.
+    std::panic::set_hook(Box::new(|panic| log::error!("{panic}; please report it")));
     // It fails only if the process has a logger already.
     builder.try_init().map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
 }

@@ -5,7 +5,7 @@
 //! readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -129,7 +129,7 @@ struct Next {
 
 impl Transaction {
     fn lock(&self) -> MutexGuard<'_, Option<Open>> {
-        self.0.lock().expect("no thread panics while it holds the lock")
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What is staged; `None` while no transaction is open.

@@ -5,6 +5,7 @@
 //! the thread of the gauge's owner.
 
 use std::ffi::OsStr;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, MutexGuard};
@@ -143,6 +144,14 @@ impl Adapter {
         self.fs.write(node, offset, data, Box::new(move |outcome| writing.answer(outcome)));
     }
 
+    /// Handles a request. A panic in it is an error of this request, whose reply is dropped, which answers EIO; it is
+    /// reported as one of the gauge, and other requests go on.
+    fn guard(&self, ino: INodeNo, work: impl FnOnce()) {
+        if catch_unwind(AssertUnwindSafe(work)).is_err() {
+            self.fs.report_defect(self.node(ino));
+        }
+    }
+
     /// The errno of every request to add, remove or rename something, which this tree does not allow.
     fn fixed(&self) -> Errno {
         if self.options.read_only { Errno::EROFS } else { Errno::EPERM }
@@ -249,21 +258,23 @@ impl Filesystem for Adapter {
     }
 
     fn lookup(&self, request: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEntry) {
-        let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
-        let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
-            return reply.error(Errno::ENOENT);
-        };
-        // One lock for both: if a poll changed the value in between, nobody would notify the kernel of it.
-        let mut inodes = self.inodes();
-        let value = match self.fs.shape(node) {
-            Shape::File => Value::of(self.fs.content(node)),
-            Shape::Folder | Shape::Link => Some(Value::Fixed),
-        };
-        let Some(value) = value else { return reply.error(Errno::ENOENT) };
-        let shown = inodes.enter(node, value, request.pid(), Now::read());
-        drop(inodes);
-        let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
-        reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
+        self.guard(parent, || {
+            let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
+            let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
+                return reply.error(Errno::ENOENT);
+            };
+            // One lock for both: if a poll changed the value in between, nobody would notify the kernel of it.
+            let mut inodes = self.inodes();
+            let value = match self.fs.shape(node) {
+                Shape::File => Value::of(self.fs.content(node)),
+                Shape::Folder | Shape::Link => Some(Value::Fixed),
+            };
+            let Some(value) = value else { return reply.error(Errno::ENOENT) };
+            let shown = inodes.enter(node, value, request.pid(), Now::read());
+            drop(inodes);
+            let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
+            reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
+        });
     }
 
     fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
@@ -273,29 +284,31 @@ impl Filesystem for Adapter {
     /// The kernel sends this before a read if the attributes that it has are no longer valid, and drops the
     /// bytes that it has if the file's time differs. This is how a file that is held open gets its new value.
     fn getattr(&self, _: &Request, ino: INodeNo, handle: Option<FileHandle>, reply: ReplyAttr) {
-        let (number, now) = (u64::from(ino), Now::read());
-        // `fstat` passes no handle.
-        let reads = handle.is_some();
-        let mut inodes = self.inodes();
-        if let Some(node) = inodes.due(number, now) {
-            let value = present(&self.fs, node);
-            // The estimated size of an unread value would be wrong for whoever is reading the old value.
-            if reads || !matches!(value, Value::Unread(_)) {
-                inodes.renew(number, value, now);
+        self.guard(ino, || {
+            let (number, now) = (u64::from(ino), Now::read());
+            // `fstat` passes no handle.
+            let reads = handle.is_some();
+            let mut inodes = self.inodes();
+            if let Some(node) = inodes.due(number, now) {
+                let value = present(&self.fs, node);
+                // The estimated size of an unread value would be wrong for whoever is reading the old value.
+                if reads || !matches!(value, Value::Unread(_)) {
+                    inodes.renew(number, value, now);
+                }
             }
-        }
-        let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
-        if reads && inode.is_unread() {
-            return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
-        }
-        if inode.is_awaited() {
-            // The size arrives with the value.
-            return self.answer_when_read(inodes, number, Waiter::Attributes(reply));
-        }
-        inodes.settle(number, now);
-        let Some(shown) = inodes.shown(number, now) else { return reply.error(Errno::ESTALE) };
-        drop(inodes);
-        reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
+            let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+            if reads && inode.is_unread() {
+                return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
+            }
+            if inode.is_awaited() {
+                // The size arrives with the value.
+                return self.answer_when_read(inodes, number, Waiter::Attributes(reply));
+            }
+            inodes.settle(number, now);
+            let Some(shown) = inodes.shown(number, now) else { return reply.error(Errno::ESTALE) };
+            drop(inodes);
+            reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
+        });
     }
 
     /// Truncation alone writes nothing, and the size stays the same, as in sysfs.
@@ -318,26 +331,28 @@ impl Filesystem for Adapter {
         _: Option<BsdFileFlags>,
         reply: ReplyAttr,
     ) {
-        if mode.is_some() || uid.is_some() || gid.is_some() {
-            return reply.error(self.fixed());
-        }
-        let number = u64::from(ino);
-        let mut inodes = self.inodes();
-        let Some(shown) = inodes.shown(number, Now::read()) else { return reply.error(Errno::ESTALE) };
-        // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
-        inodes.touch(number);
-        drop(inodes);
-        if size.is_some() && !self.fs.may_be_written(shown.node) {
-            return reply.error(Errno::EACCES);
-        }
-        reply.attr(&Duration::ZERO, &self.attr(&shown));
+        self.guard(ino, || {
+            if mode.is_some() || uid.is_some() || gid.is_some() {
+                return reply.error(self.fixed());
+            }
+            let number = u64::from(ino);
+            let mut inodes = self.inodes();
+            let Some(shown) = inodes.shown(number, Now::read()) else { return reply.error(Errno::ESTALE) };
+            // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
+            inodes.touch(number);
+            drop(inodes);
+            if size.is_some() && !self.fs.may_be_written(shown.node) {
+                return reply.error(Errno::EACCES);
+            }
+            reply.attr(&Duration::ZERO, &self.attr(&shown));
+        });
     }
 
     fn readlink(&self, _: &Request, ino: INodeNo, reply: ReplyData) {
-        match self.node(ino).and_then(|node| self.fs.target(node)) {
+        self.guard(ino, || match self.node(ino).and_then(|node| self.fs.target(node)) {
             Some(target) => reply.data(target.as_bytes()),
             None => reply.error(Errno::EINVAL),
-        }
+        });
     }
 
     fn open(&self, _: &Request, _: INodeNo, _: OpenFlags, reply: ReplyOpen) {
@@ -375,20 +390,22 @@ impl Filesystem for Adapter {
         _: Option<LockOwner>,
         reply: ReplyData,
     ) {
-        let number = u64::from(ino);
-        let inodes = self.inodes();
-        let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
-        match inode.value() {
-            Value::Bytes(bytes) => {
-                let bytes = bytes.clone();
-                drop(inodes);
-                return reply.data(slice(&bytes, offset, size));
+        self.guard(ino, || {
+            let number = u64::from(ino);
+            let inodes = self.inodes();
+            let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+            match inode.value() {
+                Value::Bytes(bytes) => {
+                    let bytes = bytes.clone();
+                    drop(inodes);
+                    return reply.data(slice(&bytes, offset, size));
+                }
+                Value::Gone => return reply.error(Errno::ENODEV),
+                Value::Fixed => return reply.error(Errno::EISDIR),
+                Value::Unread(_) => {}
             }
-            Value::Gone => return reply.error(Errno::ENODEV),
-            Value::Fixed => return reply.error(Errno::EISDIR),
-            Value::Unread(_) => {}
-        }
-        self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply });
+            self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply });
+        });
     }
 
     fn write(
@@ -403,34 +420,38 @@ impl Filesystem for Adapter {
         _: Option<LockOwner>,
         reply: ReplyWrite,
     ) {
-        let number = u64::from(ino);
-        let Some(node) = self.node(ino) else { return reply.error(Errno::ESTALE) };
-        let appends = flags.0 & nix::fcntl::OFlag::O_APPEND.bits() != 0;
-        if offset != 0 && !appends && !self.fs.is_stream(node) {
-            return reply.error(Errno::EINVAL);
-        }
-        self.announcer.pass_on(|refused| match refused {
-            Some(error) => reply.error(errno(&error)),
-            None => self.pass_on_write(number, node, offset, data, reply),
+        self.guard(ino, || {
+            let number = u64::from(ino);
+            let Some(node) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+            let appends = flags.0 & nix::fcntl::OFlag::O_APPEND.bits() != 0;
+            if offset != 0 && !appends && !self.fs.is_stream(node) {
+                return reply.error(Errno::EINVAL);
+            }
+            self.announcer.pass_on(|refused| match refused {
+                Some(error) => reply.error(errno(&error)),
+                None => self.pass_on_write(number, node, offset, data, reply),
+            });
         });
     }
 
     fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {
-        let Some(folder) = self.node(ino) else { return reply.error(Errno::ESTALE) };
-        let dots = [".", ".."].map(|name| (name.to_string(), folder));
-        let list = dots.into_iter().chain(self.fs.list(folder));
-        for (at, (name, node)) in (1u64..).zip(list).skip(offset as usize) {
-            let kind = match self.fs.shape(node) {
-                Shape::Folder => FileType::Directory,
-                Shape::Link => FileType::Symlink,
-                Shape::File => FileType::RegularFile,
-            };
-            // A file's inode number changes with its value, so any number but 0 will do here.
-            if reply.add(INodeNo(at), at, kind, name) {
-                break;
+        self.guard(ino, || {
+            let Some(folder) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+            let dots = [".", ".."].map(|name| (name.to_string(), folder));
+            let list = dots.into_iter().chain(self.fs.list(folder));
+            for (at, (name, node)) in (1u64..).zip(list).skip(offset as usize) {
+                let kind = match self.fs.shape(node) {
+                    Shape::Folder => FileType::Directory,
+                    Shape::Link => FileType::Symlink,
+                    Shape::File => FileType::RegularFile,
+                };
+                // A file's inode number changes with its value, so any number but 0 will do here.
+                if reply.add(INodeNo(at), at, kind, name) {
+                    break;
+                }
             }
-        }
-        reply.ok();
+            reply.ok();
+        });
     }
 
     fn statfs(&self, _: &Request, _: INodeNo, reply: ReplyStatfs) {
@@ -438,18 +459,22 @@ impl Filesystem for Adapter {
     }
 
     fn getxattr(&self, _: &Request, ino: INodeNo, name: &OsStr, size: u32, reply: ReplyXattr) {
-        let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
-        // ENOSYS would make the kernel stop asking for extended attributes at all.
-        match list.iter().find(|(found, _)| OsStr::new(found) == name) {
-            Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),
-            None => reply.error(Errno::ENODATA),
-        }
+        self.guard(ino, || {
+            let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
+            // ENOSYS would make the kernel stop asking for extended attributes at all.
+            match list.iter().find(|(found, _)| OsStr::new(found) == name) {
+                Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),
+                None => reply.error(Errno::ENODATA),
+            }
+        });
     }
 
     fn listxattr(&self, _: &Request, ino: INodeNo, size: u32, reply: ReplyXattr) {
-        let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
-        let names: String = list.iter().flat_map(|(name, _)| [name, "\0"]).collect();
-        answer_xattr(names.as_bytes(), size, reply);
+        self.guard(ino, || {
+            let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
+            let names: String = list.iter().flat_map(|(name, _)| [name, "\0"]).collect();
+            answer_xattr(names.as_bytes(), size, reply);
+        });
     }
 
     fn setxattr(&self, _: &Request, _: INodeNo, _: &OsStr, _: &[u8], _: i32, _: u32, reply: ReplyEmpty) {
@@ -464,8 +489,10 @@ impl Filesystem for Adapter {
 
     /// Asked for a name that LOOKUP did not find: a mistyped one, written to with `>`.
     fn create(&self, _: &Request, parent: INodeNo, name: &OsStr, _: u32, _: u32, _: i32, reply: ReplyCreate) {
-        let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
-        reply.error(errno(&self.fs.refuse_new(folder, &name.to_string_lossy())));
+        self.guard(parent, || {
+            let Some(folder) = self.node(parent) else { return reply.error(Errno::ESTALE) };
+            reply.error(errno(&self.fs.refuse_new(folder, &name.to_string_lossy())));
+        });
     }
 
     fn link(&self, _: &Request, _: INodeNo, _: INodeNo, _: &OsStr, reply: ReplyEntry) {

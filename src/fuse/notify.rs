@@ -21,6 +21,7 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::Write;
 use std::os::fd::BorrowedFd;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
@@ -164,7 +165,10 @@ impl Announcing {
         loop {
             seen = self.announcer.signal.wait(seen, None);
             let (answers, stopping) = self.announcer.take();
-            self.announce();
+            // After a panic the kernel is notified of these values with the next ones.
+            if catch_unwind(AssertUnwindSafe(|| self.announce())).is_err() {
+                self.fs.report_defect(None);
+            }
             // Only now, so that whoever reads right after a write gets the result of the write.
             answers.into_iter().for_each(|answer| answer());
             if stopping {

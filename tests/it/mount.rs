@@ -22,19 +22,24 @@ use ti_gauge::dataflash::Change;
 use ti_gauge::image::Image;
 use ti_gauge::keys::Keys;
 
-struct SimKnobs(Sim);
+/// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
+struct SimKnobs {
+    sim: Sim,
+    defect: Arc<AtomicBool>,
+}
 
 impl Knobs for SimKnobs {
     fn list(&self) -> Vec<(&'static str, bool)> {
-        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+        self.sim.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
     }
 
     fn get(&self, name: &str) -> Option<String> {
-        self.0.get(name)
+        assert!(!self.defect.load(Ordering::SeqCst), "as the test wants it");
+        self.sim.get(name)
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        Ok(self.0.set(name, text)?)
+        Ok(self.sim.set(name, text)?)
     }
 }
 
@@ -43,6 +48,7 @@ pub(crate) struct Mount {
     folder: PathBuf,
     sim: Sim,
     handle: Handle,
+    defect: Arc<AtomicBool>,
     _mounted: Mounted,
 }
 
@@ -97,14 +103,14 @@ impl Mount {
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
         prepare(&sim);
         std::thread::sleep(Duration::from_millis(1300));
-        let signal = Arc::new(Signal::default());
+        let (signal, defect) = (Arc::new(Signal::default()), Arc::new(AtomicBool::new(false)));
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
         let entry = MountedGauge {
             name: "BAT0".into(),
             handle: handle.clone(),
             scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs(sim.clone()))),
+            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: defect.clone() })),
         };
         let access = Access {
             uid: nix::unistd::geteuid().as_raw(),
@@ -115,7 +121,7 @@ impl Mount {
         let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
         // The second poll, half a second later, reads the registers that no attribute needs.
         until("the second poll", || statistic(&handle, "polls") >= 2);
-        Some(Self { folder, sim, handle, _mounted: mounted })
+        Some(Self { folder, sim, handle, defect, _mounted: mounted })
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
@@ -494,6 +500,19 @@ fn a_write_that_nobody_answers_is_unknown() {
     assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
     // A panic ends one write, and not the owner.
     assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::ENOTRECOVERABLE));
+}
+
+#[test]
+fn a_panic_in_a_request_fails_that_request_only() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    mount.defect.store(true, Ordering::SeqCst);
+    for _ in 0..2 {
+        assert_eq!(fs::read(mount.path("sim/load_ma")).map_err(errno), Err(Errno::EIO));
+        assert_eq!(mount.cat("present"), "1");
+    }
+    let error = mount.cat("gauge/last_error");
+    assert!(error.contains("a defect of gaugefs has stopped a request"), "{error}");
+    assert_eq!(mount.echo("3100", "df/80/53"), Ok(()));
 }
 
 /// Only the owner can read data flash, and only the owner can write.
