@@ -34,7 +34,7 @@ mod handle;
 mod poll;
 mod request;
 #[cfg(test)]
-mod rig;
+pub(crate) mod rig;
 
 use arrival::Loss;
 pub use backup::Backup;
@@ -148,6 +148,8 @@ struct Owner {
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
     control_status: u16,
+    /// Polls in a row that found a gauge which has not measured since its power-up or reset.
+    unmeasured: u32,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
     /// What is known of the gauge's loss of its configuration.
@@ -184,6 +186,7 @@ impl Owner {
             rare: Registers::UNREAD,
             statics_are_current: false,
             control_status: 0,
+            unmeasured: 0,
             restore: settings.restore,
             loss: Loss::None,
             backup: settings.backup,

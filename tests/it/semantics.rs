@@ -160,13 +160,11 @@ fn semantics_of_the_attributes() {
         assert!(compared > 1, "{}: {compared} files compared", chip.name);
         let uevent = mount.cat("uevent");
         assert!(uevent.starts_with("POWER_SUPPLY_NAME=BAT0\n"));
-        let plain = |c: char| c.is_ascii_alphanumeric() || "._+-".contains(c);
         for line in uevent.lines() {
             let (key, value) = line.split_once('=').expect("KEY=VALUE");
-            assert!(value.chars().all(plain), "{line}");
             let name = key.strip_prefix("POWER_SUPPLY_").expect("the kernel's prefix").to_lowercase();
             if name != "name" {
-                assert_eq!(mount.cat(&name).replace(' ', "_"), value, "{name}");
+                assert_eq!(mount.cat(&name), value, "{name}");
             }
         }
     }
@@ -216,6 +214,7 @@ fn semantics_of_the_errnos() {
     mount.echo("none", "sim/fault").expect("a knob");
     mount.echo("on", "sim/power").expect("a knob");
     mount.until("the gauge is back", |mount| mount.echo("now", "gauge/refresh").is_ok());
+    mount.until("its first measurement", |mount| mount.path("voltage_now").exists());
     let mut held = fs::File::open(mount.path("voltage_now")).expect("there");
     mount.echo("off", "sim/power").expect("a knob");
     occurs("the address is not acknowledged", mount.echo("3100", parameter));

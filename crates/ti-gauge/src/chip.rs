@@ -234,9 +234,29 @@ pub struct Condition {
     pub cold: u16,
     /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
-    /// A primary cell, which is never charged: `status` is `Discharging` while a current flows, whatever its
-    /// sign, and otherwise `Not charging`; never `Charging` or `Full`.
-    pub primary: bool,
+    /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
+    pub uncertain: u16,
+    /// The bit of CONTROL_STATUS that is set once values are valid after power-up or a reset; 0 where none is
+    /// documented.
+    pub complete: u16,
+    /// A gauge for primary cells.
+    pub primary: Option<Primary>,
+}
+
+/// A gauge for primary cells, which are never charged: `status` is `Discharging` while a current flows, whatever
+/// its sign, and otherwise `Not charging`; never `Charging` or `Full`.
+#[derive(Debug)]
+pub struct Primary {
+    /// The bit of CONTROL_STATUS that is set between GAUGE_START and GAUGE_STOP. Current() is measured only then.
+    pub active: u16,
+    /// The byte of data flash (subclass and offset) whose bits let the flags of [`Condition`] through.
+    pub alerts: (u8, u16),
+    /// The byte of data flash that holds the mode.
+    pub mode: (u8, u16),
+    /// The mode's bits in it.
+    pub mode_mask: u8,
+    /// The modes in which the gauge computes StateOfHealth().
+    pub health_modes: &'static [u8],
 }
 
 /// Seal states and keys.

@@ -137,7 +137,7 @@ fn every_role_that_a_power_supply_needs_is_present() {
 
 #[test]
 fn a_primary_cell_is_never_charged_or_full() {
-    for chip in CHIPS.iter().filter(|chip| chip.condition.primary) {
+    for chip in CHIPS.iter().filter(|chip| chip.condition.primary.is_some()) {
         assert_eq!(chip.condition.full, 0, "{}", chip.name);
         for role in [Role::Capacity, Role::ChargeNow, Role::ChargeFull, Role::TimeToFullNow, Role::CycleCount]
         {
