@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use ti_gauge::authentication::Order;
-use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::chip::Chip;
 use ti_gauge::keys;
 
 /// Key words, which are not shown again.
@@ -20,7 +20,7 @@ impl fmt::Debug for Key {
 }
 
 pub(crate) fn chip_names() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().map(|chip| chip.name))
+    PossibleValuesParser::new(Chip::all().map(|chip| chip.name))
 }
 
 /// The chips as clap takes them, which lists them in errors and completes them in shells.

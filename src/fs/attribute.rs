@@ -3,7 +3,7 @@
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
 use crate::owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Primary, Role};
+use ti_gauge::chip::{Chip, Primary, Register, Role};
 
 use super::Scales;
 
@@ -56,8 +56,9 @@ static ATTRIBUTES: &[Row] = &[
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
-    number("temp", |reading| Some(reading.value(Role::Temp)? - 2731)),
+    number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
     number("time_to_empty_now", |reading| reading.seconds(Role::TimeToEmptyNow)),
+    number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),
     number("time_to_full_now", |reading| reading.seconds(Role::TimeToFullNow)),
     number("cycle_count", |reading| reading.value(Role::CycleCount)),
     number("state_of_health", |reading| {
@@ -114,12 +115,22 @@ impl Reading<'_> {
     fn value(&self, role: Role) -> Option<i64> {
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid && self.is_present())?;
         let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
-        self.raw(role).filter(|_| snapshot.has_current || !is_current)
+        let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
+        valid(self.chip.register(role)?, value, self.flags().unwrap_or_default())
+    }
+
+    fn flags(&self) -> Option<i64> {
+        self.raw(Role::Flags)
+    }
+
+    /// A register in that fraction of the unit of its role, without the rest, as in the kernel's driver.
+    fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
+        Some(self.chip.register(role)?.in_unit(self.value(role)?, fraction))
     }
 
     /// A register in thousandths of a unit, in millionths of it.
     fn micro(&self, role: Role, scale: f64) -> Option<i64> {
-        Some((self.value(role)? as f64 * 1000.0 * scale).round() as i64)
+        Some((self.steps(role, 1000)? as f64 * scale).round() as i64)
     }
 
     /// What `current_now` shows, in mA before the scale. Parts with a single current register average it. Monitors
@@ -141,8 +152,8 @@ impl Reading<'_> {
     /// other.
     fn power(&self) -> Option<i64> {
         let power = self.energy(Role::PowerAvg)?;
-        let is_signed = self.chip.register(Role::PowerAvg)?.signed;
-        Some(if is_signed { power } else { -power })
+        let register = self.chip.register(Role::PowerAvg)?;
+        Some(if register.signed || register.positive != 0 { power } else { -power })
     }
 
     /// A register in minutes, of which 65535 means that there is no such time.
@@ -176,8 +187,8 @@ impl Reading<'_> {
     /// Whether the gauge answers and has a battery. Parts without a flag for it have one whenever they answer.
     pub(super) fn is_present(&self) -> bool {
         let mask = self.chip.condition.present;
-        let flag = || self.raw(Role::Flags).is_some_and(|flags| flags & i64::from(mask) != 0);
-        self.snapshot.is_some() && (mask == 0 || flag())
+        let flag = |flags| flags & i64::from(mask) != 0;
+        self.snapshot.is_some() && (mask == 0 || self.flags().is_some_and(flag))
     }
 
     /// By the current that `current_now` shows. The full flag counts more than a charging current, which hardly ever is
@@ -204,13 +215,14 @@ impl Reading<'_> {
         if self.chip.condition.full == 0 { Some(false) } else { self.has_flag(self.chip.condition.full) }
     }
 
-    /// In the order of the kernel's driver, where a pack below a threshold of its remaining capacity is `Dead`.
+    /// In the order of the kernel's driver. `Dead` is a pack below the final threshold; in the driver it already is one
+    /// below the first, which is `Low` in `capacity_level`.
     fn health(&self) -> Option<&'static str> {
         let condition = &self.chip.condition;
         let flags = [
             (condition.overheat, "Overheat"),
             (condition.cold, "Cold"),
-            (condition.low | condition.critical, "Dead"),
+            (condition.critical, "Dead"),
             (condition.uncertain, "Calibration required"),
         ];
         self.first_set(&flags, "Good")
@@ -223,17 +235,27 @@ impl Reading<'_> {
     }
 
     /// The word of the first of the flags that is set, or else another one; `Unknown` if none is set, but not all of
-    /// them are known.
+    /// them are known. `None` where no document has the flags.
     fn first_set(&self, flags: &[(u16, &'static str)], otherwise: &'static str) -> Option<&'static str> {
         if !self.is_present() {
             return None;
         }
         let flags = flags.iter().filter(|(mask, _)| *mask != 0);
         let known: Vec<_> = flags.map(|&(mask, word)| (self.has_flag(mask), word)).collect();
+        if known.is_empty() {
+            return None;
+        }
         let set = known.iter().find(|(is_set, _)| *is_set == Some(true)).map(|(_, word)| *word);
         let all_known = known.iter().all(|(is_set, _)| is_set.is_some());
         Some(set.unwrap_or(if all_known { otherwise } else { "Unknown" }))
     }
+}
+
+/// What a register reads, with the sign that the flags give it; `None` for a 0 that the flags contradict.
+fn valid(register: &Register, value: i64, flags: i64) -> Option<i64> {
+    let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
+    let value = if is_set(register.positive) { value } else { -value };
+    (value != 0 || is_set(register.empty)).then_some(value)
 }
 
 /// `uevent`: NAME first, then every attribute that the gauge has, all from one poll. The words are the kernel's, with
@@ -519,6 +541,111 @@ mod tests {
             }
             let power: i64 = show(&rig, "power_avg").expect("measured").parse().expect("a number");
             assert!(power < -1_000_000, "{chip}: {power} µW");
+        }
+    }
+
+    /// The attributes of the driver of Linux 6.12 that are not the same for all.
+    #[rustfmt::skip]
+    const OF_THE_DRIVER: &[(&[&str], &str)] = &[
+        (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+        (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+        (&["bq27521"], "current_now temp voltage_now"),
+        (&["bq27530", "bq27531", "bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+        (&["bq27541", "bq27542", "bq27546", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+        (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
+        (&["bq27z561", "bq28z610", "bq78z100"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+    ];
+
+    #[test]
+    fn a_gauge_without_a_table_shows_the_attributes_of_the_kernels_driver() {
+        let mut chips = 0;
+        for (names, attributes) in OF_THE_DRIVER {
+            for name in *names {
+                let mut rig = open(name);
+                turn(&rig, "speed", "20");
+                let mut shown = BTreeSet::new();
+                for load in ["500", "-500"] {
+                    turn(&rig, "load_ma", load);
+                    for _ in 0..5 {
+                        rig.poll_after(Duration::from_secs(2));
+                    }
+                    let found = Attribute::all().map(Attribute::name);
+                    shown.extend(found.filter(|attribute| show(&rig, attribute).is_some()));
+                }
+                let mut expected: BTreeSet<_> = attributes.split(' ').collect();
+                expected.extend(["type", "status", "present", "technology", "scope", "current_avg"]);
+                expected.extend(["manufacturer", "model_name"]);
+                if *name != "bq27521" {
+                    expected.extend(["health", "capacity_level"]);
+                }
+                assert_eq!(shown, expected, "{name}");
+                chips += 1;
+            }
+        }
+        assert_eq!(chips, ti_gauge::chip::kernel::GAUGES.len());
+    }
+
+    #[test]
+    fn a_bq27000_counts_in_the_voltage_of_its_sense_resistor() {
+        let mut rig = open("bq27000");
+        let number = |rig: &Rig, name| show(rig, name).expect("measured").parse::<i64>().expect("a number");
+        let raw = |rig: &Rig, name| {
+            let published = rig.handle.published();
+            let chip = rig.handle.chip();
+            let register = chip.registers.iter().find(|register| register.name == name).expect("a register");
+            published.snapshot.as_ref().expect("polled").value(register).expect("read")
+        };
+        // In quarters of a kelvin, rounded down as in the driver.
+        assert_eq!(number(&rig, "temp"), 249);
+        assert_eq!(number(&rig, "charge_full_design"), 25 * 256 * 3570 / 20);
+        for (load, sign, status) in [("500", -1, "Discharging"), ("-500", 1, "Charging")] {
+            turn(&rig, "load_ma", load);
+            for _ in 0..20 {
+                rig.poll_after(Duration::from_secs(10));
+            }
+            let (current, power) = (raw(&rig, "AverageCurrent"), raw(&rig, "AveragePower"));
+            assert!((2700..2900).contains(&current), "{current} steps of 3.57 µV");
+            assert_eq!(number(&rig, "current_now"), sign * current * 3570 / 20);
+            assert_eq!(number(&rig, "power_avg"), sign * power * 29200 / 20);
+            assert_eq!(number(&rig, "charge_now"), raw(&rig, "NominalAvailableCapacity") * 3570 / 20);
+            assert_eq!(number(&rig, "energy_now"), raw(&rig, "AvailableEnergy") * 29200 / 20);
+            assert_shows(&rig, &[("status", Some(status)), ("health", Some("Good"))]);
+        }
+        turn(&rig, "load_ma", "0");
+        turn(&rig, "soc", "0");
+        rig.poll_after(INTERVAL);
+        // [EDVF] is set, so this 0 is one.
+        assert_shows(&rig, &[("capacity", Some("0")), ("health", Some("Dead"))]);
+    }
+
+    #[test]
+    fn an_empty_reading_of_a_bq27000_that_is_not_empty_is_no_value() {
+        let rig = open("bq27000");
+        let capacity = rig.handle.chip().register(Role::Capacity).expect("a register");
+        assert_eq!(valid(capacity, 0, 0x80), None);
+        assert_eq!(valid(capacity, 0, 0x81), Some(0));
+        assert_eq!(valid(capacity, 1, 0x80), Some(1));
+        let current = rig.handle.chip().register(Role::CurrentAvg).expect("a register");
+        assert_eq!(valid(current, 0, 0x80), Some(0));
+        assert_eq!([valid(current, 7, 0x80), valid(current, 7, 0)], [Some(7), Some(-7)]);
+    }
+
+    #[test]
+    fn a_pack_is_dead_at_the_final_threshold_and_low_at_the_first() {
+        for chip in ["bq27541", "bq27411", "bq27000", "bq34z100-g1"] {
+            let mut rig = open(chip);
+            let mut at = |soc| {
+                turn(&rig, "soc", soc);
+                rig.poll_after(INTERVAL);
+                ["health", "capacity_level"].map(|name| show(&rig, name).expect("known"))
+            };
+            assert_eq!(at("50"), ["Good", "Normal"], "{chip}");
+            assert_eq!(at("11"), ["Good", "Low"], "{chip}");
+            assert_eq!(at("1"), ["Dead", "Critical"], "{chip}");
         }
     }
 

@@ -94,7 +94,7 @@ impl Shared {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
-            limited: None,
+            limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,
             digest: None,
             interval: settings.interval,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Answers, Owner, Snapshot};
+use super::{Owner, Snapshot};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Role, Tier};
 use ti_gauge::gauge::Statistics;
@@ -150,7 +150,7 @@ impl Owner {
     /// The poll that is due by the schedule.
     pub(super) fn poll_on_time(&mut self) {
         let was_gone = self.schedule.is_gone();
-        let is_new = self.shared.published().answers == Answers::default();
+        let is_new = Statistics::read(&self.shared.statistics.polls) == 0;
         match self.update() {
             Ok(()) if is_new => {
                 log::info!("{}: the gauge answers", self.shared.name());
@@ -205,7 +205,8 @@ impl Owner {
             self.statics_are_current = true;
         }
         // A primary cell is measured only while CONTROL_STATUS says so.
-        if slow || statics || self.unmeasured > 0 || condition.primary.is_some() {
+        let has_table = self.gauge.chip.has_table();
+        if has_table && (slow || statics || self.unmeasured > 0 || condition.primary.is_some()) {
             let (seal, status) = self.gauge.control_status()?;
             self.control_status = status;
             self.shared.publish(|published| published.seal = seal);

@@ -209,6 +209,7 @@ fn bits_are_single_uniquely_named_and_inside_their_word() {
                 assert_eq!(named(bits, 2 << shift), Some("SEC1"), "{}", chip.name);
                 assert!(chip.security.full_access, "{}", chip.name);
             }
+            SealStatus::None => panic!("{}: a table says where it is", chip.name),
         }
     }
 }
@@ -513,6 +514,7 @@ fn waits_are_at_least_those_that_a_gauge_needs() {
         let (commit_ms, enters) = match access.scheme {
             Scheme::Block | Scheme::Mac => (100, false),
             Scheme::CfgUpdate => (10, true),
+            Scheme::None => panic!("{}: a table has one", chip.name),
         };
         assert!(access.commit.as_millis() >= commit_ms, "{}", chip.name);
         assert_eq!(!access.enter_limit.is_zero(), enters, "{}", chip.name);
