@@ -540,9 +540,10 @@ impl Chip {
         CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied())
     }
 
-    /// The chip of that name on the command line.
+    /// The chip of that name on the command line, or else of that name in the kernel's driver.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
-        Self::all().find(|chip| chip.name.eq_ignore_ascii_case(name))
+        let found = Self::all().find(|chip| chip.name.eq_ignore_ascii_case(name));
+        found.or_else(|| kernel::by_driver_name(name))
     }
 
     /// Whether a table describes more than its standard commands. Without one nothing is ever written to the

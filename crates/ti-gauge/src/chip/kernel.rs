@@ -59,9 +59,10 @@ pub static DRIVER: &[(&str, &str)] = &[
     ("bq78z100", "bq78z100"),
 ];
 
-/// The chip that the kernel's driver knows by that name.
+/// The chip that the kernel's driver knows by that name. Its `bq27500` is any part of the family.
 pub fn by_driver_name(name: &str) -> Option<&'static Chip> {
-    DRIVER.iter().find(|(driver, _)| *driver == name).and_then(|(_, ours)| Chip::by_name(ours))
+    let (_, ours) = DRIVER.iter().find(|(driver, _)| *driver == name)?;
+    Chip::all().find(|chip| chip.name == *ours)
 }
 
 /// The name by which the kernel's driver knows a chip.
