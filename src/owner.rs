@@ -36,7 +36,7 @@ mod handle;
 mod poll;
 mod request;
 #[cfg(test)]
-mod rig;
+pub(crate) mod rig;
 
 use arrival::Loss;
 pub use attempt::Attempt;
@@ -156,6 +156,8 @@ struct Owner {
     control_status: u16,
     /// When the gauge was last asked what it is.
     identified: Duration,
+    /// Polls in a row that found a gauge which has not measured since its power-up or reset.
+    unmeasured: u32,
     /// See [`Settings::restore`].
     restore: Vec<Change>,
     /// What is known of the gauge's loss of its configuration.
@@ -196,6 +198,7 @@ impl Owner {
             statics_are_current: false,
             control_status: 0,
             identified: Duration::ZERO,
+            unmeasured: 0,
             restore: settings.restore,
             loss: Loss::None,
             backup: settings.backup,

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{align, print, print_json};
 use crate::error::Result;
-use ti_gauge::chip::{CHIPS, Chip, Evidence, Scheme};
+use ti_gauge::chip::{Chip, Evidence, Scheme};
 
 /// List the supported gauges and what each table is based on
 #[derive(Args, Debug)]
@@ -59,7 +59,7 @@ impl Row {
 
 impl Chips {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let rows: Vec<_> = CHIPS.iter().map(|chip| Row::new(chip)).collect();
+        let rows: Vec<_> = Chip::all().map(Row::new).collect();
         if self.json {
             print_json(&rows);
         } else {
@@ -85,6 +85,7 @@ fn scheme(chip: &Chip) -> &'static str {
     match chip.access.scheme {
         Scheme::Block | Scheme::Mac => "flash",
         Scheme::CfgUpdate => "RAM",
+        Scheme::None => "none",
     }
 }
 

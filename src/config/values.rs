@@ -1,12 +1,13 @@
 //! The values of options, checked alike on the command line and in a configuration file.
 
 use std::fmt;
+use std::ptr;
 use std::time::Duration;
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use ti_gauge::authentication::Order;
-use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
 
 /// Key words, which are not shown again.
@@ -20,7 +21,12 @@ impl fmt::Debug for Key {
 }
 
 pub(crate) fn chip_names() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().map(|chip| chip.name))
+    PossibleValuesParser::new(Chip::all().map(|chip| {
+        // A name of the kernel's driver that is also the name of another chip here is that chip's.
+        let alias = kernel::driver_name(chip)
+            .filter(|name| Chip::by_name(name).is_some_and(|one| ptr::eq(one, chip)));
+        alias.into_iter().fold(PossibleValue::new(chip.name), PossibleValue::alias)
+    }))
 }
 
 /// The chips as clap takes them, which lists them in errors and completes them in shells.
@@ -86,6 +92,20 @@ pub(super) fn group(text: &str) -> Result<u32, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_chip_has_the_name_that_the_kernels_driver_gives_it_as_well() {
+        let parsed = |name: &str| {
+            let command = clap::Command::new("test").arg(clap::Arg::new("chip").value_parser(chips()));
+            let matches = command.try_get_matches_from(["test", name]).ok()?;
+            matches.get_one::<&'static Chip>("chip").map(|chip| chip.name)
+        };
+        let names =
+            ["bq27441-g1", "bq27441", "bq27510g3", "bq27200", "bq27500-1", "bq27500", "bq2750x", "bq27999"];
+        let found =
+            ["bq27441-g1", "bq27441-g1", "bq27510-g3", "bq27000", "bq27500", "bq27500", "bq2750x", ""];
+        assert_eq!(names.map(|name| parsed(name).unwrap_or_default()), found);
+    }
 
     #[test]
     fn values_are_checked() {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Cause, Error, Result};
 use gauge_bus::GAUGE_ADDRESS;
-use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::chip::{CHIPS, Chip, kernel};
 
 /// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
 #[derive(Debug)]
@@ -50,7 +50,12 @@ fn address(name: &str) -> u8 {
 /// The first known chip that the device is compatible with, from `of:NgaugeT(null)Cti,bq27520g3`.
 fn chip(modalias: &str) -> Option<&'static Chip> {
     let words = modalias.trim().strip_prefix("of:")?.split('C').filter_map(|word| word.strip_prefix("ti,"));
-    words.filter_map(|word| CHIPS.iter().copied().find(|chip| compatible(chip).contains(&word.into()))).next()
+    words.filter_map(|word| kernel::by_driver_name(word).or_else(|| by_name(word))).next()
+}
+
+/// The chip that the kernel's driver does not know, by TI's name.
+fn by_name(word: &str) -> Option<&'static Chip> {
+    CHIPS.iter().copied().find(|chip| compatible(chip).contains(&word.into()))
 }
 
 /// The kernel's names have no dash, and most have no suffix for the first generation.
@@ -97,7 +102,15 @@ mod tests {
             let name = known.unwrap_or_else(|| panic!("{} is not in the rule", gauge.name));
             assert_eq!(chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name), Some(gauge.name));
         }
-        assert!(chip("of:NgT(null)Cti,bq27520g4").is_none());
+        for (name, _) in kernel::DRIVER {
+            assert!(
+                rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")),
+                "{name} is not in the rule"
+            );
+        }
+        assert_eq!(chip("of:NgT(null)Cti,bq27500").map(|chip| chip.name), Some("bq2750x"));
+        assert_eq!(chip("of:NgT(null)Cti,bq27500-1").map(|chip| chip.name), Some("bq27500"));
+        assert!(chip("of:NgT(null)Cti,bq27220").is_none());
         assert!(chip("i2c:bq34z100").is_none());
     }
 }

@@ -253,7 +253,7 @@ fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     })?;
     let status = match chip.security.status {
         SealStatus::Field { register, .. } => register,
-        SealStatus::Bits { .. } => None,
+        SealStatus::Bits { .. } | SealStatus::None => None,
     };
     let replay = Replay::new(&recording, Seals { command: chip.security.seal, status });
     for tier in [Tier::Poll, Tier::Static, Tier::Slow] {

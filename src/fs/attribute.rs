@@ -2,8 +2,8 @@
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
-use crate::owner::Snapshot;
-use ti_gauge::chip::{Chip, Role};
+use crate::owner::{Handle, Snapshot};
+use ti_gauge::chip::{Chip, Primary, Register, Role};
 
 use super::Scales;
 
@@ -13,6 +13,7 @@ pub(super) struct Reading<'a> {
     pub(super) model: &'static str,
     /// `None` while the gauge is gone.
     pub(super) snapshot: Option<&'a Snapshot>,
+    pub(super) handle: &'a Handle,
     pub(super) scales: &'a Scales,
 }
 
@@ -47,23 +48,22 @@ static ATTRIBUTES: &[Row] = &[
     text("capacity_level", |reading| reading.capacity_level()),
     number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
     number("voltage_now", |reading| reading.micro(Role::VoltageNow, reading.scales.voltage)),
-    // Parts with a single current register average it. Monitors look for `current_now`, so the average is
-    // shown there too, as by the kernel's driver.
-    number("current_now", |reading| {
-        reading.current(Role::CurrentNow).or_else(|| reading.current(Role::CurrentAvg))
-    }),
+    number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
     number("charge_now", |reading| reading.micro(Role::ChargeNow, reading.scales.current)),
     number("charge_full", |reading| reading.micro(Role::ChargeFull, reading.scales.current)),
     number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, reading.scales.current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
-    number("power_avg", |reading| reading.energy(Role::PowerAvg)),
+    number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
-    number("temp", |reading| Some(reading.value(Role::Temp)? - 2731)),
+    number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
     number("time_to_empty_now", |reading| reading.seconds(Role::TimeToEmptyNow)),
+    number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),
     number("time_to_full_now", |reading| reading.seconds(Role::TimeToFullNow)),
     number("cycle_count", |reading| reading.value(Role::CycleCount)),
-    number("state_of_health", |reading| reading.value(Role::StateOfHealth)),
+    number("state_of_health", |reading| {
+        reading.value(Role::StateOfHealth).filter(|_| reading.computes_health() == Some(true))
+    }),
     text("manufacturer", |_| Some("Texas Instruments")),
     text("model_name", |reading| Some(reading.model)),
 ];
@@ -105,13 +105,38 @@ impl Attribute {
 }
 
 impl Reading<'_> {
-    fn value(&self, role: Role) -> Option<i64> {
+    /// What a register reads, whether it is valid or not.
+    fn raw(&self, role: Role) -> Option<i64> {
         self.snapshot?.value(self.chip.register(role)?)
+    }
+
+    /// A measured value: none without a battery, none before the gauge has measured, and no current of a primary
+    /// cell outside of GAUGE_START and GAUGE_STOP.
+    fn value(&self, role: Role) -> Option<i64> {
+        let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid && self.is_present())?;
+        let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
+        let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
+        valid(self.chip.register(role)?, value, self.flags().unwrap_or_default())
+    }
+
+    fn flags(&self) -> Option<i64> {
+        self.raw(Role::Flags)
+    }
+
+    /// A register in that fraction of the unit of its role, without the rest, as in the kernel's driver.
+    fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
+        Some(self.chip.register(role)?.in_unit(self.value(role)?, fraction))
     }
 
     /// A register in thousandths of a unit, in millionths of it.
     fn micro(&self, role: Role, scale: f64) -> Option<i64> {
-        Some((self.value(role)? as f64 * 1000.0 * scale).round() as i64)
+        Some((self.steps(role, 1000)? as f64 * scale).round() as i64)
+    }
+
+    /// What `current_now` shows, in mA before the scale. Parts with a single current register average it. Monitors
+    /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
+    fn current_now(&self) -> Option<Role> {
+        [Role::CurrentNow, Role::CurrentAvg].into_iter().find(|&role| self.chip.register(role).is_some())
     }
 
     fn current(&self, role: Role) -> Option<i64> {
@@ -123,64 +148,118 @@ impl Reading<'_> {
         self.micro(role, self.scales.energy).filter(|_| self.scales.energy_shown)
     }
 
+    /// Negative while discharging, as the current. An unsigned register has the power of the discharge, and 0 for any
+    /// other.
+    fn power(&self) -> Option<i64> {
+        let power = self.energy(Role::PowerAvg)?;
+        let register = self.chip.register(Role::PowerAvg)?;
+        Some(if register.signed || register.positive != 0 { power } else { -power })
+    }
+
     /// A register in minutes, of which 65535 means that there is no such time.
     fn seconds(&self, role: Role) -> Option<i64> {
         self.value(role).filter(|&minutes| minutes != 0xffff).map(|minutes| minutes * 60)
     }
 
+    fn primary(&self) -> Option<&'static Primary> {
+        self.chip.condition.primary.as_ref()
+    }
+
+    /// Whether the gauge computes StateOfHealth(). On a gauge of primary cells the mode in data flash decides, which is
+    /// not known before it has been read.
+    fn computes_health(&self) -> Option<bool> {
+        let Some(primary) = self.primary() else { return Some(true) };
+        let mode = self.handle.kept_byte(primary.mode)? & primary.mode_mask;
+        Some(primary.health_modes.contains(&mode))
+    }
+
+    /// Whether any of the flags is set; `None` if that is not known.
     fn has_flag(&self, mask: u16) -> Option<bool> {
-        Some(self.value(Role::Flags)? & i64::from(mask) != 0)
+        if self.value(Role::Flags)? & i64::from(mask) != 0 {
+            return Some(true);
+        }
+        // A flag that is not let through is never set.
+        let Some(primary) = self.primary() else { return Some(false) };
+        let shown = u16::from(self.handle.kept_byte(primary.alerts)?);
+        (mask & !shown == 0).then_some(false)
     }
 
     /// Whether the gauge answers and has a battery. Parts without a flag for it have one whenever they answer.
     pub(super) fn is_present(&self) -> bool {
         let mask = self.chip.condition.present;
-        self.snapshot.is_some() && (mask == 0 || self.has_flag(mask) == Some(true))
+        let flag = |flags| flags & i64::from(mask) != 0;
+        self.snapshot.is_some() && (mask == 0 || self.flags().is_some_and(flag))
     }
 
-    /// As in the kernel's driver: the sign of the current, and the full flag while no current flows.
+    /// By the current that `current_now` shows. The full flag counts more than a charging current, which hardly ever is
+    /// 0 at the end of a charge, as in the kernel's driver; but a pack that is being discharged is not `Full`.
     pub(super) fn status(&self) -> Option<&'static str> {
         let condition = &self.chip.condition;
-        let current = self.value(Role::CurrentAvg).or_else(|| self.value(Role::CurrentNow))?;
+        if !self.is_present() {
+            return None;
+        }
+        let current = self.current_now().and_then(|role| self.value(role));
+        let (Some(current), Some(full)) = (current, self.has_full_flag()) else { return Some("Unknown") };
         Some(match current {
-            0 if condition.primary => "Not charging",
-            0 if self.has_flag(condition.full)? => "Full",
+            0 if condition.primary.is_some() => "Not charging",
+            _ if condition.primary.is_some() => "Discharging",
+            0.. if full => "Full",
             0 => "Not charging",
-            _ if condition.primary => "Discharging",
             1.. => "Charging",
             _ => "Discharging",
         })
     }
 
-    /// In the order of the kernel's driver, where a pack below a threshold of its remaining capacity is `Dead`.
+    /// The full flag; a primary cell has none.
+    fn has_full_flag(&self) -> Option<bool> {
+        if self.chip.condition.full == 0 { Some(false) } else { self.has_flag(self.chip.condition.full) }
+    }
+
+    /// In the order of the kernel's driver. `Dead` is a pack below the final threshold; in the driver it already is one
+    /// below the first, which is `Low` in `capacity_level`.
     fn health(&self) -> Option<&'static str> {
         let condition = &self.chip.condition;
-        Some(if self.has_flag(condition.overheat)? {
-            "Overheat"
-        } else if self.has_flag(condition.cold)? {
-            "Cold"
-        } else if self.has_flag(condition.low | condition.critical)? {
-            "Dead"
-        } else {
-            "Good"
-        })
+        let flags = [
+            (condition.overheat, "Overheat"),
+            (condition.cold, "Cold"),
+            (condition.critical, "Dead"),
+            (condition.uncertain, "Calibration required"),
+        ];
+        self.first_set(&flags, "Good")
     }
 
     fn capacity_level(&self) -> Option<&'static str> {
         let condition = &self.chip.condition;
-        Some(if self.has_flag(condition.full)? {
-            "Full"
-        } else if self.has_flag(condition.critical)? {
-            "Critical"
-        } else if self.has_flag(condition.low)? {
-            "Low"
-        } else {
-            "Normal"
-        })
+        let flags = [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")];
+        self.first_set(&flags, "Normal")
+    }
+
+    /// The word of the first of the flags that is set, or else another one; `Unknown` if none is set, but not all of
+    /// them are known. `None` where no document has the flags.
+    fn first_set(&self, flags: &[(u16, &'static str)], otherwise: &'static str) -> Option<&'static str> {
+        if !self.is_present() {
+            return None;
+        }
+        let flags = flags.iter().filter(|(mask, _)| *mask != 0);
+        let known: Vec<_> = flags.map(|&(mask, word)| (self.has_flag(mask), word)).collect();
+        if known.is_empty() {
+            return None;
+        }
+        let set = known.iter().find(|(is_set, _)| *is_set == Some(true)).map(|(_, word)| *word);
+        let all_known = known.iter().all(|(is_set, _)| is_set.is_some());
+        Some(set.unwrap_or(if all_known { otherwise } else { "Unknown" }))
     }
 }
 
-/// `uevent`: NAME first, then every attribute that the gauge has, all from one poll.
+/// What a register reads, with the sign that the flags give it; `None` for a 0 that the flags contradict.
+fn valid(register: &Register, value: i64, flags: i64) -> Option<i64> {
+    let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
+    let value = if is_set(register.positive) { value } else { -value };
+    (value != 0 || is_set(register.empty)).then_some(value)
+}
+
+/// `uevent`: NAME first, then every attribute that the gauge has, all from one poll. The words are the kernel's, with
+/// their spaces, because monitors compare them.
 pub(super) fn uevent(name: &str, reading: &Reading<'_>) -> String {
     let mut lines = format!("POWER_SUPPLY_NAME={}\n", plain(name));
     for attribute in Attribute::all() {
@@ -188,13 +267,13 @@ pub(super) fn uevent(name: &str, reading: &Reading<'_>) -> String {
             continue;
         }
         if let Some(text) = attribute.text(reading) {
-            lines += &format!("POWER_SUPPLY_{}={}\n", attribute.name().to_uppercase(), plain(&text));
+            lines += &format!("POWER_SUPPLY_{}={}\n", attribute.name().to_uppercase(), text);
         }
     }
     lines
 }
 
-/// A value for `uevent`. Shells source that file, so whatever they would act on becomes `_`.
+/// What a user or a gauge supplies, for `uevent`. Shells source that file, so whatever they would act on becomes `_`.
 pub(super) fn plain(text: &str) -> String {
     let keep = |letter: char| letter.is_ascii_alphanumeric() || "._+-".contains(letter);
     text.chars().map(|letter| if keep(letter) { letter } else { '_' }).collect()
@@ -203,8 +282,13 @@ pub(super) fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+    use std::time::Duration;
+
+    use gauge_bus::clock::Clock;
 
     use super::*;
+    use crate::owner::rig::{INTERVAL, Rig};
+    use crate::owner::{Request, Settings, Startup};
 
     /// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power`).
     const ABI: &[&str] = &[
@@ -281,5 +365,312 @@ mod tests {
         let names: BTreeSet<_> = Attribute::all().map(Attribute::name).collect();
         assert_eq!(names.len(), ATTRIBUTES.len());
         assert!(LISTED_WHILE_GONE.iter().all(|name| names.contains(name)));
+    }
+
+    /// A simulated gauge that has been identified and polled.
+    fn open(chip: &str) -> Rig {
+        let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+        rig.start().expect("it answers");
+        rig
+    }
+
+    fn turn(rig: &Rig, knob: &str, text: &str) {
+        rig.sim.set(knob, text).unwrap_or_else(|error| panic!("{knob} {text}: {error}"));
+    }
+
+    fn show(rig: &Rig, name: &str) -> Option<String> {
+        let published = rig.handle.published();
+        let scales = Scales { energy_shown: true, ..Scales::default() };
+        let chip = rig.handle.chip();
+        let snapshot = published.snapshot.as_deref();
+        let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+        Attribute::by_name(name).expect("an attribute").text(&reading)
+    }
+
+    #[track_caller]
+    fn assert_shows(rig: &Rig, expected: &[(&str, Option<&str>)]) {
+        for &(name, text) in expected {
+            assert_eq!(show(rig, name).as_deref(), text, "{name}");
+        }
+    }
+
+    /// Everything that is measured, or follows from it.
+    const MEASURED: [&str; 17] = [
+        "capacity",
+        "capacity_error_margin",
+        "voltage_now",
+        "current_now",
+        "current_avg",
+        "charge_now",
+        "charge_full",
+        "charge_full_design",
+        "energy_now",
+        "power_avg",
+        "temp",
+        "time_to_empty_now",
+        "time_to_full_now",
+        "cycle_count",
+        "state_of_health",
+        "status",
+        "health",
+    ];
+
+    #[test]
+    fn without_a_battery_nothing_is_measured() {
+        let mut rig = open("bq27441-g1");
+        assert_shows(&rig, &[("present", Some("1")), ("health", Some("Good"))]);
+        // OpConfig without [BIE]: the host says whether there is a battery.
+        rig.sim.set_flash(64, 0, &[0x05, 0xf8]);
+        let bat_remove = 0x000d;
+        rig.ask(|done| Request::Control(bat_remove, done)).expect("a sealed gauge takes it");
+        rig.poll_after(INTERVAL);
+        assert_shows(&rig, &[("present", Some("0"))]);
+        for name in MEASURED.into_iter().chain(["capacity_level"]) {
+            assert_eq!(show(&rig, name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn before_the_first_measurement_no_value_is_shown() {
+        for chip in ["bq34z100-g1", "bq27441-g1", "bq27520-g3", "bq34110"] {
+            let mut rig = open(chip);
+            turn(&rig, "first_ms", "3000");
+            turn(&rig, "first_values", "nonsense");
+            turn(&rig, "power", "off");
+            turn(&rig, "power", "on");
+            rig.clock.sleep(Duration::from_secs(1));
+            for _ in 0..3 {
+                rig.poll_after(Duration::ZERO);
+            }
+            assert_shows(
+                &rig,
+                &[("present", Some("1")), ("status", Some("Unknown")), ("health", Some("Unknown"))],
+            );
+            for name in &MEASURED[..15] {
+                assert_eq!(show(&rig, name), None, "{chip}: {name}");
+            }
+            for _ in 0..4 {
+                rig.poll_after(Duration::from_secs(2));
+            }
+            assert!(show(&rig, "voltage_now").is_some_and(|text| text != "0"), "{chip}");
+            assert_shows(&rig, &[("status", Some("Not charging"))]);
+        }
+    }
+
+    #[test]
+    fn the_status_agrees_with_the_current_that_is_shown() {
+        for chip in ["bq34z100-g1", "bq27520-g3", "bq27441-g1", "bq34110"] {
+            let mut rig = open(chip);
+            for load in ["500", "-500", "0", "-300", "300"] {
+                turn(&rig, "load_ma", load);
+                for _ in 0..12 {
+                    rig.poll_after(Duration::from_secs(1));
+                    let current: i64 =
+                        show(&rig, "current_now").expect("measured").parse().expect("a number");
+                    let status = show(&rig, "status").expect("present");
+                    let expected: &[&str] = match current {
+                        0 => &["Not charging", "Full"],
+                        1.. => &["Charging", "Full"],
+                        _ => &["Discharging"],
+                    };
+                    assert!(expected.contains(&&*status), "{chip}: {status} at {current} µA");
+                }
+            }
+        }
+    }
+
+    /// The charge ends with a current that is small, not 0.
+    #[test]
+    fn a_pack_that_is_charged_is_full_although_a_current_still_flows() {
+        let mut rig = open("bq34110");
+        turn(&rig, "soc", "100");
+        turn(&rig, "load_ma", "-20");
+        turn(&rig, "speed", "100");
+        for _ in 0..100 {
+            rig.poll_after(Duration::from_secs(1));
+        }
+        assert_shows(&rig, &[("capacity_level", Some("Full")), ("status", Some("Full"))]);
+        turn(&rig, "speed", "1");
+        turn(&rig, "load_ma", "500");
+        rig.poll_after(Duration::from_secs(3));
+        assert_shows(&rig, &[("capacity_level", Some("Full")), ("status", Some("Discharging"))]);
+    }
+
+    #[test]
+    fn what_a_gauge_of_primary_cells_does_not_know_is_not_shown() {
+        let mut rig = open("bq35100");
+        turn(&rig, "load_ma", "50");
+        rig.poll_after(INTERVAL);
+        let unknown = Some("Unknown");
+        assert_shows(&rig, &[("current_now", None), ("status", unknown), ("state_of_health", None)]);
+        assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown)]);
+        let (start, stop) = (0x0011, 0x0012);
+        rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+        rig.poll_after(Duration::from_secs(3));
+        assert_shows(&rig, &[("current_now", Some("-50000")), ("status", Some("Discharging"))]);
+        rig.ask(|done| Request::Control(stop, done)).expect("a sealed gauge takes it");
+        rig.poll_after(INTERVAL);
+        assert_shows(&rig, &[("current_now", None), ("status", unknown)]);
+
+        // ALERT Configuration lets no flag through, and the mode accumulates charge only: both are known now.
+        let all = (0..rig.handle.chip().subclasses.len()).collect();
+        rig.ask(|done| Request::Read(all, done)).expect("the default key");
+        assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown), ("state_of_health", None)]);
+        // [GMSEL] 10, and all alerts.
+        rig.sim.set_flash(0, 0x1b1, &[0x82, 0xfb]);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.poll_after(INTERVAL);
+        rig.ask(Request::Refresh).expect("it answers");
+        let all = (0..rig.handle.chip().subclasses.len()).collect();
+        rig.ask(|done| Request::Read(all, done)).expect("the default key");
+        rig.poll_after(INTERVAL);
+        assert_shows(&rig, &[("health", Some("Good")), ("capacity_level", Some("Normal"))]);
+        assert!(show(&rig, "state_of_health").is_some());
+    }
+
+    /// The power of the bq34z100-G1 is unsigned, that of the others negative while discharging.
+    #[test]
+    fn power_has_the_sign_of_the_current() {
+        for chip in ["bq34z100-g1", "bq27441-g1", "bq27520-g3"] {
+            let mut rig = open(chip);
+            turn(&rig, "load_ma", "500");
+            turn(&rig, "speed", "20");
+            for _ in 0..20 {
+                rig.poll_after(Duration::from_secs(2));
+            }
+            let power: i64 = show(&rig, "power_avg").expect("measured").parse().expect("a number");
+            assert!(power < -1_000_000, "{chip}: {power} µW");
+        }
+    }
+
+    /// The attributes of the driver of Linux 6.12 that are not the same for all.
+    #[rustfmt::skip]
+    const OF_THE_DRIVER: &[(&[&str], &str)] = &[
+        (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+        (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+        (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+        (&["bq27521"], "current_now temp voltage_now"),
+        (&["bq27530", "bq27531", "bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+        (&["bq27541", "bq27542", "bq27546", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+        (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
+        (&["bq27z561", "bq28z610", "bq78z100"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+    ];
+
+    #[test]
+    fn a_gauge_without_a_table_shows_the_attributes_of_the_kernels_driver() {
+        let mut chips = 0;
+        for (names, attributes) in OF_THE_DRIVER {
+            for name in *names {
+                let mut rig = open(name);
+                turn(&rig, "speed", "20");
+                let mut shown = BTreeSet::new();
+                for load in ["500", "-500"] {
+                    turn(&rig, "load_ma", load);
+                    for _ in 0..5 {
+                        rig.poll_after(Duration::from_secs(2));
+                    }
+                    let found = Attribute::all().map(Attribute::name);
+                    shown.extend(found.filter(|attribute| show(&rig, attribute).is_some()));
+                }
+                let mut expected: BTreeSet<_> = attributes.split(' ').collect();
+                expected.extend(["type", "status", "present", "technology", "scope", "current_avg"]);
+                expected.extend(["manufacturer", "model_name"]);
+                if *name != "bq27521" {
+                    expected.extend(["health", "capacity_level"]);
+                }
+                assert_eq!(shown, expected, "{name}");
+                chips += 1;
+            }
+        }
+        assert_eq!(chips, ti_gauge::chip::kernel::GAUGES.len());
+    }
+
+    #[test]
+    fn a_bq27000_counts_in_the_voltage_of_its_sense_resistor() {
+        let mut rig = open("bq27000");
+        let number = |rig: &Rig, name| show(rig, name).expect("measured").parse::<i64>().expect("a number");
+        let raw = |rig: &Rig, name| {
+            let published = rig.handle.published();
+            let chip = rig.handle.chip();
+            let register = chip.registers.iter().find(|register| register.name == name).expect("a register");
+            published.snapshot.as_ref().expect("polled").value(register).expect("read")
+        };
+        // In quarters of a kelvin, rounded down as in the driver.
+        assert_eq!(number(&rig, "temp"), 249);
+        assert_eq!(number(&rig, "charge_full_design"), 25 * 256 * 3570 / 20);
+        for (load, sign, status) in [("500", -1, "Discharging"), ("-500", 1, "Charging")] {
+            turn(&rig, "load_ma", load);
+            for _ in 0..20 {
+                rig.poll_after(Duration::from_secs(10));
+            }
+            let (current, power) = (raw(&rig, "AverageCurrent"), raw(&rig, "AveragePower"));
+            assert!((2700..2900).contains(&current), "{current} steps of 3.57 µV");
+            assert_eq!(number(&rig, "current_now"), sign * current * 3570 / 20);
+            assert_eq!(number(&rig, "power_avg"), sign * power * 29200 / 20);
+            assert_eq!(number(&rig, "charge_now"), raw(&rig, "NominalAvailableCapacity") * 3570 / 20);
+            assert_eq!(number(&rig, "energy_now"), raw(&rig, "AvailableEnergy") * 29200 / 20);
+            assert_shows(&rig, &[("status", Some(status)), ("health", Some("Good"))]);
+        }
+        turn(&rig, "load_ma", "0");
+        turn(&rig, "soc", "0");
+        rig.poll_after(INTERVAL);
+        // [EDVF] is set, so this 0 is one.
+        assert_shows(&rig, &[("capacity", Some("0")), ("health", Some("Dead"))]);
+    }
+
+    #[test]
+    fn an_empty_reading_of_a_bq27000_that_is_not_empty_is_no_value() {
+        let rig = open("bq27000");
+        let capacity = rig.handle.chip().register(Role::Capacity).expect("a register");
+        assert_eq!(valid(capacity, 0, 0x80), None);
+        assert_eq!(valid(capacity, 0, 0x81), Some(0));
+        assert_eq!(valid(capacity, 1, 0x80), Some(1));
+        let current = rig.handle.chip().register(Role::CurrentAvg).expect("a register");
+        assert_eq!(valid(current, 0, 0x80), Some(0));
+        assert_eq!([valid(current, 7, 0x80), valid(current, 7, 0)], [Some(7), Some(-7)]);
+    }
+
+    #[test]
+    fn a_pack_is_dead_at_the_final_threshold_and_low_at_the_first() {
+        for chip in ["bq27541", "bq27411", "bq27000", "bq34z100-g1"] {
+            let mut rig = open(chip);
+            let mut at = |soc| {
+                turn(&rig, "soc", soc);
+                rig.poll_after(INTERVAL);
+                ["health", "capacity_level"].map(|name| show(&rig, name).expect("known"))
+            };
+            assert_eq!(at("50"), ["Good", "Normal"], "{chip}");
+            assert_eq!(at("11"), ["Good", "Low"], "{chip}");
+            assert_eq!(at("1"), ["Dead", "Critical"], "{chip}");
+        }
+    }
+
+    #[test]
+    fn words_in_uevent_are_the_kernels() {
+        let rig = open("bq34z100-g1");
+        let published = rig.handle.published();
+        let (chip, scales) = (rig.handle.chip(), Scales::default());
+        let snapshot = published.snapshot.as_deref();
+        let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+        let text = uevent("my pack", &reading);
+        for line in ["NAME=my_pack", "STATUS=Not charging", "MANUFACTURER=Texas Instruments"] {
+            assert!(text.contains(&format!("POWER_SUPPLY_{line}\n")), "{line} in {text}");
+        }
+    }
+
+    #[test]
+    fn a_gauge_that_asks_for_an_update_of_its_capacity_says_so() {
+        let mut rig = open("bq34z100-g1");
+        assert_shows(&rig, &[("health", Some("Good"))]);
+        // Max Error Limit; after a reset MaxError() is 100 %.
+        rig.sim.set_flash(48, 10, &[50]);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.poll_after(Duration::from_secs(2));
+        assert_shows(&rig, &[("health", Some("Calibration required"))]);
     }
 }

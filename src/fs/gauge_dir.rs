@@ -225,6 +225,9 @@ fn can_authenticate(gauge: &Supply) -> bool {
 }
 
 fn control_status(gauge: &Supply) -> Option<String> {
+    if !gauge.chip().has_table() {
+        return None;
+    }
     set_bits(gauge.chip().control_status, gauge.fresh()?.control_status.into())
 }
 

@@ -26,14 +26,14 @@ pub(super) struct Mains<'a> {
 }
 
 impl Mains<'_> {
-    /// Whether the mains supply power. A gauge without a pack has no say, nor has one of a primary cell, which
-    /// the mains never charge.
+    /// Whether the mains supply power. A gauge without a pack has no say, nor has one that has not measured
+    /// yet, or one of a primary cell, which the mains never charge.
     fn online(&self) -> Option<bool> {
-        let gauges = self.fs.supplies.iter().filter(|supply| !supply.chip().condition.primary);
+        let gauges = self.fs.supplies.iter().filter(|supply| supply.chip().condition.primary.is_none());
         let statuses = gauges.filter_map(|supply| {
             let snapshot = supply.fresh();
             let reading = supply.reading(snapshot.as_deref());
-            reading.status().filter(|_| reading.is_present())
+            reading.status().filter(|&status| status != "Unknown")
         });
         online(&statuses.collect::<Vec<_>>())
     }

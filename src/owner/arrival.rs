@@ -55,7 +55,7 @@ impl Owner {
     /// Asks a gauge that has been there all the time what it is, and compares its pack with the one that was there
     /// before, as far as that is possible without a key. Another one is in doubt then, and arrives with the next poll.
     pub(super) fn recognise(&mut self) -> Result<()> {
-        if self.schedule.is_gone() || self.dataflash.doubts() {
+        if self.schedule.is_gone() || self.dataflash.doubts() || !self.gauge.chip.has_table() {
             return Ok(());
         }
         self.identified = self.gauge.clock.now();
@@ -70,12 +70,15 @@ impl Owner {
 
     /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
     pub(super) fn arrive(&mut self) -> Result<()> {
-        if self.unverified {
+        let has_table = self.gauge.chip.has_table();
+        // The registers are all there is to recognise a gauge by that is never asked.
+        if self.unverified || !has_table {
             self.schedule.reads(self.gauge.clock.now());
             probe::check(&mut self.gauge)?;
         }
         self.identified = self.gauge.clock.now();
-        let (answers, limited) = self.identify()?;
+        let (answers, limited) =
+            if has_table { self.identify()? } else { (Answers::default(), Some(Limited::NoTable)) };
         let chip = self.gauge.chip;
         self.unverified = false;
         self.gauge.forget_refusal();
@@ -94,6 +97,7 @@ impl Owner {
         });
         match self.limitation() {
             None => self.settle(),
+            Some(_) if !has_table => {}
             Some(why) => self.shared.report(Attempt::Other, &why),
         }
         Ok(())
@@ -106,7 +110,7 @@ impl Owner {
         let answers = self.gauge.identify()?;
         match check_identity(chip, &answers) {
             Ok(None) => Ok((answers, None)),
-            Ok(limited @ Some(Limited::Sibling(_))) => Ok((answers, limited)),
+            Ok(limited @ Some(Limited::Sibling(_) | Limited::NoTable)) => Ok((answers, limited)),
             Ok(Some(Limited::Unproven)) => {
                 self.gauge.wait(ASK_AGAIN);
                 let again = self.gauge.identify()?;
@@ -263,7 +267,7 @@ mod tests {
         match check_identity(chip, &answers) {
             Ok(None) => "itself".to_string(),
             Ok(Some(Limited::Sibling(sibling))) => format!("its relative {}", sibling.name),
-            Ok(Some(limited @ Limited::Unproven)) => format!("unproven: {}", limited.why(chip, &answers)),
+            Ok(Some(limited)) => format!("unproven: {}", limited.why(chip, &answers)),
             Err(error) => error.to_string(),
         }
     }
@@ -301,6 +305,36 @@ mod tests {
             assert!(says.starts_with(&found), "{says}");
             assert!(says.contains("only for firmware 0x0016, hardware 0x0008, so only standard"), "{says}");
             assert!(says.contains("gaugefs probe"), "{says}");
+        }
+    }
+
+    /// At the address of Control() a bq27000 has other registers.
+    #[test]
+    fn a_gauge_without_a_table_is_only_read() {
+        for chip in ti_gauge::chip::kernel::GAUGES {
+            let mut rig = Rig::of(chip.name, super::super::Settings::default(), Startup::default());
+            rig.sim.keep_log(true);
+            rig.owner.open().expect("it answers");
+            for _ in 0..12 {
+                rig.poll_after(INTERVAL);
+            }
+            rig.ask(super::super::Request::Refresh).expect("it answers");
+            for _ in 0..3 {
+                rig.sim.set("power", "off").expect("a knob");
+                rig.poll_after(INTERVAL);
+            }
+            assert!(rig.handle.published().snapshot.is_none(), "{}: gone", chip.name);
+            rig.sim.set("power", "on").expect("a knob");
+            rig.poll_after(INTERVAL);
+            rig.poll_after(INTERVAL);
+            assert!(rig.handle.published().snapshot.is_some(), "{}: back", chip.name);
+            let refused =
+                rig.ask(|done| super::super::Request::Control(0x0001, done)).expect_err("no Control()");
+            assert!(matches!(refused.cause(), Cause::NotPermitted(_)), "{refused}");
+            let refused = rig.ask(|done| super::super::Request::Seal(super::Seal::Unsealed, done));
+            assert!(matches!(refused.expect_err("no seal").cause(), Cause::NotPermitted(_)));
+            let written = rig.sim.log().into_iter().map(|record| record.write.len()).max();
+            assert_eq!(written, Some(1), "{}: register pointers only", chip.name);
         }
     }
 

@@ -25,6 +25,11 @@ pub struct Snapshot {
     pub(super) registers: Registers,
     /// CONTROL_STATUS when it was last read, by a slow poll or after a request.
     pub control_status: u16,
+    /// Whether the gauge has measured since its power-up or reset: before that its registers hold 0, or what they
+    /// held before.
+    pub is_valid: bool,
+    /// Whether the gauge measured the current: that of a primary cell only between GAUGE_START and GAUGE_STOP.
+    pub has_current: bool,
 }
 
 impl Snapshot {
@@ -96,7 +101,7 @@ impl Shared {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
-            limited: None,
+            limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,
             digest: None,
             interval: settings.interval,
@@ -188,6 +193,7 @@ impl Shared {
     /// Keeps the bytes of a subclass, read after that poll.
     pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
         lock(&self.kept)[subclass] = Some(Kept { bytes, poll });
+        self.raise();
     }
 
     /// Forgets the bytes of some subclasses.
@@ -242,6 +248,14 @@ impl Handle {
     /// The bytes of a subclass (by its index in the table), if they are kept and still valid.
     pub fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
         self.shared.kept(subclass)
+    }
+
+    /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
+    pub fn kept_byte(&self, (id, offset): (u8, u16)) -> Option<u8> {
+        let mut rows = self.shared.chip.subclasses.iter();
+        let index = rows.position(|row| row.id == id && row.parameter(offset).is_some())?;
+        let start = self.shared.chip.subclasses[index].start();
+        self.kept(index)?.get(usize::from(offset - start)).copied()
     }
 
     /// Age of the published snapshot; `None` while the gauge is gone.

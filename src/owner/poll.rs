@@ -3,10 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Answers, Attempt, Owner, Snapshot};
+use super::{Attempt, Owner, Snapshot};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
-use ti_gauge::chip::{Chip, Tier};
+use ti_gauge::chip::{Chip, Role, Tier};
 use ti_gauge::gauge::Statistics;
 use ti_gauge::registers::Registers;
 
@@ -151,7 +151,7 @@ impl Owner {
     /// The poll that is due by the schedule.
     pub(super) fn poll_on_time(&mut self) {
         let was_gone = self.schedule.is_gone();
-        let is_new = self.shared.published().answers == Answers::default();
+        let is_new = Statistics::read(&self.shared.statistics.polls) == 0;
         match self.update() {
             Ok(()) if is_new => {
                 log::info!("{}: the gauge answers", self.shared.name());
@@ -203,6 +203,7 @@ impl Owner {
     pub(super) fn poll(&mut self) -> Result<()> {
         let mut taken = self.gauge.clock.now();
         let (slow, statics) = (self.schedule.reads_slow_tier(), !self.statics_are_current);
+        let condition = &self.gauge.chip.condition;
         if slow || statics {
             // Both tiers in one pass: a burst may hold registers of each.
             self.rare.read(&mut self.gauge, |tier| match tier {
@@ -211,6 +212,10 @@ impl Owner {
                 Tier::Poll | Tier::Window => false,
             })?;
             self.statics_are_current = true;
+        }
+        // A primary cell is measured only while CONTROL_STATUS says so.
+        let has_table = self.gauge.chip.has_table();
+        if has_table && (slow || statics || self.unmeasured > 0 || condition.primary.is_some()) {
             let (seal, status) = self.gauge.control_status()?;
             self.control_status = status;
             self.shared.publish(|published| published.seal = seal);
@@ -241,10 +246,39 @@ impl Owner {
             self.forget_dataflash();
             self.schedule.hurry();
         }
-        let snapshot = Snapshot { taken, number, registers, control_status: self.control_status };
+        self.unmeasured = if self.has_measured(&registers) { 0 } else { self.unmeasured.saturating_add(1) };
+        if self.unmeasured > 0 {
+            self.schedule.try_again(
+                self.gauge.clock.now(),
+                self.unmeasured,
+                self.shared.published().interval,
+            );
+        }
+        let is_valid = self.unmeasured == 0;
+        let control_status = self.control_status;
+        let primary = chip.condition.primary.as_ref();
+        let has_current = primary.is_none_or(|primary| control_status & primary.active != 0);
+        let snapshot = Snapshot { taken, number, registers, control_status, is_valid, has_current };
         self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
         self.shared.succeeded(&Attempt::Poll);
         Ok(())
+    }
+
+    /// Whether the gauge has measured since its power-up or reset. A gauge that answers has more than 0 mV. One whose
+    /// flags show a battery, or a loss of power, that the last poll did not may have started since CONTROL_STATUS was
+    /// read, which the next poll reads again.
+    fn has_measured(&self, registers: &Registers) -> bool {
+        let chip = self.gauge.chip;
+        let read = |registers: &Registers, role| registers.value(chip.register(role)?);
+        let starts = i64::from(chip.condition.present | chip.volatile.unwrap_or(0));
+        let before =
+            self.shared.published().snapshot.as_ref().and_then(|last| read(&last.registers, Role::Flags));
+        let has_started =
+            read(registers, Role::Flags).zip(before).is_some_and(|(now, before)| now & !before & starts != 0);
+        let complete = chip.condition.complete;
+        self.control_status & complete == complete
+            && read(registers, Role::VoltageNow) != Some(0)
+            && !has_started
     }
 }
 

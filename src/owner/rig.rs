@@ -11,29 +11,29 @@ use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::chip::{Chip, Subclass};
 
-pub(super) const INTERVAL: Duration = Duration::from_secs(8);
+pub(crate) const INTERVAL: Duration = Duration::from_secs(8);
 
-pub(super) struct Rig {
-    pub(super) clock: Arc<SimClock>,
-    pub(super) sim: Sim,
-    pub(super) owner: Owner,
-    pub(super) handle: Handle,
+pub(crate) struct Rig {
+    pub(crate) clock: Arc<SimClock>,
+    pub(crate) sim: Sim,
+    pub(in crate::owner) owner: Owner,
+    pub(crate) handle: Handle,
     requests: Receiver<(Duration, Request)>,
 }
 
 impl Rig {
     /// The gauge answers, and nothing has been sent to it yet.
-    pub(super) fn new(startup: Startup) -> Self {
+    pub(crate) fn new(startup: Startup) -> Self {
         Self::of("bq34z100-g1", Settings::default(), startup)
     }
 
     /// The same with another chip and with settings.
-    pub(super) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
+    pub(crate) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
         Self::on(chip, settings, startup, |bus| Box::new(bus))
     }
 
     /// The same on a bus that is wrapped into another one.
-    pub(super) fn on(
+    pub(in crate::owner) fn on(
         chip: &str,
         settings: Settings,
         startup: Startup,
@@ -51,14 +51,25 @@ impl Rig {
     }
 
     /// The gauge has been identified and polled.
-    pub(super) fn open() -> Self {
+    pub(crate) fn open() -> Self {
         let mut rig = Self::new(Startup::default());
         rig.owner.open().expect("it answers");
         rig
     }
 
+    /// Identifies and polls the gauge.
+    pub(crate) fn start(&mut self) -> Result<()> {
+        self.owner.open()
+    }
+
+    /// Lets time pass, and polls if that is due.
+    pub(crate) fn poll_after(&mut self, pause: Duration) {
+        self.clock.sleep(pause);
+        self.owner.poll_on_time();
+    }
+
     /// Submits a request, which the owner serves after that delay.
-    pub(super) fn ask_late<T: Send + 'static>(
+    pub(crate) fn ask_late<T: Send + 'static>(
         &mut self,
         delay: Duration,
         request: impl FnOnce(Done<T>) -> Request,
@@ -72,17 +83,17 @@ impl Rig {
         outcome.try_recv().expect("an answer")
     }
 
-    pub(super) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
+    pub(crate) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
         self.ask_late(Duration::ZERO, request)
     }
 
     /// The index in the table of the subclass of that id.
-    pub(super) fn index(&self, id: u8) -> usize {
+    pub(crate) fn index(&self, id: u8) -> usize {
         let is_it = |subclass: &Subclass| subclass.id == id;
         self.handle.chip().subclasses.iter().position(is_it).expect("a subclass of the table")
     }
 
-    pub(super) fn transfers(&self) -> u64 {
+    pub(crate) fn transfers(&self) -> u64 {
         self.handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("it is counted").1
     }
 }

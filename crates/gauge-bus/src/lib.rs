@@ -63,7 +63,7 @@ pub enum BusError {
     Gone,
     /// A kernel driver is bound to the address.
     Busy,
-    /// The bus is a recording, which cannot be written.
+    /// Nothing may be written: the bus is a recording, or only the standard commands of the gauge are known.
     ReadOnly,
     /// The bus is a recording that has no answer to this transfer.
     NotRecorded,

@@ -14,6 +14,7 @@ use super::flash::{BLOCK, Flash, Store};
 use super::knob::{self, Dial, Knob, Of};
 use super::model::Kept;
 use super::part::{Part, Scheme};
+use super::register;
 use super::seal::{Level, Seal};
 use super::timing::Timing;
 use super::watchdog::Watchdog;
@@ -270,7 +271,7 @@ impl Device {
     fn program(&mut self, wire: &mut dyn Wire, kept: Kept) {
         let Kept { area, offset, bytes } = match self.part.scheme {
             Scheme::Block(_) => self.whole_block(kept),
-            Scheme::Mac(_) => kept,
+            Scheme::Mac(_) | Scheme::Registers(_) => kept,
         };
         let before = self.flash.clone();
         self.flash.program(area, offset, &bytes);
@@ -486,10 +487,14 @@ impl Gauge {
 
     /// Whether the part has a knob.
     pub(super) fn has_knob(&self, knob: &Knob) -> bool {
-        !matches!(
-            (knob.of, self.device.part.scheme),
-            (Of::Block, Scheme::Mac(_)) | (Of::Mac, Scheme::Block(_))
-        )
+        match (knob.of, self.device.part.scheme) {
+            (Of::Bus, _)
+            | (Of::Gauge, Scheme::Block(_) | Scheme::Mac(_))
+            | (Of::Block, Scheme::Block(_))
+            | (Of::Mac, Scheme::Mac(_)) => true,
+            (Of::Gauge, Scheme::Registers(_)) => register::KNOBS.contains(&knob.name),
+            (Of::Block | Of::Mac, _) => false,
+        }
     }
 
     /// What a knob shows.

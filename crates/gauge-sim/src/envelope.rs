@@ -234,7 +234,7 @@ impl Envelope {
                 timing.lock = lock;
                 new.key_lock = random.pick(&[false, true]);
             }
-            Scheme::Block(_) => {}
+            Scheme::Block(_) | Scheme::Registers(_) => {}
             // E2E 888302.
             Scheme::Mac(_) => (timing.full_access_quiet, timing.refused_quiet) = (quiet, quiet),
         }

@@ -34,7 +34,8 @@
 //! ```
 //!
 //! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one of
-//! two schemes: `block` access or `mac`. What a specimen does differently is in its `envelope`. A `part` describes what is particular to one gauge, and a `model` is what it
+//! three schemes: `block` access, `mac`, or `register` for
+//! a gauge without data flash. What a specimen does differently is in its `envelope`. A `part` describes what is particular to one gauge, and a `model` is what it
 //! makes of its `battery`.
 
 use std::collections::VecDeque;
@@ -60,6 +61,7 @@ mod model;
 mod part;
 mod parts;
 mod random;
+mod register;
 mod seal;
 mod timing;
 mod update;
@@ -75,7 +77,7 @@ use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use knob::Knob;
 use mac::Mac;
 use part::Scheme;
-use parts::PARTS;
+use register::Register;
 pub use wire::Options;
 
 /// One bit at 100 kHz.
@@ -172,14 +174,15 @@ impl fmt::Debug for Sim {
 impl Sim {
     /// Makes a gauge. It is SEALED, and its pack is one cell at rest, about 60 % full; a primary cell is new.
     pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
-        let Some(part) = PARTS.iter().find(|part| part.name == chip) else {
-            let known: Vec<&str> = PARTS.iter().map(|part| part.name).collect();
+        let Some(part) = parts::all().find(|part| part.name == chip) else {
+            let known: Vec<&str> = parts::all().map(|part| part.name).collect();
             let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
             return Err(Error::new(chip, Kind::Invalid, text));
         };
         let gauge = match part.scheme {
             Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
             Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
+            Scheme::Registers(scheme) => Register::gauge(part, scheme, options, clock.now())?,
         };
         let state = State { gauge, counters: Counters::default(), log: None, silent_until: Duration::ZERO };
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })

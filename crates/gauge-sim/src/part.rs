@@ -20,7 +20,7 @@ pub(super) struct Part {
 impl Part {
     /// Whether what a host commits is programmed into flash, and not into RAM.
     pub(super) fn has_flash(&self) -> bool {
-        !matches!(self.scheme, Scheme::Block(BlockPart { data_memory: Some(_), .. }))
+        !matches!(self.scheme, Scheme::Block(BlockPart { data_memory: Some(_), .. }) | Scheme::Registers(_))
     }
 }
 
@@ -29,6 +29,7 @@ impl Part {
 pub(super) enum Scheme {
     Block(&'static BlockPart),
     Mac(&'static MacPart),
+    Registers(&'static RegisterPart),
 }
 
 /// Class and offset of a value in data flash.
@@ -216,4 +217,14 @@ pub(super) struct MacPart {
     pub(super) predicted: &'static [u8],
     pub(super) initialized: u16,
     pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
+}
+
+/// A part of which only the standard commands are known.
+#[derive(Debug)]
+pub(super) struct RegisterPart {
+    pub(super) map: Map,
+    /// Charges and currents are counted in the voltage of the sense resistor, without sign.
+    pub(super) in_volts: bool,
+    /// What DEVICE_TYPE and FW_VERSION answer; `None` for a part without Control().
+    pub(super) control: Option<(u16, u16)>,
 }

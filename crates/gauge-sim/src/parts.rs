@@ -10,8 +10,9 @@ mod bq27520_g3;
 mod bq34110;
 mod bq34z100_g1;
 mod bq35100;
+mod kernel;
 
-pub(super) static PARTS: &[&Part] = &[
+static PARTS: &[&Part] = &[
     &bq34z100_g1::PART,
     &bq27520_g3::PART,
     &bq27441_g1::PART,
@@ -20,6 +21,11 @@ pub(super) static PARTS: &[&Part] = &[
     &bq34110::PART,
     &bq35100::PART,
 ];
+
+/// Every part: those with data flash, then those of which only the standard commands are known.
+pub(super) fn all() -> impl Iterator<Item = &'static Part> {
+    PARTS.iter().chain(kernel::PARTS).copied()
+}
 
 /// Compares blocks of an image with the checksums that documents and parts have for them.
 #[cfg(test)]

@@ -14,6 +14,7 @@ pub mod bq27520_g3;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
+pub mod kernel;
 
 mod identity;
 mod names;
@@ -27,7 +28,7 @@ pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
 pub use recognise::{Limited, Recognised, recognise};
 
-/// Every chip that gaugefs knows, in the order of the README.
+/// Every chip that has a table, in the order of the README. The others are in [`kernel::GAUGES`].
 pub static CHIPS: &[&Chip] = &[
     &bq34z100_g1::CHIP,
     &bq27520_g3::CHIP,
@@ -149,6 +150,8 @@ pub enum Role {
     Temp,
     /// `time_to_empty_now`, min.
     TimeToEmptyNow,
+    /// `time_to_empty_avg`, min.
+    TimeToEmptyAvg,
     /// `time_to_full_now`, min.
     TimeToFullNow,
     /// `energy_now`, mWh before the user's energy scale.
@@ -180,6 +183,12 @@ pub struct Register {
     pub tier: Tier,
     /// The property it feeds.
     pub role: Option<Role>,
+    /// One step in the unit of its role, as numerator and denominator.
+    pub step: (i64, i64),
+    /// The bit of the flags that is clear while the value is negative, where the register itself has no sign; else 0.
+    pub positive: u16,
+    /// The bit of the flags that is set while a reading of 0 is a value; 0 where it always is one.
+    pub empty: u16,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
 }
@@ -234,9 +243,29 @@ pub struct Condition {
     pub cold: u16,
     /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
-    /// A primary cell, which is never charged: `status` is `Discharging` while a current flows, whatever its
-    /// sign, and otherwise `Not charging`; never `Charging` or `Full`.
-    pub primary: bool,
+    /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
+    pub uncertain: u16,
+    /// The bit of CONTROL_STATUS that is set once values are valid after power-up or a reset; 0 where none is
+    /// documented.
+    pub complete: u16,
+    /// A gauge for primary cells.
+    pub primary: Option<Primary>,
+}
+
+/// A gauge for primary cells, which are never charged: `status` is `Discharging` while a current flows, whatever
+/// its sign, and otherwise `Not charging`; never `Charging` or `Full`.
+#[derive(Debug)]
+pub struct Primary {
+    /// The bit of CONTROL_STATUS that is set between GAUGE_START and GAUGE_STOP. Current() is measured only then.
+    pub active: u16,
+    /// The byte of data flash (subclass and offset) whose bits let the flags of [`Condition`] through.
+    pub alerts: (u8, u16),
+    /// The byte of data flash that holds the mode.
+    pub mode: (u8, u16),
+    /// The mode's bits in it.
+    pub mode_mask: u8,
+    /// The modes in which the gauge computes StateOfHealth().
+    pub health_modes: &'static [u8],
 }
 
 /// Seal states and keys.
@@ -311,6 +340,8 @@ pub enum SealStatus {
         /// The lower of the two bits.
         shift: u8,
     },
+    /// Nowhere: the part has none, or no table says where.
+    None,
 }
 
 /// How data flash is accessed, and the delays that this needs. No delay is optional; the table gives the
@@ -343,6 +374,34 @@ pub enum Scheme {
     CfgUpdate,
     /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
     Mac,
+    /// None: only the standard commands are known.
+    None,
+}
+
+impl Access {
+    /// No access to data flash, and so no delays.
+    pub const NONE: Self = Self {
+        scheme: Scheme::None,
+        select: Duration::ZERO,
+        commit: Duration::ZERO,
+        enter: Duration::ZERO,
+        enter_limit: Duration::ZERO,
+        reset: Duration::ZERO,
+        reset_limit: Duration::ZERO,
+    };
+}
+
+impl Security {
+    /// No seal state. [`Gauge`](crate::gauge::Gauge) sends neither keys nor the subcommand to a chip without a
+    /// table.
+    pub const NONE: Self = Self {
+        status: SealStatus::None,
+        default_unseal: [0; 2],
+        full_access: false,
+        seal: 0,
+        key_silence: Duration::ZERO,
+        storage: KeyStorage::Fixed("no table describes its keys"),
+    };
 }
 
 /// The delays of SHA-1 authentication, each with its source in the table.
@@ -389,7 +448,20 @@ impl Register {
     /// A row of a manual's table: address, size and sign, name, unit, tier.
     pub const fn new(code: u8, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
         let signed = matches!(kind, Type::I(_));
-        Self { code, size: kind.size() as u8, signed, name, unit, tier, role: None, bits: &[] }
+        let size = kind.size() as u8;
+        Self {
+            code,
+            size,
+            signed,
+            name,
+            unit,
+            tier,
+            role: None,
+            step: (1, 1),
+            positive: 0,
+            empty: 0,
+            bits: &[],
+        }
     }
 
     /// The property it feeds.
@@ -399,11 +471,40 @@ impl Register {
         self
     }
 
+    /// One step in the unit of its role.
+    #[must_use]
+    pub const fn step(mut self, numerator: i64, denominator: i64) -> Self {
+        self.step = (numerator, denominator);
+        self
+    }
+
+    /// The bit of the flags without which it is negative.
+    #[must_use]
+    pub const fn positive(mut self, bit: u16) -> Self {
+        self.positive = bit;
+        self
+    }
+
+    /// The bit of the flags without which a reading of 0 is no value.
+    #[must_use]
+    pub const fn empty(mut self, bit: u16) -> Self {
+        self.empty = bit;
+        self
+    }
+
     /// Names of its bits.
     #[must_use]
     pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
         self.bits = bits;
         self
+    }
+}
+
+impl Register {
+    /// A reading in that fraction of the unit of its role, without the rest.
+    pub fn in_unit(&self, value: i64, fraction: i64) -> i64 {
+        let (numerator, denominator) = self.step;
+        value * fraction * numerator / denominator
     }
 }
 
@@ -434,9 +535,21 @@ impl Chip {
         self.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
     }
 
-    /// The chip of that name on the command line.
+    /// Every chip: those with a table, then those of which only the standard commands are known.
+    pub fn all() -> impl Iterator<Item = &'static Chip> {
+        CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied())
+    }
+
+    /// The chip of that name on the command line, or else of that name in the kernel's driver.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
-        CHIPS.iter().copied().find(|chip| chip.name.eq_ignore_ascii_case(name))
+        let found = Self::all().find(|chip| chip.name.eq_ignore_ascii_case(name));
+        found.or_else(|| kernel::by_driver_name(name))
+    }
+
+    /// Whether a table describes more than its standard commands. Without one nothing is ever written to the
+    /// gauge, not even a subcommand: there may be another register at the address of Control().
+    pub fn has_table(&self) -> bool {
+        self.access.scheme != Scheme::None
     }
 
     /// The register that feeds a property.

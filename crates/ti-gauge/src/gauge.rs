@@ -244,6 +244,10 @@ impl Gauge {
     }
 
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        // A register pointer is all that is ever sent to a part without a table.
+        if write.len() > 1 && !self.chip.has_table() {
+            return Err(BusError::ReadOnly);
+        }
         if self.is_late() {
             return Err(BusError::Timeout);
         }
@@ -288,6 +292,15 @@ impl Gauge {
         outcome
     }
 
+    /// Why nothing is written to a gauge without a table.
+    fn may_write(&self) -> Result<()> {
+        if self.chip.has_table() {
+            return Ok(());
+        }
+        let why = "only its standard commands are known, so nothing is written to it";
+        Err(Error::new(self.chip.name, Cause::NotPermitted(why.into())))
+    }
+
     /// Fills `into` with the bytes starting at an address.
     pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
         self.again(|gauge| gauge.transfer(&[code], into))
@@ -296,6 +309,7 @@ impl Gauge {
 
     /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
     pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
+        self.may_write()?;
         self.again(|gauge| gauge.write_once(code, data))
             .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)))
     }
@@ -463,6 +477,7 @@ impl Gauge {
                     Seal::Unsealed
                 }
             }
+            SealStatus::None => return Err(Error::new("CONTROL_STATUS", Cause::Bus(BusError::ReadOnly))),
             SealStatus::Field { register, shift } => {
                 let word = match register {
                     None => status,

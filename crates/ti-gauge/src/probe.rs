@@ -36,9 +36,10 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The value of the register that feeds a property.
+    /// The value of the register that feeds a property, in the unit of the role.
     pub fn value(&self, role: Role) -> Option<i64> {
-        self.registers.value(self.chip.register(role)?)
+        let register = self.chip.register(role)?;
+        Some(register.in_unit(self.registers.value(register)?, 1))
     }
 
     /// Whether these can be a gauge's values: a temperature between -50 and 125 degrees Celsius, and
@@ -189,8 +190,8 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
             }
         };
         let alike = |sibling: &&Sibling| {
-            sibling.identity.device_type == device_type
-                && sibling.like.is_none_or(|like| ptr::eq(like, *chip))
+            let is_like = |like: &Chip| !like.has_table() || ptr::eq(like, *chip);
+            sibling.identity.device_type == device_type && sibling.like.is_none_or(is_like)
         };
         if device_type != chip.identity.device_type && !SIBLINGS.iter().any(|sibling| alike(&sibling)) {
             if who.answers == Answers::default() {
@@ -214,6 +215,10 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
             Recognised::Chip(one) if ptr::eq(one, *chip) => who.chips.push(one),
             Recognised::Ambiguous(several) if several.iter().any(|one| ptr::eq(*one, *chip)) => {
                 who.chips.push(chip);
+            }
+            // Parts without a table, whose registers are not compared with the device's.
+            Recognised::Ambiguous(several) if several.iter().all(|one| !one.has_table()) => {
+                who.chips = several;
             }
             Recognised::Sibling(sibling) => who.sibling = Some(sibling),
             Recognised::Unproven(several) if several.iter().any(|one| ptr::eq(*one, *chip)) => {

@@ -12,7 +12,7 @@ use ratatui::widgets::{
 use super::super::sample::{Sample, decimal};
 use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
-use ti_gauge::chip::{CHIPS, snake_case};
+use ti_gauge::chip::{Chip, snake_case};
 
 /// Keys, the most important first: a narrow screen has room for a few.
 const KEYS: [(&str, &str); 9] = [
@@ -409,7 +409,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
 
 /// Registers that no attribute shows, with units.
 fn registers<'a>(model: &str, sample: &'a Sample) -> impl Iterator<Item = (String, String)> + 'a {
-    let table = CHIPS.iter().find(|chip| chip.model == model).map_or(&[][..], |chip| chip.registers);
+    let table = Chip::all().find(|chip| chip.model == model).map_or(&[][..], |chip| chip.registers);
     sample.registers.iter().filter_map(move |(name, value)| {
         let row = table.iter().find(|row| snake_case(row.name) == *name);
         let shown = row.is_some_and(|row| row.role.is_some());

@@ -5,7 +5,7 @@ FNR == 1 { file++ }
 /^#/ || NF == 0 { next }
 
 file == 1 {
-    if ($1 == driver || $1 == "*") how[$2] = $3
+    if (driver ~ "^(" $1 ")$") how[$2] = $3
     next
 }
 
@@ -26,8 +26,8 @@ file == 3 {
     row = name in how ? name : plain in how ? plain : ""
     mine = name in ours ? ours[name] : "-"
     if (row != "" && mine != value) print row >>used
-    if (row != "" && how[row] == "differs") next
-    if (row != "") {
+    if (row != "" && (how[row] == "differs" || how[row] == "if:" value)) next
+    if (row != "" && how[row] !~ /^if:/) {
         other = substr(how[row], 4)
         if (prefix != "") other = prefix toupper(other)
         mine = other in ours ? ours[other] : "-"

@@ -4,6 +4,7 @@
 //!
 //! ```text
 //! set KNOB VALUE    get KNOB    knobs      the simulated gauge's
+//! gauge CHIP                               another gauge takes its place, as new
 //! counters [reset]                         what passed on the bus: transfers bytes bits refused
 //! log [clear]                              the last transfers, a line each
 //! pass SECONDS                             time goes on by so much, at the gauge's `speed`
@@ -20,6 +21,7 @@ use std::thread;
 use gauge_sim::Knob;
 
 use crate::adapter::Bench;
+use crate::gauge::Gauge;
 use crate::qmp::Slot;
 use crate::wire::Counters;
 
@@ -73,6 +75,7 @@ impl Control {
                 let value = gauge.sim.get(knob).ok_or_else(|| format!("{knob}: there is no such knob"))?;
                 return Ok(value + "\n");
             }
+            ["gauge", chip] => *gauge = Gauge::new(chip)?,
             ["knobs"] => {
                 let line = |knob: &Knob| format!("{}: {}\n", knob.name, knob.help);
                 return Ok(gauge.sim.knobs().iter().map(line).collect());

@@ -5,3 +5,4 @@ mod driver;
 mod envelope;
 mod mac;
 mod ram;
+mod register;

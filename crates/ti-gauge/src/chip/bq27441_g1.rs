@@ -102,7 +102,9 @@ pub(super) const CONDITION: Condition = Condition {
     overheat: 0x8000, // [OT]
     cold: 0x4000,     // [UT]
     present: 0x0008,  // [BAT_DET]
-    primary: false,
+    uncertain: 0,
+    complete: 0x0080, // [INITCOMP]
+    primary: None,
 };
 
 /// 6.1.2: SEALED and UNSEALED, no FULL ACCESS.

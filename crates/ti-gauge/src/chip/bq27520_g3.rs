@@ -49,7 +49,9 @@ pub static CHIP: Chip = Chip {
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
         present: 0x0008, // [BAT_DET]
-        primary: false,
+        uncertain: 0,
+        complete: 0x0080, // [INITCOMP]
+        primary: None,
     },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },

@@ -46,7 +46,10 @@ pub static CHIP: Chip = Chip {
         overheat: 0x0C00, // [OTC], [OTD]
         cold: 0x3000,     // [UTC], [UTD]
         present: 0,
-        primary: false,
+        uncertain: 0,
+        // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
+        complete: 0,
+        primary: None,
     },
     security: Security {
         // OperationStatus() bits 2 and 1, as the underwater vehicle's driver reads them.

@@ -46,7 +46,10 @@ pub static CHIP: Chip = Chip {
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
         present: 0,
-        primary: false,
+        uncertain: 0x0010, // [CF]
+        // No bit: Voltage() is 0 before the first measurement.
+        complete: 0,
+        primary: None,
     },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },

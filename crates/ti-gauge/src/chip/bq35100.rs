@@ -18,8 +18,8 @@ use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
-    Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Signature,
-    Subclass, Subcommand, Word,
+    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scheme, SealStatus, Security,
+    Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
@@ -53,7 +53,15 @@ pub static CHIP: Chip = Chip {
         overheat: 0x20, // [TEMPHIGH]
         cold: 0x40,     // [TEMPLOW]
         present: 0,
-        primary: true,
+        uncertain: 0,
+        complete: 0x0080, // [INITCOMP]
+        primary: Some(Primary {
+            active: 0x0001,         // [GA]
+            alerts: (FLAT, 0x41B2), // ALERT Configuration
+            mode: (FLAT, 0x41B1),   // Operation Config A [GMSEL1], [GMSEL0]
+            mode_mask: 0x03,
+            health_modes: &[0b01, 0b10],
+        }),
     },
     security: Security {
         status: SealStatus::Field { register: None, shift: 13 },

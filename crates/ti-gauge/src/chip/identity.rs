@@ -1,6 +1,6 @@
 //! The answers that identify a part, and the known parts that have no table.
 
-use super::{Chip, bq34z100_g1, bq27427, bq27441_g1, bq27520_g3};
+use super::{Chip, bq34z100_g1, bq27427, bq27441_g1, bq27520_g3, kernel};
 use crate::value::Type;
 
 /// The answers that identify a part.
@@ -20,6 +20,11 @@ pub struct Identity {
 }
 
 impl Identity {
+    /// Of a part that is never asked: chosen by its name, or recognised by a row of [`SIBLINGS`]. No part answers
+    /// with type 0.
+    pub(super) const NONE: Self =
+        Self { device_type: 0, firmware: &[], hardware: None, dm_codes: &[], answer: 0 };
+
     pub(super) fn fits(&self, answers: &Answers) -> bool {
         self.is_of_type(answers)
             && known(self.firmware, answers.firmware_version)
@@ -74,7 +79,7 @@ impl Signature {
     }
 }
 
-/// A known part without a table, which gives some of the same answers as a part that has one.
+/// A known part without a table.
 #[derive(Debug)]
 pub struct Sibling {
     /// TI's name.
@@ -98,15 +103,16 @@ impl Sibling {
     }
 }
 
-/// Known parts without a table that could be mistaken for one of [`CHIPS`](super::CHIPS).
+/// Known parts without a table, by what they answer. Several rows that fit the same answers are parts that only
+/// the user can tell apart. A device type that is inferred from a part's name has no row.
 pub static SIBLINGS: &[Sibling] = &[
     // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
     Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
     // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
     // the kernel's driver, the last another map of commands; 6.04 is a build for one product.
-    Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], None),
+    Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], Some(&kernel::BQ27520_G1)),
     Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
-    Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], None),
+    Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], Some(&kernel::BQ27520_G4)),
     // Same State block in the kernel's driver, the rest of its data memory unknown.
     Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
     // A shipped driver (Chromium's) knows the type; its State block differs.
@@ -114,4 +120,15 @@ pub static SIBLINGS: &[Sibling] = &[
     // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
     // memory.
     Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
+    // Types that parts were seen to answer with, or that several drivers compare. Firmware versions are not known.
+    Sibling::new("bq27500", 0x0500, &[], &[], Some(&kernel::BQ27500)),
+    Sibling::new("bq2750x", 0x0500, &[], &[], Some(&kernel::BQ2750X)),
+    Sibling::new("bq27510-G1", 0x0510, &[], &[], Some(&kernel::BQ27510_G1)),
+    Sibling::new("bq27510-G2", 0x0510, &[], &[], Some(&kernel::BQ27510_G2)),
+    Sibling::new("bq27510-G3", 0x0510, &[], &[], Some(&kernel::BQ27510_G3)),
+    Sibling::new("bq27541", 0x0541, &[], &[], Some(&kernel::BQ27541)),
+    Sibling::new("bq27542", 0x0542, &[], &[], Some(&kernel::BQ27542)),
+    Sibling::new("bq27742", 0x0742, &[], &[], Some(&kernel::BQ27742)),
+    // Its block access is another one, but DEVICE_TYPE at Control() is the same.
+    Sibling::new("bq27z561", 0x1561, &[], &[], Some(&kernel::BQ27Z561)),
 ];

@@ -16,6 +16,12 @@ pub struct Preflight {
     pub voltage_mv: Option<(u16, u16)>,
 }
 
+impl Preflight {
+    /// For a part that is never written to.
+    pub(super) const NONE: Self =
+        Self { pack: None, marks: &[], modes: &[], learning: None, voltage_mv: None };
+}
+
 /// A word of the gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {

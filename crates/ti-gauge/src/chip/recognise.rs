@@ -9,7 +9,7 @@ pub enum Recognised {
     Chip(&'static Chip),
     /// A known part without one: its standard commands may be read, its data flash is out of bounds.
     Sibling(&'static Sibling),
-    /// Several chips give these answers; only the user can decide.
+    /// Several chips, or parts without a table, give these answers; only the user can decide.
     Ambiguous(Vec<&'static Chip>),
     /// The device type of these chips, with a firmware or hardware version that their tables were not proven for.
     Unproven(Vec<&'static Chip>),
@@ -24,6 +24,8 @@ pub enum Limited {
     Sibling(&'static Sibling),
     /// It has the chip's device type, but a firmware or hardware version that the table was not proven for.
     Unproven,
+    /// The chip itself has no table.
+    NoTable,
 }
 
 impl Limited {
@@ -31,14 +33,14 @@ impl Limited {
     pub fn name(self, chip: &Chip) -> &'static str {
         match self {
             Limited::Sibling(sibling) => sibling.name,
-            Limited::Unproven => chip.model,
+            Limited::Unproven | Limited::NoTable => chip.model,
         }
     }
 
     /// Why it is limited, and what would change that.
     pub fn why(self, chip: &Chip, answers: &Answers) -> String {
         let found = match self {
-            Limited::Sibling(_) => {
+            Limited::Sibling(_) | Limited::NoTable => {
                 let why =
                     "no table describes its data flash and subcommands; only standard commands are read";
                 return why.to_string();
@@ -80,9 +82,12 @@ pub fn recognise(answers: &Answers) -> Recognised {
     }
     match (chips.as_slice(), siblings.as_slice()) {
         ([], []) => unproven(answers),
-        ([], [sibling, ..]) => Recognised::Sibling(sibling),
+        ([], [sibling]) => Recognised::Sibling(sibling),
         ([chip], []) => Recognised::Chip(chip),
-        _ => Recognised::Ambiguous(chips),
+        _ => {
+            let likes = siblings.iter().filter_map(|sibling| sibling.like);
+            Recognised::Ambiguous(chips.into_iter().chain(likes.filter(|like| !like.has_table())).collect())
+        }
     }
 }
 
@@ -129,9 +134,20 @@ mod tests {
         assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
         assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
         assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
-        assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like none");
+        assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like bq27520-g4");
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
         assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
+    }
+
+    #[test]
+    fn a_type_of_several_maps_is_for_the_user_to_decide() {
+        assert_eq!(seen(0x0541, 0x0200, 0, None), "bq27541 like bq27541");
+        assert_eq!(seen(0x0510, 0x0400, 0, None), "bq27510-g1 or bq27510-g2 or bq27510-g3");
+        assert_eq!(seen(0x0500, 0x0130, 0, None), "bq27500 or bq2750x");
+        // Types that only the name of a part suggests.
+        for device_type in [0x0521, 0x0530, 0x0531, 0x0545, 0x0546, 0x0425, 0x2610] {
+            assert_eq!(seen(device_type, 0x0100, 0, None), "unknown");
+        }
     }
 
     #[test]

@@ -98,7 +98,8 @@ fn settle(gauge: &Gauge) {
 
 pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
     match gauge.chip.access.scheme {
-        Scheme::Block => &block::Block,
+        // A gauge without a table is never written to, and its first transfer of this sequence refused.
+        Scheme::Block | Scheme::None => &block::Block,
         Scheme::CfgUpdate => &cfgupdate::CfgUpdate,
         Scheme::Mac => &mac::Mac,
     }
