@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{align, print, print_json};
 use crate::error::Result;
-use ti_gauge::chip::{CHIPS, Chip, Evidence, Scheme};
+use ti_gauge::chip::{CHIPS, Chip, Evidence};
 
 /// List the supported gauges and what each table is based on
 #[derive(Args, Debug)]
@@ -82,10 +82,7 @@ fn unproven(chip: &Chip) -> usize {
 }
 
 fn scheme(chip: &Chip) -> &'static str {
-    match chip.access.scheme {
-        Scheme::Block | Scheme::Mac => "flash",
-        Scheme::CfgUpdate => "RAM",
-    }
+    if chip.access.scheme.is_ram() { "RAM" } else { "flash" }
 }
 
 fn evidence(evidence: Evidence) -> &'static str {

@@ -3,7 +3,7 @@
 //! A line reaches only bytes without a parameter: no key, no limit and no unproven row can be bypassed with it.
 //! Each byte is a change of its own, so that a line staged later replaces exactly the bytes that it names.
 
-use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Scheme};
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
@@ -19,7 +19,7 @@ pub(super) fn changes(chip: &'static Chip, line: &str) -> Result<Vec<Change>> {
     let ((Some((id, offset)), Some(bytes)), None) = ((numbers, bytes(digits)), words.next()) else {
         return Err(invalid("write raw SUBCLASS/OFFSET HEX, 1 to 32 bytes of two digits each".into()));
     };
-    if chip.access.scheme == Scheme::Mac || id == FLAT {
+    if chip.access.scheme.is_flat() || id == FLAT {
         return Err(invalid("bytes without a parameter are written in subclasses only".into()));
     }
     check(chip, Place { subclass: id, offset }, bytes.len())?;

@@ -76,8 +76,8 @@ pub struct Chip {
     /// Values that data flash must hold before the first write, for parts whose offsets differ between
     /// firmwares. Empty where [`Identity`] is enough.
     pub signature: &'static [Signature],
-    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; `None` where
-    /// it is flash.
+    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; 0 where no flag
+    /// shows that, and `None` where it is flash.
     pub volatile: Option<u16>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
@@ -343,6 +343,20 @@ pub enum Scheme {
     CfgUpdate,
     /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
     Mac,
+    /// The same in FULL ACCESS, between ENTER_CFG_UPDATE and EXIT_CFG_UPDATE_REINIT; data memory is RAM.
+    MacUpdate,
+}
+
+impl Scheme {
+    /// Whether data flash is one flat address space, without subclasses.
+    pub fn is_flat(self) -> bool {
+        matches!(self, Scheme::Mac | Scheme::MacUpdate)
+    }
+
+    /// Whether data memory is RAM, which is written in CONFIG UPDATE.
+    pub fn is_ram(self) -> bool {
+        matches!(self, Scheme::CfgUpdate | Scheme::MacUpdate)
+    }
 }
 
 /// The delays of SHA-1 authentication, each with its source in the table.

@@ -99,7 +99,8 @@ fn settle(gauge: &Gauge) {
 pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
     match gauge.chip.access.scheme {
         Scheme::Block => &block::Block,
-        Scheme::CfgUpdate => &cfgupdate::CfgUpdate,
+        Scheme::CfgUpdate => &cfgupdate::BLOCK,
         Scheme::Mac => &mac::Mac,
+        Scheme::MacUpdate => &cfgupdate::MAC,
     }
 }

@@ -21,6 +21,9 @@ const FW_VERSION: u16 = 0x0002;
 const SET_CFGUPDATE: u16 = 0x0013;
 const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
+/// The same two of the parts with ManufacturerAccessControl().
+const ENTER_CFG_UPDATE: u16 = 0x0090;
+const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
 /// Control().
 const CONTROL: u8 = 0x00;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
@@ -241,7 +244,7 @@ impl Stream {
     }
 
     fn is_mac(&self) -> bool {
-        self.chip.access.scheme == Scheme::Mac
+        self.chip.access.scheme.is_flat()
     }
 
     fn write(
@@ -335,7 +338,9 @@ impl Stream {
             Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
             Effect::Answers => Ok(()),
             Effect::Guarded
-                if [SET_CFGUPDATE, RESET, SOFT_RESET, self.chip.security.seal].contains(&word) =>
+                if word == self.chip.security.seal
+                    || word == RESET
+                    || ends_of_update(self.chip.access.scheme).contains(&word) =>
             {
                 self.notes.push(format!("line {line}: {}; an import does it by itself", subcommand.name));
                 Ok(())
@@ -468,9 +473,15 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
+    let update = ends_of_update(access.scheme);
     let wait = |time: std::time::Duration| format!("X: {}\n", time.as_millis().max(5));
     let mut text = format!("; {} configuration, by gaugefs export\n{CHIP_LINE} {}\n", chip.model, chip.name);
-    text += "; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n";
+    text += match access.scheme {
+        Scheme::MacUpdate => {
+            "; No key is in this file: the gauge has to be in FULL ACCESS before it is sent.\n"
+        }
+        _ => "; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n",
+    };
     let check = |code: u16, answer: u16| {
         let ask = row('W', CONTROL, &code.to_le_bytes());
         ask + &wait(access.select) + &row('C', chip.identity.answer, &answer.to_le_bytes())
@@ -479,11 +490,11 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     if let Some(firmware) = image.firmware {
         text += &check(FW_VERSION, firmware);
     }
-    if access.scheme == Scheme::CfgUpdate {
-        text += &row('W', CONTROL, &SET_CFGUPDATE.to_le_bytes());
+    if let [enter, _] = update {
+        text += &row('W', CONTROL, &enter.to_le_bytes());
         text += &wait(access.enter.max(std::time::Duration::from_millis(1100)));
     }
-    if access.scheme == Scheme::Mac {
+    if access.scheme.is_flat() {
         for (address, bytes) in runs(image)? {
             let select = row('W', SELECT, &address.to_le_bytes()) + &wait(access.select);
             text += &select;
@@ -515,9 +526,18 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
             }
         }
     }
-    let reset = if access.scheme == Scheme::CfgUpdate { SOFT_RESET } else { RESET };
+    let reset = update.last().unwrap_or(&RESET);
     text += &row('W', CONTROL, &reset.to_le_bytes());
     Ok(text + &wait(access.reset_limit))
+}
+
+/// The subcommands that begin and end CONFIG UPDATE; none for a part with flash.
+fn ends_of_update(scheme: Scheme) -> &'static [u16] {
+    match scheme {
+        Scheme::Block | Scheme::Mac => &[],
+        Scheme::CfgUpdate => &[SET_CFGUPDATE, SOFT_RESET],
+        Scheme::MacUpdate => &[ENTER_CFG_UPDATE, EXIT_CFG_UPDATE_REINIT],
+    }
 }
 
 fn row(letter: char, register: u8, bytes: &[u8]) -> String {

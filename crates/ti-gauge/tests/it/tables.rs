@@ -65,7 +65,7 @@ fn names_are_unique() {
         assert_unique("subcommand word", chip.subcommands.iter().map(|one| snake_case(one.name)));
         assert_unique("role", chip.registers.iter().filter_map(|register| register.role));
         // All by subclass, or all in one flat address space, depending on the access scheme.
-        if chip.access.scheme == Scheme::Mac {
+        if chip.access.scheme.is_flat() {
             assert!(chip.subclasses.iter().all(|subclass| subclass.id == FLAT), "{}", chip.name);
         } else {
             assert_unique("subclass", chip.subclasses.iter().map(|subclass| subclass.id));
@@ -338,7 +338,7 @@ fn fits(signature: &Signature, bytes: &[u8]) -> bool {
 /// Owners of parts with a flat address space have found parameters one address lower than documented.
 #[test]
 fn a_signature_detects_a_flat_map_that_is_off_by_one() {
-    let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme == Scheme::Mac);
+    let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme.is_flat());
     for chip in flat {
         let mut told = 0;
         for signature in chip.signature {
@@ -512,7 +512,7 @@ fn waits_are_at_least_those_that_a_gauge_needs() {
         assert!(access.reset_limit > access.reset, "{}", chip.name);
         let (commit_ms, enters) = match access.scheme {
             Scheme::Block | Scheme::Mac => (100, false),
-            Scheme::CfgUpdate => (10, true),
+            Scheme::CfgUpdate | Scheme::MacUpdate => (10, true),
         };
         assert!(access.commit.as_millis() >= commit_ms, "{}", chip.name);
         assert_eq!(!access.enter_limit.is_zero(), enters, "{}", chip.name);
