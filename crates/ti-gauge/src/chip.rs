@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::value::Type;
 
+pub mod bq27220;
 pub mod bq27421_g1;
 pub mod bq27427;
 pub mod bq27441_g1;
@@ -34,6 +35,7 @@ pub static CHIPS: &[&Chip] = &[
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27427::CHIP,
+    &bq27220::CHIP,
     &bq34110::CHIP,
     &bq35100::CHIP,
 ];

@@ -665,10 +665,10 @@ mod tests {
         let text = |answer: &str| format!("W: AA 3E 02 00\nC: AA 3E 02 00 {answer}\n{row}");
         let image = parse(&text("01 10 00 02 00 08"), None).expect("an image");
         assert_eq!((image.chip.name, image.firmware), ("bq34110", Some(0x0002)));
-        let error = parse(&text("02 20 00 03"), None).expect_err("a bq27220").to_string();
+        let error = parse(&text("0F 20 00 03"), None).expect_err("an unknown part").to_string();
         assert_eq!(
             error,
-            "line 2: it is for device type 0x0220, firmware 0x0003: not a gauge that gaugefs knows"
+            "line 2: it is for device type 0x0f20, firmware 0x0003: not a gauge that gaugefs knows"
         );
         // What bqStudio writes for a bq34110, having asked in the wrong place.
         let image = parse(&text("FF A5 FF A5"), Chip::by_name("bq34110")).expect("an image");
