@@ -83,9 +83,9 @@ fn unproven(chip: &Chip) -> usize {
 
 fn scheme(chip: &Chip) -> &'static str {
     match chip.access.scheme {
-        Scheme::Block | Scheme::Mac => "flash",
-        Scheme::CfgUpdate => "RAM",
         Scheme::None => "none",
+        scheme if scheme.is_ram() => "RAM",
+        _ => "flash",
     }
 }
 

@@ -234,7 +234,8 @@ fn control_status(gauge: &Supply) -> Option<String> {
 fn itpor(gauge: &Supply) -> Option<String> {
     let chip = gauge.chip();
     let flags = gauge.fresh()?.value(chip.register(Role::Flags)?)?;
-    line(u8::from(flags & i64::from(chip.volatile?) != 0))
+    let lost = chip.volatile.filter(|&lost| lost != 0)?;
+    line(u8::from(flags & i64::from(lost) != 0))
 }
 
 fn digest(gauge: &Supply) -> Option<String> {

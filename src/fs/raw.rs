@@ -2,7 +2,7 @@
 //!
 //! A line reaches only bytes without a parameter: no key, no limit and no unproven row can be bypassed with it.
 
-use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Scheme};
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::Place;
 use ti_gauge::text;
@@ -19,7 +19,7 @@ pub(super) fn bytes(chip: &'static Chip, line: &str) -> Result<(Place, Vec<u8>)>
     let ((Some((subclass, offset)), Some(bytes)), None) = ((numbers, bytes), words.next()) else {
         return Err(invalid("write raw SUBCLASS/OFFSET HEX, 1 to 32 bytes of two digits each".into()));
     };
-    if chip.access.scheme == Scheme::Mac || subclass == FLAT {
+    if chip.access.scheme.is_flat() || subclass == FLAT {
         return Err(invalid("bytes without a parameter are written in subclasses only".into()));
     }
     let place = Place { subclass, offset };

@@ -817,7 +817,7 @@ fn files_can_be_copied() {
 #[test]
 fn listed_files_exist() {
     let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
-    for (chip, itpor) in [("bq34110", false), ("bq27441-g1", true)] {
+    for (chip, itpor) in [("bq34110", false), ("bq27220", false), ("bq27441-g1", true)] {
         let Some(mount) =
             Mount::with(chip, Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
         else {

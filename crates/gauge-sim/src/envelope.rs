@@ -236,7 +236,12 @@ impl Envelope {
             }
             Scheme::Block(_) | Scheme::Registers(_) => {}
             // E2E 888302.
-            Scheme::Mac(_) => (timing.full_access_quiet, timing.refused_quiet) = (quiet, quiet),
+            Scheme::Mac(_) => {
+                timing.refused_quiet = quiet;
+                if !timing.full_access_quiet.is_zero() {
+                    timing.full_access_quiet = quiet;
+                }
+            }
         }
         // The bus has no checksum, so that any one command may be lost.
         let lost = random.roll(8);

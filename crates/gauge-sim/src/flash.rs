@@ -58,6 +58,11 @@ impl Flash {
         self.areas.iter_mut().find(|area| area.id == id)
     }
 
+    /// Bytes in an area.
+    pub(super) fn size(&self, id: u16) -> usize {
+        self.area(id).map_or(0, |area| area.bytes.len())
+    }
+
     /// The bytes of a block: fewer than 32 at the end of an area, none beyond it.
     pub(super) fn block(&self, id: u16, block: u8) -> &[u8] {
         let start = usize::from(block) * BLOCK;

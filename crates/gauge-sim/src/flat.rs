@@ -3,7 +3,7 @@
 
 use super::flash::Flash;
 
-/// Addresses are 0x4000 to 0x43FF.
+/// Addresses of data flash are 0x4000 to 0x43FF.
 pub(super) const BASE: u16 = 0x4000;
 pub(super) const SIZE: usize = 0x400;
 /// The areas of the image: data flash, and what a part keeps at a place that no document gives.
@@ -12,13 +12,18 @@ pub(super) const PRIVATE: u16 = 1;
 
 /// A whole data flash with the given bytes at their addresses, and 0 elsewhere.
 pub(super) const fn image(rows: &[(u16, &[u8])]) -> [u8; SIZE] {
-    let mut out = [0; SIZE];
+    image_from(BASE, rows)
+}
+
+/// The same from another first address on, and of another size.
+pub(super) const fn image_from<const N: usize>(base: u16, rows: &[(u16, &[u8])]) -> [u8; N] {
+    let mut out = [0; N];
     let mut row = 0;
     while row < rows.len() {
         let (address, bytes) = rows[row];
         let mut at = 0;
         while at < bytes.len() {
-            out[offset(address) + at] = bytes[at];
+            out[(address - base) as usize + at] = bytes[at];
             at += 1;
         }
         row += 1;

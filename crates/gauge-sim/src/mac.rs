@@ -1,6 +1,7 @@
 //! ManufacturerAccessControl: a flash gauge whose subcommands and flat data flash are reached through one
 //! word, a buffer, a sum and a length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to
-//! such a part over the bus. What each part makes of its pack is in its own file.
+//! such a part over the bus. What each part makes of its pack is in its own file. Where data memory is RAM, it is
+//! written in FULL ACCESS between ENTER_CFG_UPDATE and one of the ways out (SLUUBD4A 6.1).
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: it is sealed after every
 //! reset, it ignores silently what it refuses, and it echoes a refused word above the previous answer.
@@ -11,11 +12,12 @@ use super::device::{Device, Gauge};
 use super::envelope::{Early, First, Lost};
 use super::error::Result;
 use super::flash::{BLOCK, Flash};
-use super::flat::{BASE, DATA_FLASH, SIZE, i16_at, u8_at, u16_at};
+use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
 use super::knob;
 use super::model::{Kept, MacModel, Model, Registers, Reply};
-use super::part::{MacPart, Part, Scale};
+use super::part::{MacMemory, MacPart, Part, Scale};
 use super::seal::{Level, Seal};
+use super::update::{Exit, Mode};
 use super::window::checksum;
 use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
@@ -29,6 +31,10 @@ const OPERATION_STATUS: u16 = 0x0054;
 const LAST_SUBCOMMAND: u16 = 0x00FF;
 /// What MACDataLen() counts besides the data: the word, the sum and itself.
 const OVERHEAD: usize = 4;
+/// ENTER_CFG_UPDATE, EXIT_CFG_UPDATE_REINIT and EXIT_CFG_UPDATE.
+const ENTER_UPDATE: u16 = 0x0090;
+const EXIT_UPDATE_ANEW: u16 = 0x0091;
+const EXIT_UPDATE: u16 = 0x0092;
 /// What Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
 const ANSWERED_ELSEWHERE: u16 = 0xFFA5;
 
@@ -84,6 +90,18 @@ impl MacPart {
         let (divider, (byte, bit)) = self.divider?;
         Some(Scale { divider: u16_at(flash, divider), external: u8_at(flash, byte) & bit != 0 })
     }
+
+    /// The level of a gauge that begins to work with its data memory. One with flash was sealed.
+    fn level(&self, flash: &Flash) -> Level {
+        match &self.data_memory {
+            Some(MacMemory { default_seal: (address, bit), .. })
+                if flash.u8(DATA_FLASH, usize::from(address - self.base)) & bit == 0 =>
+            {
+                Level::Unsealed
+            }
+            Some(_) | None => Level::Sealed,
+        }
+    }
 }
 
 /// A gauge with ManufacturerAccessControl().
@@ -114,6 +132,7 @@ struct Ram {
     /// Control() has 0xFFA5 to show, and shows it in this message.
     elsewhere: bool,
     elsewhere_seen: bool,
+    update: Mode,
     /// The boot loader runs. Nothing is known of it but that a loss of power ends it.
     rom: bool,
     /// The registers as they were measured for this message.
@@ -151,10 +170,19 @@ impl Mac {
     }
 
     /// The offset in data flash that a word addresses in this specimen.
-    fn locate(&self, word: u16) -> Option<usize> {
-        let at = word.checked_sub(BASE).map(usize::from).filter(|&at| at < SIZE)?;
+    fn locate(&self, flash: &Flash, word: u16) -> Option<usize> {
+        let size = flash.size(DATA_FLASH);
+        let at = word.checked_sub(self.part.base).map(usize::from).filter(|&at| at < size)?;
         let shift = if word < SHIFTED { 0 } else { usize::from(self.shift) };
-        Some(at + shift).filter(|&at| at < SIZE)
+        Some(at + shift).filter(|&at| at < size)
+    }
+
+    /// CONFIG UPDATE is over.
+    fn end_update(&mut self, device: &mut Device, exit: Exit) {
+        if exit == Exit::Anew {
+            self.model.restart(&device.flash);
+        }
+        self.ram.registers = None;
     }
 
     /// The length was written after the sum. Both have to be right.
@@ -168,20 +196,20 @@ impl Mac {
         if told != sum(word, bytes) {
             return;
         }
-        let Some(offset) = self.locate(word) else {
+        let Some(offset) = self.locate(&device.flash, word) else {
             let kept = self.model.parameters(word, bytes, level);
             device.keep(self, kept);
             return;
         };
-        if offset + count > SIZE {
+        if offset + count > device.flash.size(DATA_FLASH) {
             return;
         }
         let (area, keys) = self.part.keys;
         let of_keys = area == DATA_FLASH && offset < keys + 8 && keys < offset + count;
         let allowed = match level {
             Level::Sealed => false,
-            Level::Unsealed => !of_keys,
-            Level::FullAccess => true,
+            Level::Unsealed => !of_keys && self.part.data_memory.is_none(),
+            Level::FullAccess => self.part.data_memory.is_none() || matches!(self.ram.update, Mode::On(_)),
         };
         let kept = Kept::new(DATA_FLASH, offset, bytes);
         device.commit(self, kept, allowed);
@@ -207,10 +235,10 @@ impl Mac {
         // The second word was another one.
         self.ram.seal.refused |= before.is_half() && !self.ram.seal.is_half();
         let open = !self.sealed();
-        if let Some(at) = self.locate(word) {
+        if let Some(at) = self.locate(&device.flash, word) {
             if open {
                 let flash = device.loadable();
-                let bytes = flash.bytes_at(DATA_FLASH, at, BLOCK.min(SIZE - at));
+                let bytes = flash.bytes_at(DATA_FLASH, at, BLOCK.min(flash.size(DATA_FLASH) - at));
                 self.answer(device, word, bytes, device.envelope.delay(DATA_FLASH, at / BLOCK));
             }
             return;
@@ -227,6 +255,19 @@ impl Mac {
                 return;
             }
             0x0F00 if open => self.ram.rom = true,
+            ENTER_UPDATE | EXIT_UPDATE_ANEW | EXIT_UPDATE if self.part.data_memory.is_some() => {
+                let (timing, full) = (&device.timing, level == Level::FullAccess);
+                match word {
+                    ENTER_UPDATE if full => self.ram.update.enter(timing.update_enter, device.now),
+                    EXIT_UPDATE_ANEW if open => {
+                        self.ram.update.leave(Exit::Anew, timing.update_leave, device.now);
+                    }
+                    EXIT_UPDATE if open => {
+                        self.ram.update.leave(Exit::Plain, timing.update_leave, device.now);
+                    }
+                    _ => {}
+                }
+            }
             _ if word == self.part.seal => {
                 if open && !device.loses(Lost::Seal) {
                     self.ram.seal.change(Level::Sealed, device.now);
@@ -247,7 +288,9 @@ impl Mac {
             },
         }
         self.ram.previous = word;
-        self.ram.registers = None;
+        if self.gauges() {
+            self.ram.registers = None;
+        }
     }
 
     /// Fetches an answer, which takes `late` longer than others.
@@ -264,6 +307,17 @@ impl Mac {
     fn control_status(&self, device: &Device) -> u16 {
         let hidden = if device.unmeasured() { self.part.initialized } else { 0 };
         self.model.control_status(self.shown_level(device)) & !hidden
+    }
+
+    /// A byte of the word that shows the level and CONFIG UPDATE, which is right while the gauge does not gauge.
+    fn update_status(&self, device: &Device, register: u8) -> Option<u8> {
+        let (first, bit) = self.part.data_memory.as_ref()?.shows;
+        let at = usize::from(register.checked_sub(first)?);
+        let shown = self.model.registers(self.shown_level(device), 0);
+        let low = usize::from(first);
+        let word = u16::from_le_bytes([shown[low], shown[low + 1]]);
+        let mode = if self.ram.update.shows() { bit } else { 0 };
+        (word | mode).to_le_bytes().get(at).copied()
     }
 
     /// The level that the status words show.
@@ -369,7 +423,7 @@ impl Wire for Mac {
                 self.ram.registers = Some(registers);
                 let byte = registers.get(usize::from(register)).copied().unwrap_or(0);
                 self.model.seen(register);
-                byte
+                self.update_status(device, register).unwrap_or(byte)
             }
         }
     }
@@ -392,17 +446,32 @@ impl Wire for Mac {
         [firmware, hardware]
     }
 
+    /// In CONFIG UPDATE the gauge does not gauge.
     fn gauges(&self) -> bool {
-        !self.ram.rom
+        !self.ram.rom && !self.ram.update.shows()
     }
 
     fn reset(&mut self, device: &mut Device) {
         self.before = self.model.registers(self.ram.seal.level, self.voltage_mv(&device.flash));
-        self.ram = Ram::default();
+        if self.part.data_memory.is_some() {
+            device.flash.reload(device.part.image, PRIVATE);
+            device.save();
+        }
+        self.ram = Ram { seal: Seal::new(self.part.level(&device.flash)), ..Ram::default() };
     }
 
     fn run(&mut self, device: &mut Device, settle: bool) {
-        self.ram.registers = None;
+        if device.is_on()
+            && let Some((exit, at)) = self.ram.update.run(device.now)
+        {
+            let now = std::mem::replace(&mut device.now, at);
+            device.pass(self, true);
+            self.end_update(device, exit);
+            device.now = now;
+        }
+        if self.gauges() {
+            self.ram.registers = None;
+        }
         device.pass(self, settle);
     }
 
@@ -419,7 +488,8 @@ impl Wire for Mac {
     }
 
     fn gate(&self, flash: &Flash) -> bool {
-        i32::from(self.voltage_mv(flash)) >= i32::from(i16_at(flash, self.part.gate))
+        let limit = self.part.gate.map(|address| i32::from(i16_at(flash, address)));
+        limit.is_none_or(|limit| i32::from(self.voltage_mv(flash)) >= limit)
     }
 
     fn fit_board(&mut self, flash: &Flash) {
@@ -430,6 +500,7 @@ impl Wire for Mac {
         match () {
             () if self.ram.rom => "rom",
             () if self.model.calibrating() => "calibration",
+            () if self.ram.update.shows() => "config-update",
             () => "normal",
         }
     }

@@ -20,7 +20,11 @@ pub(super) struct Part {
 impl Part {
     /// Whether what a host commits is programmed into flash, and not into RAM.
     pub(super) fn has_flash(&self) -> bool {
-        !matches!(self.scheme, Scheme::Block(BlockPart { data_memory: Some(_), .. }) | Scheme::Registers(_))
+        match self.scheme {
+            Scheme::Block(part) => part.data_memory.is_none(),
+            Scheme::Mac(part) => part.data_memory.is_none(),
+            Scheme::Registers(_) => false,
+        }
     }
 }
 
@@ -201,10 +205,23 @@ pub(super) enum Status {
     WatchdogReset,
 }
 
+/// Data memory that is RAM, filled from ROM when power comes, and written in FULL ACCESS between two subcommands.
+#[derive(Debug)]
+pub(super) struct MacMemory {
+    /// The address of a byte, and the bit by which the gauge seals itself when power comes.
+    pub(super) default_seal: (u16, u8),
+    /// The register and the bit that show CONFIG UPDATE.
+    pub(super) shows: (u8, u16),
+}
+
 /// A part with ManufacturerAccessControl().
 pub(super) struct MacPart {
+    /// The first address of data flash.
+    pub(super) base: u16,
+    /// Data memory is RAM.
+    pub(super) data_memory: Option<MacMemory>,
     /// The address of Flash Update OK Voltage.
-    pub(super) gate: u16,
+    pub(super) gate: Option<u16>,
     /// The address of Voltage Divider, and the bit of a byte that switches off the internal divider.
     pub(super) divider: Option<(u16, (u16, u8))>,
     /// Area and offset of the keys: four words in the order in which they are sent.

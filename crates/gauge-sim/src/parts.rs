@@ -4,6 +4,7 @@
 use super::part::Part;
 use super::{battery, envelope, flash, flat, gauging, model, part, seal, timing, update};
 
+mod bq27220;
 mod bq27427;
 mod bq27441_g1;
 mod bq27520_g3;
@@ -18,6 +19,7 @@ static PARTS: &[&Part] = &[
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,
     &bq27427::PART,
+    &bq27220::PART,
     &bq34110::PART,
     &bq35100::PART,
 ];

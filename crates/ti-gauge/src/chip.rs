@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::value::Type;
 
+pub mod bq27220;
 pub mod bq27421_g1;
 pub mod bq27427;
 pub mod bq27441_g1;
@@ -35,6 +36,7 @@ pub static CHIPS: &[&Chip] = &[
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27427::CHIP,
+    &bq27220::CHIP,
     &bq34110::CHIP,
     &bq35100::CHIP,
 ];
@@ -77,8 +79,8 @@ pub struct Chip {
     /// Values that data flash must hold before the first write, for parts whose offsets differ between
     /// firmwares. Empty where [`Identity`] is enough.
     pub signature: &'static [Signature],
-    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; `None` where
-    /// it is flash.
+    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; 0 where no flag
+    /// shows that, and `None` where it is flash.
     pub volatile: Option<u16>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
@@ -374,8 +376,22 @@ pub enum Scheme {
     CfgUpdate,
     /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
     Mac,
+    /// The same in FULL ACCESS, between ENTER_CFG_UPDATE and EXIT_CFG_UPDATE_REINIT; data memory is RAM.
+    MacUpdate,
     /// None: only the standard commands are known.
     None,
+}
+
+impl Scheme {
+    /// Whether data flash is one flat address space, without subclasses.
+    pub fn is_flat(self) -> bool {
+        matches!(self, Scheme::Mac | Scheme::MacUpdate)
+    }
+
+    /// Whether data memory is RAM, which is written in CONFIG UPDATE.
+    pub fn is_ram(self) -> bool {
+        matches!(self, Scheme::CfgUpdate | Scheme::MacUpdate)
+    }
 }
 
 impl Access {

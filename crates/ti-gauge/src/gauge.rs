@@ -30,7 +30,7 @@ const RESET: u16 = 0x0041;
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
 /// Most bytes following Control() that can be read in the same transfer.
-pub const BEHIND: usize = 14;
+pub const BEHIND: usize = 0x3A;
 
 /// Factory default of the full-access key, the same for every part that has one.
 pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];

@@ -6,7 +6,7 @@
 
 use super::battery::Battery;
 use super::flash::{Flash, Image};
-use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
+use super::flat::{BASE, DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
     AVERAGE_S, Calibration, FREEZING, Kept, MacModel, Model, NO_TIME, Registers, Reply, bits, registers,
     signed, whole,
@@ -20,7 +20,9 @@ pub(super) static PART: Part = Part {
     image: IMAGE,
     timing: Timing::MAC,
     scheme: Scheme::Mac(&MacPart {
-        gate: 0x4157,
+        base: BASE,
+        data_memory: None,
+        gate: Some(0x4157),
         // [VEN_EN]. No source says by how much Voltage() changes: as in the bq34z100-G1.
         divider: Some((0x4010, (0x413D, 0x10))),
         keys: (PRIVATE, 0),

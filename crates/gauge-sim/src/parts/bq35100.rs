@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::battery::Battery;
 use super::envelope::Busy;
 use super::flash::{Flash, Image};
-use super::flat::{DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
+use super::flat::{BASE, DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
     Calibration, FREEZING, Kept, MacModel, Model, Registers, Reply, bits, registers, signed, whole,
 };
@@ -21,7 +21,9 @@ pub(super) static PART: Part = Part {
     image: IMAGE,
     timing: Timing { power_up: BOOT, reset: BOOT, reset_busy: Busy::Stretch, ..Timing::MAC },
     scheme: Scheme::Mac(&MacPart {
-        gate: 0x41B6,
+        base: BASE,
+        data_memory: None,
+        gate: Some(0x41B6),
         divider: None,
         keys: (DATA_FLASH, offset(0x41CC)),
         seal: 0x0020,

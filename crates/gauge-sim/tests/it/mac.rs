@@ -1,4 +1,4 @@
-//! The simulated bq34110 and bq35100, compared byte by byte with the manuals and with traffic that owners have
+//! The simulated bq27220, bq34110 and bq35100, compared byte by byte with the manuals and with traffic that owners have
 //! published.
 
 use std::sync::Arc;
@@ -464,9 +464,84 @@ mod bq34110 {
     }
 }
 
+mod bq27220 {
+    use super::*;
+
+    const FULL_ACCESS: &str = "W 00 FF FF ; W 00 FF FF";
+
+    /// SLUUBD4A 6.1: Design Capacity is changed from 3000 to 1200 mAh.
+    #[test]
+    fn design_capacity_as_in_sluubd4a_6_1() {
+        let bench = bench("bq27220");
+        bench.replay(UNSEAL);
+        bench.replay(FULL_ACCESS);
+        bench.replay("W 00 90 00 ; X 1000 ; R 3B 1 -> 04");
+        bench.replay("W 3E 9F ; W 3F 92 ; X 20 ; R 61 1 -> 24 ; R 40 2 -> 0B B8");
+        bench.replay("W 40 04 ; W 41 B0 ; W 60 1A ; W 61 06 ; X 20");
+        bench.replay("W 00 91 00 ; X 2000 ; R 3B 1 -> 00 ; W 00 30 00 ; R 3A 1 -> 26 ; R 3C 2 -> B0 04");
+    }
+
+    /// The manual's other example, with its checksum: a byte of 0 at 0x9221.
+    #[test]
+    fn the_checksum_covers_the_address() {
+        let bench = bench("bq27220");
+        bench.replay(UNSEAL);
+        bench.replay(FULL_ACCESS);
+        let wear = || bench.sim.get("wear").unwrap();
+        bench.replay("W 00 90 00 ; X 1000 ; W 3E 21 92 00 ; W 60 4C 05 ; X 20");
+        assert_eq!(wear(), "0/5 1");
+        bench.replay("W 3E 21 92 00 ; W 60 4D 05 ; X 20");
+        assert_eq!(wear(), "0/5 1");
+    }
+
+    #[test]
+    fn data_memory_is_written_in_full_access_and_config_update_only() {
+        let bench = bench("bq27220");
+        let memory = bench.sim.flash();
+        let write = "W 3E 9F 92 04 B0 ; W 60 1A 06 ; X 20";
+        bench.replay(write);
+        bench.replay(UNSEAL);
+        bench.replay(write);
+        bench.replay("W 00 90 00 ; X 1000 ; R 3B 1 -> 00");
+        bench.replay(FULL_ACCESS);
+        bench.replay(write);
+        assert!(bench.sim.flash() == memory);
+        bench.replay("W 00 90 00 ; X 1000 ; R 3B 1 -> 04");
+        bench.replay(write);
+        assert!(bench.sim.flash() != memory);
+    }
+
+    /// What was written is lost with the power, nothing shows it, and the gauge comes back UNSEALED.
+    #[test]
+    fn power_loss_and_reset_restore_what_is_in_one_time_programmable_memory() {
+        for lose in ["W 00 41 00", ""] {
+            let bench = bench("bq27220");
+            let memory = bench.sim.flash();
+            bench.replay(UNSEAL);
+            bench.replay(FULL_ACCESS);
+            bench.replay("W 00 90 00 ; X 1000 ; W 3E 9F 92 04 B0 ; W 60 1A 06 ; X 20 ; W 00 91 00 ; X 2000");
+            assert!(bench.sim.flash() != memory);
+            if lose.is_empty() {
+                bench.set("power", "off");
+                bench.set("power", "on");
+            } else {
+                bench.replay(lose);
+            }
+            bench.replay("X 1000 ; R 3A 2 -> 24 00 ; R 3C 2 -> B8 0B");
+            assert!(bench.sim.flash() == memory);
+        }
+    }
+
+    #[test]
+    fn identity_is_answered_elsewhere() {
+        let bench = bench("bq27220");
+        bench.replay("W 00 01 00 ; X 20 ; R 00 2 -> A5 FF ; R 3E 4 -> 01 00 20 02 ; R 00 2 -> 00 00");
+    }
+}
+
 #[test]
 fn every_knob_is_readable_and_accepts_its_own_text() {
-    for chip in ["bq34110", "bq35100"] {
+    for chip in ["bq27220", "bq34110", "bq35100"] {
         let bench = bench(chip);
         for knob in bench.sim.knobs() {
             let shown = bench.sim.get(knob.name).unwrap_or_else(|| panic!("{}", knob.name));

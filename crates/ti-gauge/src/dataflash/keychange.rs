@@ -19,7 +19,7 @@ use super::schemes::sequence;
 use super::session::{Left, RESTORES, Session};
 use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
-use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind, Scheme};
+use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
@@ -212,7 +212,7 @@ fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     if words.iter().any(|word| *word < SUBCOMMANDS || known(word)) {
         return refuse("has a word that is a subcommand, which the manual forbids");
     }
-    if gauge.chip.access.scheme == Scheme::Mac && words.iter().any(|word| ADDRESSES.contains(word)) {
+    if gauge.chip.access.scheme.is_flat() && words.iter().any(|word| ADDRESSES.contains(word)) {
         return refuse("has a word that is an address of data flash (0x4000 to 0x43ff)");
     }
     Ok(())

@@ -100,7 +100,8 @@ pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
     match gauge.chip.access.scheme {
         // A gauge without a table is never written to, and its first transfer of this sequence refused.
         Scheme::Block | Scheme::None => &block::Block,
-        Scheme::CfgUpdate => &cfgupdate::CfgUpdate,
+        Scheme::CfgUpdate => &cfgupdate::BLOCK,
         Scheme::Mac => &mac::Mac,
+        Scheme::MacUpdate => &cfgupdate::MAC,
     }
 }

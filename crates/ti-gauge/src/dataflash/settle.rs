@@ -509,7 +509,14 @@ impl Task<'_> {
             seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
         })?;
         if let Match::Other(name) = &same {
-            return Ok(Doubt::Because(format!("{name} is not what it was then: this is another pack")));
+            // RAM without a flag for its loss looks the same as another pack.
+            let or_lost = match gauge.chip.volatile {
+                Some(0) => ", or the gauge has lost its power and with it its data memory",
+                _ => "",
+            };
+            return Ok(Doubt::Because(format!(
+                "{name} is not what it was then: this is another pack{or_lost}"
+            )));
         }
         if self.watched {
             return Ok(Doubt::None);
@@ -607,6 +614,7 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
 /// Whether the gauge's data memory is RAM and was lost.
 pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
-    let Some((lost, flags)) = chip.volatile.zip(chip.register(Role::Flags)) else { return Ok(false) };
+    let lost = chip.volatile.filter(|&lost| lost != 0);
+    let Some((lost, flags)) = lost.zip(chip.register(Role::Flags)) else { return Ok(false) };
     Ok(read_word(gauge, Word::Register(flags.code))? & lost != 0)
 }

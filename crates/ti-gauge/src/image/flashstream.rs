@@ -23,6 +23,10 @@ const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
 const EXIT_CFGUPDATE: u16 = 0x0043;
 const EXIT_RESIM: u16 = 0x0044;
+/// The same of the parts with ManufacturerAccessControl().
+const ENTER_CFG_UPDATE: u16 = 0x0090;
+const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
+const EXIT_CFG_UPDATE: u16 = 0x0092;
 /// Control().
 const CONTROL: u8 = 0x00;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
@@ -259,7 +263,7 @@ impl Stream {
     }
 
     fn is_mac(&self) -> bool {
-        self.chip.access.scheme == Scheme::Mac
+        self.chip.access.scheme.is_flat()
     }
 
     fn write(
@@ -349,18 +353,18 @@ impl Stream {
         if !rest.is_empty() {
             return Err(format!("more than a word for {}", subcommand.name));
         }
-        match word {
-            SET_CFGUPDATE => self.update = Some(line),
-            RESET | SOFT_RESET | EXIT_CFGUPDATE | EXIT_RESIM => self.update = None,
-            _ => {}
+        let update = config_update(self.chip.access.scheme);
+        let enters = update.is_some_and(|(enter, _)| word == enter);
+        let leaves = update.is_some_and(|(_, leave)| leave.contains(&word));
+        if enters {
+            self.update = Some(line);
+        } else if leaves || word == RESET {
+            self.update = None;
         }
         match subcommand.effect {
             Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
             Effect::Answers => Ok(()),
-            Effect::Guarded
-                if [SET_CFGUPDATE, RESET, SOFT_RESET, EXIT_CFGUPDATE, EXIT_RESIM].contains(&word)
-                    || word == self.chip.security.seal =>
-            {
+            Effect::Guarded if enters || leaves || word == RESET || word == self.chip.security.seal => {
                 self.notes.push(format!("line {line}: {}; an import does it by itself", subcommand.name));
                 Ok(())
             }
@@ -495,6 +499,7 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
+    let update = config_update(access.scheme);
     let wait = |time: std::time::Duration| format!("X: {}\n", time.as_millis().max(5));
     let mut text = String::new();
     let check = |code: u16, answer: u16| {
@@ -505,11 +510,11 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     if let Some(firmware) = image.firmware {
         text += &check(FW_VERSION, firmware);
     }
-    if access.scheme == Scheme::CfgUpdate {
-        text += &row('W', CONTROL, &SET_CFGUPDATE.to_le_bytes());
+    if let Some((enter, _)) = update {
+        text += &row('W', CONTROL, &enter.to_le_bytes());
         text += &wait(access.enter.max(std::time::Duration::from_millis(1100)));
     }
-    if access.scheme == Scheme::Mac {
+    if access.scheme.is_flat() {
         for (address, bytes) in runs(image)? {
             let select = row('W', SELECT, &address.to_le_bytes()) + &wait(access.select);
             text += &select;
@@ -541,15 +546,29 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
             }
         }
     }
-    let reset = if access.scheme == Scheme::CfgUpdate { SOFT_RESET } else { RESET };
+    let reset = update.and_then(|(_, leave)| leave.first()).unwrap_or(&RESET);
     text += &row('W', CONTROL, &reset.to_le_bytes());
     text += &wait(access.reset_limit);
     let count = text.lines().filter(|line| !line.starts_with(';')).count();
     let (model, name) = (chip.model, chip.name);
+    let before = match access.scheme {
+        Scheme::MacUpdate => "the gauge has to be in FULL ACCESS before it is sent",
+        _ => "a gauge that is SEALED has to be unsealed before it is sent",
+    };
     Ok(format!(
         "; {model} configuration, by gaugefs export\n{CHIP_LINE} {name}\n{COUNT_LINE} {count}\n\
-         ; No key is in this file: a gauge that is SEALED has to be unsealed before it is sent.\n{text}"
+         ; No key is in this file: {before}.\n{text}"
     ))
+}
+
+/// The subcommand that begins CONFIG UPDATE, and those that end it, the first of which is written; `None` for a part
+/// with flash.
+fn config_update(scheme: Scheme) -> Option<(u16, &'static [u16])> {
+    match scheme {
+        Scheme::Block | Scheme::Mac | Scheme::None => None,
+        Scheme::CfgUpdate => Some((SET_CFGUPDATE, &[SOFT_RESET, EXIT_CFGUPDATE, EXIT_RESIM])),
+        Scheme::MacUpdate => Some((ENTER_CFG_UPDATE, &[EXIT_CFG_UPDATE_REINIT, EXIT_CFG_UPDATE])),
+    }
 }
 
 fn row(letter: char, register: u8, bytes: &[u8]) -> String {
@@ -677,10 +696,10 @@ mod tests {
         let text = |answer: &str| format!("W: AA 3E 02 00\nC: AA 3E 02 00 {answer}\n{row}");
         let image = parse(&text("01 10 00 02 00 08"), None).expect("an image");
         assert_eq!((image.chip.name, image.firmware), ("bq34110", Some(0x0002)));
-        let error = parse(&text("02 20 00 03"), None).expect_err("a bq27220").to_string();
+        let error = parse(&text("0F 20 00 03"), None).expect_err("an unknown part").to_string();
         assert_eq!(
             error,
-            "line 2: it is for device type 0x0220, firmware 0x0003: not a gauge that gaugefs knows"
+            "line 2: it is for device type 0x0f20, firmware 0x0003: not a gauge that gaugefs knows"
         );
         // What bqStudio writes for a bq34110, having asked in the wrong place.
         let image = parse(&text("FF A5 FF A5"), Chip::by_name("bq34110")).expect("an image");

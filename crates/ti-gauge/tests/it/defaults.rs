@@ -62,7 +62,7 @@ fn defaults_of_the_simulator_match_the_tables() {
 fn a_new_gauge_read_through_the_engine_holds_the_tables_defaults() {
     let intended: &[(&str, u16)] = &[];
     let mut compared = 0;
-    for name in ["bq34110", "bq35100"] {
+    for name in ["bq27220", "bq34110", "bq35100"] {
         let chip: &Chip = CHIPS.iter().copied().find(|chip| chip.name == name).unwrap();
         let mut rig = Rig::new(name);
         for subclass in chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security) {

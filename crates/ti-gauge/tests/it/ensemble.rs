@@ -20,7 +20,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
 use crate::journal::{Folder, PowerCut, until_cut};
-use crate::rig::{Rig, cause};
+use crate::rig::{Rig, cause, first_address};
 
 /// Runs in the everyday test.
 const RUNS: u64 = 4000;
@@ -85,6 +85,13 @@ fn accesses(chip: &str) -> &'static [Access] {
         ],
         "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read, Mount],
         "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
+        "bq27220" => &[
+            Write(&[((FLAT, 0x929F), "1200")]),
+            Write(&[((FLAT, 0x929F), "1200"), ((FLAT, 0x9201), "64"), ((FLAT, 0x92B4), "3100")]),
+            Read,
+            SealState,
+            Mount,
+        ],
         "bq34110" => &[
             Write(&[((FLAT, 0x41F5), "3100")]),
             Write(&[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")]),
@@ -319,7 +326,7 @@ fn moving(chip: &'static Chip) -> Vec<bool> {
         }
     }
     let mut mark = |id: u8, offset: u16, length: usize| {
-        let at = usize::from(offset) - if id == FLAT { 0x4000 } else { 0 };
+        let at = usize::from(offset) - if id == FLAT { first_address(chip) } else { 0 };
         for at in at..at + length {
             sim.set_flash(id.into(), at, &[0x5a]);
             let one = sim.flash();

@@ -19,6 +19,11 @@ pub(crate) struct Rig {
     pub(crate) dataflash: DataFlash,
 }
 
+/// The first address of the flat data flash that is simulated.
+pub(crate) fn first_address(chip: &Chip) -> usize {
+    if chip.access.scheme.is_ram() { 0x9180 } else { 0x4000 }
+}
+
 impl Rig {
     pub(crate) fn new(chip: &str) -> Self {
         Self::with(chip, Keys::default(), false)
@@ -65,7 +70,7 @@ impl Rig {
         let rows = marks.map(|&(id, offset)| (id, offset, self.find(id, offset).1));
         let mut rows = rows.filter(|(_, _, parameter)| parameter.name == "Int Temp Offset");
         let (id, at, _) = rows.next().expect("every part has one");
-        let at = usize::from(at) - if id == FLAT { 0x4000 } else { 0 };
+        let at = usize::from(at) - if id == FLAT { first_address(self.gauge.chip) } else { 0 };
         self.sim.set_flash(id.into(), at, &[offset]);
     }
 

@@ -303,7 +303,7 @@ fn a_write_waits_for_a_slow_flat_part() {
 /// A part whose data flash is one byte lower than documented, as owners have found, is not written.
 #[test]
 fn a_part_with_shifted_data_flash_is_not_written() {
-    for (chip, at) in [("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
+    for (chip, at) in [("bq27220", 0x929F), ("bq34110", 0x41F5), ("bq35100", 0x41FE)] {
         let mut rig = Rig::new(chip);
         rig.sim.set("df_shift", "1").expect("a knob");
         let before = rig.sim.flash();
@@ -314,9 +314,45 @@ fn a_part_with_shifted_data_flash_is_not_written() {
     }
 }
 
+/// SLUUBD4A 6.1, whatever the gauge is found as: FULL ACCESS, ENTER_CFG_UPDATE, the new bytes, and
+/// EXIT_CFG_UPDATE_REINIT. Afterwards it is as it was found.
+#[test]
+fn data_memory_behind_manufacturer_access_is_written_in_config_update() {
+    for found in [Seal::Sealed, Seal::Unsealed, Seal::FullAccess] {
+        let mut rig = Rig::found("bq27220", found);
+        assert_eq!(rig.read(FLAT, 0x929F), Ok(vec![0x0B, 0xB8]));
+        assert_eq!(rig.write(FLAT, 0x929F, "1200"), Ok(Outcome::Written { reset: true, old: Vec::new() }));
+        assert_eq!(rig.read(FLAT, 0x929F), Ok(vec![0x04, 0xB0]));
+        assert_eq!(rig.seal(), found);
+        assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"));
+        // StateOfHealth() follows the new value.
+        let mut capacity = [0; 2];
+        rig.gauge.read(0x3C, &mut capacity).expect("DesignCapacity()");
+        assert_eq!(u16::from_le_bytes(capacity), 1200);
+        assert_eq!(rig.write(FLAT, 0x929F, "1200"), Ok(Outcome::Unchanged));
+    }
+}
+
+/// A gauge that does not accept the full-access key is left as it was found.
+#[test]
+fn data_memory_needs_the_full_access_key() {
+    let keys = Keys {
+        unseal: None,
+        full_access: Some([0x1234, 0x5678].into()),
+        authentication: None,
+        no_default: false,
+    };
+    let mut rig = Rig::with("bq27220", keys, false);
+    let before = rig.sim.flash();
+    let error = rig.write(FLAT, 0x929F, "1200").expect_err("a wrong key");
+    assert!(matches!(error.cause(), Cause::NotPermitted(_)), "{error}");
+    assert!(rig.sim.flash() == before);
+    assert_eq!(rig.seal(), Seal::Sealed);
+}
+
 #[test]
 fn flat_parts_go_to_full_access_and_back() {
-    for chip in ["bq34110", "bq35100"] {
+    for chip in ["bq27220", "bq34110", "bq35100"] {
         let mut rig = Rig::new(chip);
         for goal in [Seal::FullAccess, Seal::Unsealed, Seal::Sealed, Seal::Unsealed, Seal::FullAccess] {
             rig.dataflash.go_to(&mut rig.gauge, goal, Duration::ZERO).expect("the default keys");
