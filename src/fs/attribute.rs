@@ -3,7 +3,7 @@
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
 use crate::owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Primary, Role};
+use ti_gauge::chip::{Chip, Factor, Primary, Role};
 
 use super::Scales;
 
@@ -15,6 +15,38 @@ pub(super) struct Reading<'a> {
     pub(super) snapshot: Option<&'a Snapshot>,
     pub(super) handle: &'a Handle,
     pub(super) scales: &'a Scales,
+}
+
+/// A kind of values, which have one scale in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Voltage,
+    /// Currents and charges.
+    Current,
+    /// Energies and powers.
+    Energy,
+}
+
+impl Kind {
+    pub(super) const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Energy];
+
+    /// The option that scales them.
+    pub(super) fn option(self) -> &'static str {
+        match self {
+            Kind::Voltage => "voltage-scale",
+            Kind::Current => "current-scale",
+            Kind::Energy => "energy-scale",
+        }
+    }
+
+    /// What the gauge's values of this kind are multiplied by.
+    pub(super) fn factor(self, chip: &Chip) -> &Factor {
+        match self {
+            Kind::Voltage => &chip.factors.voltage,
+            Kind::Current => &chip.factors.current,
+            Kind::Energy => &chip.factors.energy,
+        }
+    }
 }
 
 /// One attribute. `None` means that the gauge does not have the value, or does not have it now.
@@ -47,12 +79,12 @@ static ATTRIBUTES: &[Row] = &[
     number("capacity", |reading| reading.value(Role::Capacity)),
     text("capacity_level", |reading| reading.capacity_level()),
     number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
-    number("voltage_now", |reading| reading.micro(Role::VoltageNow, reading.scales.voltage)),
+    number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
     number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
-    number("charge_now", |reading| reading.micro(Role::ChargeNow, reading.scales.current)),
-    number("charge_full", |reading| reading.micro(Role::ChargeFull, reading.scales.current)),
-    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, reading.scales.current)),
+    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Current)),
+    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Current)),
+    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, Kind::Current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
@@ -118,23 +150,37 @@ impl Reading<'_> {
     }
 
     /// A register in thousandths of a unit, in millionths of it.
-    fn micro(&self, role: Role, scale: f64) -> Option<i64> {
-        Some((self.value(role)? as f64 * 1000.0 * scale).round() as i64)
+    fn micro(&self, role: Role, kind: Kind) -> Option<i64> {
+        let step = f64::from(kind.factor(self.chip).step);
+        Some((self.value(role)? as f64 * step * 1000.0 * self.scale(kind)?).round() as i64)
     }
 
-    /// What `current_now` shows, in mA before the scale. Parts with a single current register average it. Monitors
+    /// What the values of one kind are multiplied by: the scale that the gauge reports and the user's.
+    pub(super) fn scale(&self, kind: Kind) -> Option<f64> {
+        Some(f64::from(self.reported_scale(kind)?) * self.scales.of(kind))
+    }
+
+    /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
+    pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
+        let Some(code) = kind.factor(self.chip).scale else { return Some(1) };
+        let register = self.chip.registers.iter().find(|register| register.code == code)?;
+        let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
+        snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
+    }
+
+    /// The register that `current_now` shows. Parts with a single current register average it. Monitors
     /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
     fn current_now(&self) -> Option<Role> {
         [Role::CurrentNow, Role::CurrentAvg].into_iter().find(|&role| self.chip.register(role).is_some())
     }
 
     fn current(&self, role: Role) -> Option<i64> {
-        let current = self.micro(role, self.scales.current)?;
+        let current = self.micro(role, Kind::Current)?;
         Some(if self.scales.absolute_current { current.abs() } else { current })
     }
 
     fn energy(&self, role: Role) -> Option<i64> {
-        self.micro(role, self.scales.energy).filter(|_| self.scales.energy_shown)
+        self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown)
     }
 
     /// Negative while discharging, as the current. An unsigned register has the power of the discharge, and 0 for any
@@ -187,7 +233,7 @@ impl Reading<'_> {
         if !self.is_present() {
             return None;
         }
-        let current = self.current_now().and_then(|role| self.value(role));
+        let current = self.current_now().and_then(|role| self.micro(role, Kind::Current));
         let (Some(current), Some(full)) = (current, self.has_full_flag()) else { return Some("Unknown") };
         Some(match current {
             0 if condition.primary.is_some() => "Not charging",

@@ -6,6 +6,7 @@
 use std::fmt::Display;
 use std::time::Duration;
 
+use super::attribute::Kind;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
@@ -57,6 +58,9 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(decision(data), done, Request::Settle)),
+    file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
+    file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
+    file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
     file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64()))
         .written(|gauge, data, done| gauge.submit(interval(data), done, Request::Interval)),
     file("refresh", Mode::Write, |_| empty())
@@ -227,6 +231,11 @@ fn itpor(gauge: &Supply) -> Option<String> {
     let chip = gauge.chip();
     let flags = gauge.fresh()?.value(chip.register(Role::Flags)?)?;
     line(u8::from(flags & i64::from(chip.volatile?) != 0))
+}
+
+/// What the attributes of a kind are multiplied by.
+fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
+    line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
 }
 
 fn digest(gauge: &Supply) -> Option<String> {

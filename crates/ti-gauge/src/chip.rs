@@ -61,6 +61,8 @@ pub struct Chip {
     pub control_status: &'static [Bit],
     /// What the flags mean to a power_supply.
     pub condition: Condition,
+    /// What measured values are multiplied by.
+    pub factors: Factors,
     /// How the seal state is read and changed.
     pub security: Security,
     /// How data flash is read and written, with the delays.
@@ -126,7 +128,7 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds.
+/// The power_supply property that a register feeds. Units are those before [`Factors`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -151,9 +153,9 @@ pub enum Role {
     TimeToEmptyNow,
     /// `time_to_full_now`, min.
     TimeToFullNow,
-    /// `energy_now`, mWh before the user's energy scale.
+    /// `energy_now`, mWh.
     EnergyNow,
-    /// `power_avg`, mW before the same scale.
+    /// `power_avg`, mW.
     PowerAvg,
     /// `cycle_count`.
     CycleCount,
@@ -257,6 +259,38 @@ pub struct Primary {
     pub mode_mask: u8,
     /// The modes in which the gauge computes StateOfHealth().
     pub health_modes: &'static [u8],
+}
+
+/// What the host multiplies the values of the registers by. The gauge itself does not: its parameters of data flash
+/// are in the units of the registers.
+#[derive(Debug)]
+pub struct Factors {
+    /// Of voltages, to get mV.
+    pub voltage: Factor,
+    /// Of currents and charges, to get mA and mAh.
+    pub current: Factor,
+    /// Of energies and powers, to get mWh and mW.
+    pub energy: Factor,
+}
+
+impl Factors {
+    /// The registers are in these units.
+    pub const ONE: Self = Self { voltage: Factor::ONE, current: Factor::ONE, energy: Factor::ONE };
+}
+
+/// What the values of one kind are multiplied by: the product of both fields.
+#[derive(Debug)]
+pub struct Factor {
+    /// How much of the unit is one step of the registers.
+    pub step: u16,
+    /// The polled register that holds the scale of the pack, which is never 0 on a configured gauge; `None` where the
+    /// gauge reports none.
+    pub scale: Option<u8>,
+}
+
+impl Factor {
+    /// The registers are in the unit.
+    pub const ONE: Self = Self { step: 1, scale: None };
 }
 
 /// Seal states and keys.

@@ -14,7 +14,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
-    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scheme, Subclass,
+    Access, Bit, Chip, Evidence, Factors, Identity, Parameter as P, Quirk, Register, Role, Scheme, Subclass,
     Subcommand,
 };
 use crate::value::Type::U;
@@ -40,6 +40,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
+    factors: Factors::ONE,
     security: SECURITY,
     access: Access {
         scheme: Scheme::CfgUpdate,

@@ -10,8 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
-    Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Access, Bit, Chip, Condition, Evidence, Factors, Identity, KeyStorage, Learning, Mode, Pack,
+    Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -37,6 +38,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
+    factors: Factors::ONE,
     security: SECURITY,
     access: ACCESS,
     gate: None,

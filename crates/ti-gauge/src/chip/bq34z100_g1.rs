@@ -10,9 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus,
-    Security, Subclass, Subcommand, Word,
+    Access, Authentication, Bit, Chip, Condition, Evidence, External, Factors, Gate, Identity, KeyBlock,
+    KeyOrder, KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme,
+    SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
+    factors: Factors::ONE,
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // 7.3.3.1; stored the other way round, as 36 72 04 14 (Table 7-11).
@@ -347,7 +348,8 @@ const DIVIDER: Safe = Safe::AtLeast(1, "with 0 every voltage reads 0 and flash s
 const CELLS: Safe = Safe::AtLeast(1, "a pack has one cell at least");
 
 /// 7.3.16.3: above the voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
+const GATE: Safe =
+    Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// StateOfHealth() and the depth of discharge are fractions of these.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");
