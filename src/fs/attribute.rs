@@ -403,8 +403,12 @@ mod tests {
     }
 
     fn show(rig: &Rig, name: &str) -> Option<String> {
+        show_scaled(rig, name, &Scales::default())
+    }
+
+    fn show_scaled(rig: &Rig, name: &str, scales: &Scales) -> Option<String> {
         let published = rig.handle.published();
-        let scales = Scales { energy_shown: true, ..Scales::default() };
+        let scales = Scales { energy_shown: true, ..scales.clone() };
         let chip = rig.handle.chip();
         let snapshot = published.snapshot.as_deref();
         let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
@@ -456,7 +460,7 @@ mod tests {
 
     #[test]
     fn before_the_first_measurement_no_value_is_shown() {
-        for chip in ["bq34z100-g1", "bq27441-g1", "bq27520-g3", "bq34110"] {
+        for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq34110"] {
             let mut rig = open(chip);
             turn(&rig, "first_ms", "3000");
             turn(&rig, "first_values", "nonsense");
@@ -566,6 +570,94 @@ mod tests {
             let power: i64 = show(&rig, "power_avg").expect("measured").parse().expect("a number");
             assert!(power < -1_000_000, "{chip}: {power} µW");
         }
+    }
+
+    /// A bq34z100-R2 whose pack is discharged, after a power-up with these scales of voltage, current and energy.
+    fn with_scales(scales: [u8; 3]) -> Rig {
+        let mut rig = open("bq34z100-r2");
+        rig.sim.set_flash(48, 30, &scales);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        turn(&rig, "load_ma", "500");
+        for _ in 0..20 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        rig
+    }
+
+    const SCALED: [(&str, Role, Kind); 8] = [
+        ("voltage_now", Role::VoltageNow, Kind::Voltage),
+        ("current_now", Role::CurrentNow, Kind::Current),
+        ("current_avg", Role::CurrentAvg, Kind::Current),
+        ("charge_now", Role::ChargeNow, Kind::Current),
+        ("charge_full", Role::ChargeFull, Kind::Current),
+        ("charge_full_design", Role::ChargeFullDesign, Kind::Current),
+        ("energy_now", Role::EnergyNow, Kind::Energy),
+        ("power_avg", Role::PowerAvg, Kind::Energy),
+    ];
+
+    #[test]
+    fn every_attribute_is_multiplied_by_the_scale_that_the_gauge_reports() {
+        let given = Scales { voltage: 1.5, current: 0.5, energy: 3.0, ..Scales::default() };
+        for reported in [[1, 1, 1], [2, 10, 20], [255, 255, 255]] {
+            let rig = with_scales(reported);
+            let snapshot = rig.handle.published().snapshot.clone().expect("a poll");
+            for (name, role, kind) in SCALED {
+                let raw =
+                    snapshot.value(rig.handle.chip().register(role).expect("a register")).expect("read");
+                assert_ne!(raw, 0, "{name}");
+                let sign = if role == Role::PowerAvg { -1 } else { 1 };
+                // Energies are in cWh.
+                let step = if kind == Kind::Energy { 10_000 } else { 1000 };
+                let scaled = sign * raw * step * i64::from(reported[kind as usize]);
+                assert_eq!(show(&rig, name), Some(scaled.to_string()), "{name} {reported:?}");
+                // The user's scale comes on top.
+                let both = (scaled as f64 * given.of(kind)).round() as i64;
+                assert_eq!(show_scaled(&rig, name, &given), Some(both.to_string()), "{name} {reported:?}");
+            }
+        }
+    }
+
+    /// The scales are read with every poll.
+    #[test]
+    fn a_scale_applies_as_soon_as_the_gauge_reports_it() {
+        let mut rig = with_scales([1, 1, 1]);
+        let before: i64 = show(&rig, "voltage_now").expect("measured").parse().expect("a number");
+        turn(&rig, "load_ma", "0");
+        turn(&rig, "voltage_mv", &(before / 1000).to_string());
+        rig.sim.set_flash(48, 30, &[7]);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.poll_after(Duration::from_secs(2));
+        assert_shows(&rig, &[("voltage_now", Some(&(7 * before).to_string()))]);
+    }
+
+    #[test]
+    fn a_scale_of_0_leaves_no_value_of_its_kind() {
+        let rig = with_scales([1, 0, 1]);
+        for (name, _, kind) in SCALED {
+            assert_eq!(show(&rig, name).is_some(), kind != Kind::Current, "{name}");
+        }
+        assert_shows(&rig, &[("status", Some("Unknown"))]);
+    }
+
+    #[test]
+    fn a_scale_that_may_be_given_twice_is_warned_of() {
+        let warnings = |reported, given: &Scales| {
+            let (handle, scales) = (with_scales(reported).handle.clone(), given.clone());
+            crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+        };
+        let given = Scales { current: 10.0, energy: 2.5, ..Scales::default() };
+        assert_eq!(
+            warnings([5, 10, 1], &given),
+            [
+                "BAT0: the gauge reports a scale of 10, and current-scale 10 comes on top: values are multiplied by 100; \
+                 leave out current-scale if it is the same scale"
+            ]
+        );
+        assert_eq!(warnings([5, 10, 20], &given).len(), 2);
+        assert!(warnings([5, 10, 20], &Scales::default()).is_empty());
+        assert!(warnings([1, 1, 1], &given).is_empty());
     }
 
     #[test]

@@ -13,6 +13,7 @@ pub mod bq27441_g1;
 pub mod bq27520_g3;
 pub mod bq34110;
 pub mod bq34z100_g1;
+pub mod bq34z100_r2;
 pub mod bq35100;
 
 mod identity;
@@ -30,6 +31,7 @@ pub use recognise::{Limited, Recognised, recognise};
 /// Every chip that gaugefs knows, in the order of the README.
 pub static CHIPS: &[&Chip] = &[
     &bq34z100_g1::CHIP,
+    &bq34z100_r2::CHIP,
     &bq27520_g3::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
