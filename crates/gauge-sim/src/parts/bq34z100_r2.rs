@@ -1,10 +1,10 @@
-//! The bq34z100-R2 with the flash of a new bq34z100-G1, as far as the two agree: its answers, its registers and its data
-//! flash in bytes.
+//! The bq34z100-R2 with the settings of a new bq34z100-G1: its answers, its registers and its data flash in bytes.
 //!
-//! The flash is from SLUSBZ5D table 7-11, with subclass 48 as in the image of a pack with firmware 2.02; private bytes
-//! are 0. No source has the voltage that the converter measures at its full scale with firmware 2.02, so the limit of the
-//! flash applies to Voltage() only. As the gauge itself does, it leaves it to the host to multiply by the scales (SLUUCO5A 2.2.5 to 2.2.7): all
-//! other registers show the pack divided by them.
+//! The flash is from SLUSBZ5D table 7-11, with subclass 48 as in the image of a pack with firmware 2.02, in which the
+//! scales are taken to be in the order of their registers; private bytes are 0. No source has the voltage that the
+//! converter measures at its full scale with firmware 2.02, so the limit of the flash applies to Voltage() only. The
+//! host multiplies by the scales (SLUUCO5A 2.2.5 to 2.2.7); no other register depends on them. Other tables and
+//! sections are those of SLUSBZ5D.
 
 use std::array;
 
@@ -195,7 +195,7 @@ fn settings(flash: &Flash) -> Settings {
         socf: (u16(49, 4), u16(49, 6)),
         low_mv: (i16(49, 8), u8(49, 10), i16(49, 11)),
         high_mv: (i16(49, 13), u8(49, 15), i16(49, 16)),
-        // [CAL_EN] is shown as it stands in the running copy.
+        // [CAL_EN] is shown as in the running copy.
         pack: pack & !0x4000,
         full_at_taper: rmfcc,
         thermistor: temps,

@@ -65,7 +65,7 @@ pub static CHIP: Chip = Chip {
         default_unseal: [0x0414, 0x3672],
         full_access: true,
         seal: 0x0020,
-        // TI's advice to owners whose keys were refused; not in the datasheet.
+        // As on the bq34z100-G1, by TI's advice to owners whose keys were refused.
         key_silence: Duration::from_millis(5200),
         // The image has 36 72 04 14 for keys that are sent as 14 04, 72 36; four different bytes, so there is one way
         // only. The authentication key follows there as in the bq34z100-G1.
@@ -81,14 +81,11 @@ pub static CHIP: Chip = Chip {
     },
     access: Access {
         scheme: Scheme::Block,
-        // No document gives it. Drivers in the field wait 5 to 30 ms; read too early, the window shows zeros or
-        // the block before.
+        // The times are those of the bq34z100-G1, none of which is in a manual.
         select: Duration::from_millis(30),
-        // Not given either: 100 ms after a checksum is the rule for the sibling bq27545-G1 (SLUSAT0E).
         commit: Duration::from_millis(100),
         enter: Duration::ZERO,
         enter_limit: Duration::ZERO,
-        // Owners measured 150 to 175 ms; the limit is ours, power-up itself takes 250 ms (6.3).
         reset: Duration::from_millis(200),
         reset_limit: Duration::from_secs(2),
     },
@@ -286,7 +283,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(27, I1, "JEITA T2",                    -128,    127,     10, "°C"),
         P::int(28, I1, "JEITA T3",                    -128,    127,     45, "°C"),
         P::int(29, I1, "JEITA T4",                    -128,    127,     55, "°C"),
-        // The image has 01 01 01 here. SLUUCO5A names the three, in no source in the order of their places.
+        // The image has 01 01 01 here, and SLUUCO5A has the names without the places, so the order is uncertain.
         P::int(30, U1, "Volt Scale",                     1,    255,      1, "").unproven(),
         P::int(31, U1, "Curr Scale",                     1,    255,      1, "").unproven(),
         P::int(32, U1, "Energy Scale",                   1,    255,      1, "").unproven(),
