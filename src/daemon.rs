@@ -75,6 +75,12 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
     };
 
+    for line in gauges.iter().flat_map(|gauge| gauge.entry.warnings()) {
+        ::log::warn!("{line}");
+        if mode == Mode::Background {
+            eprintln!("gaugefs: warning: {line}");
+        }
+    }
     let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();
     let nodes = gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone())));
     adapters::watch(nodes);

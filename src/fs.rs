@@ -34,6 +34,7 @@ mod supply;
 mod transaction;
 
 pub use attribute::Attribute;
+use attribute::{Kind, Reading};
 pub use covered::Covered;
 use covered::CoveredLink;
 pub use df::DfItem;
@@ -84,6 +85,16 @@ impl Default for Scales {
     }
 }
 
+impl Scales {
+    fn of(&self, kind: Kind) -> f64 {
+        match kind {
+            Kind::Voltage => self.voltage,
+            Kind::Current => self.current,
+            Kind::Energy => self.energy,
+        }
+    }
+}
+
 /// A gauge that gets a folder below the mount point.
 pub struct MountedGauge {
     /// Name of the folder, such as `BAT0`.
@@ -94,6 +105,34 @@ pub struct MountedGauge {
     pub scales: Scales,
     /// The files of `sim/`, for a simulated gauge.
     pub knobs: Option<Box<dyn Knobs>>,
+}
+
+impl MountedGauge {
+    /// What to warn of: scales of the user's that multiply a scale which the gauge reports, and may be meant to be
+    /// the same one.
+    pub fn warnings(&self) -> Vec<String> {
+        let published = self.handle.published();
+        let chip = self.handle.chip();
+        let reading = Reading {
+            chip,
+            model: chip.model,
+            snapshot: published.snapshot.as_deref(),
+            handle: &self.handle,
+            scales: &self.scales,
+        };
+        let twice = Kind::ALL.into_iter().filter_map(|kind| {
+            let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
+            (reported != 1 && given != 1.0).then(|| {
+                let (option, all) = (kind.option(), f64::from(reported) * given);
+                format!(
+                    "{}: the gauge reports a scale of {reported}, and {option} {given} comes on top: values are \
+                     multiplied by {all}; leave out {option} if it is the same scale",
+                    self.name
+                )
+            })
+        });
+        twice.collect()
+    }
 }
 
 /// Who owns the files, and so may write them and read data flash.

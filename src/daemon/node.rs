@@ -14,7 +14,7 @@ pub struct Node {
     pub bus: PathBuf,
     /// Its 7-bit address.
     pub address: u8,
-    /// Its chip, if the name in the tree is known.
+    /// Its chip, if the name in the tree is known and is that of one chip only; otherwise the gauge is asked.
     pub chip: Option<&'static Chip>,
 }
 
@@ -49,19 +49,23 @@ fn address(name: &str) -> u8 {
 
 /// The first known chip that the device is compatible with, from `of:NgaugeT(null)Cti,bq27520g3`.
 fn chip(modalias: &str) -> Option<&'static Chip> {
-    let words = modalias.trim().strip_prefix("of:")?.split('C').filter_map(|word| word.strip_prefix("ti,"));
-    words.filter_map(|word| kernel::by_driver_name(word).or_else(|| by_name(word))).next()
+    let mut words =
+        modalias.trim().strip_prefix("of:")?.split('C').filter_map(|word| word.strip_prefix("ti,"));
+    words.find_map(|word| {
+        let mut alike = CHIPS.iter().copied().filter(|chip| compatible(chip).contains(&word.into()));
+        match (alike.next(), alike.next()) {
+            (None, _) => kernel::by_driver_name(word),
+            // Two parts have this name; the gauge is asked.
+            (found, other) => found.filter(|_| other.is_none()),
+        }
+    })
 }
 
-/// The chip that the kernel's driver does not know, by TI's name.
-fn by_name(word: &str) -> Option<&'static Chip> {
-    CHIPS.iter().copied().find(|chip| compatible(chip).contains(&word.into()))
-}
-
-/// The kernel's names have no dash, and most have no suffix for the first generation.
+/// The kernel's names have no dash, and most have no suffix for the first generation. Its bq34z100 is also the name of
+/// the bq34z100-R2, which TI made compatible.
 fn compatible(chip: &Chip) -> Vec<String> {
     let name = chip.name.replace('-', "");
-    let short = name.strip_suffix("g1").map(str::to_string);
+    let short = ["g1", "r2"].iter().find_map(|suffix| name.strip_suffix(suffix)).map(str::to_string);
     [Some(name), short].into_iter().flatten().collect()
 }
 
@@ -96,11 +100,15 @@ mod tests {
     fn the_udev_rule_knows_every_chip() {
         let rules = include_str!("../../udev/60-gaugefs.rules");
         for gauge in CHIPS {
-            let known = compatible(gauge)
-                .into_iter()
-                .find(|name| rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")));
-            let name = known.unwrap_or_else(|| panic!("{} is not in the rule", gauge.name));
-            assert_eq!(chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name), Some(gauge.name));
+            let mut names = compatible(gauge);
+            names.retain(|name| rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")));
+            assert!(!names.is_empty(), "{} is not in the rule", gauge.name);
+            for name in names.iter().filter(|name| *name != "bq34z100") {
+                assert_eq!(
+                    chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name),
+                    Some(gauge.name)
+                );
+            }
         }
         for (name, _) in kernel::DRIVER {
             assert!(
@@ -112,5 +120,8 @@ mod tests {
         assert_eq!(chip("of:NgT(null)Cti,bq27500-1").map(|chip| chip.name), Some("bq27500"));
         assert!(chip("of:NgT(null)Cti,bq27220").is_none());
         assert!(chip("i2c:bq34z100").is_none());
+        // The firmware decides.
+        assert!(chip("of:NgT(null)Cti,bq34z100").is_none());
+        assert_eq!(chip("of:NgT(null)Cti,bq34z100g1").map(|chip| chip.name), Some("bq34z100-g1"));
     }
 }

@@ -17,6 +17,39 @@ pub(super) struct Reading<'a> {
     pub(super) scales: &'a Scales,
 }
 
+/// A kind of values, which have one scale in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Voltage,
+    /// Currents and charges.
+    Current,
+    /// Energies and powers.
+    Energy,
+}
+
+impl Kind {
+    pub(super) const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Energy];
+
+    /// The option that scales them.
+    pub(super) fn option(self) -> &'static str {
+        match self {
+            Kind::Voltage => "voltage-scale",
+            Kind::Current => "current-scale",
+            Kind::Energy => "energy-scale",
+        }
+    }
+
+    /// The register that holds the gauge's own scale of them.
+    fn register(self, chip: &Chip) -> Option<u8> {
+        let registers = &chip.scale_registers;
+        match self {
+            Kind::Voltage => registers.voltage,
+            Kind::Current => registers.current,
+            Kind::Energy => registers.energy,
+        }
+    }
+}
+
 /// One attribute. `None` means that the gauge does not have the value, or does not have it now.
 struct Row {
     name: &'static str,
@@ -47,12 +80,12 @@ static ATTRIBUTES: &[Row] = &[
     number("capacity", |reading| reading.value(Role::Capacity)),
     text("capacity_level", |reading| reading.capacity_level()),
     number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
-    number("voltage_now", |reading| reading.micro(Role::VoltageNow, reading.scales.voltage)),
+    number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
     number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
-    number("charge_now", |reading| reading.micro(Role::ChargeNow, reading.scales.current)),
-    number("charge_full", |reading| reading.micro(Role::ChargeFull, reading.scales.current)),
-    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, reading.scales.current)),
+    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Current)),
+    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Current)),
+    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, Kind::Current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
@@ -129,23 +162,36 @@ impl Reading<'_> {
     }
 
     /// A register in thousandths of a unit, in millionths of it.
-    fn micro(&self, role: Role, scale: f64) -> Option<i64> {
-        Some((self.steps(role, 1000)? as f64 * scale).round() as i64)
+    fn micro(&self, role: Role, kind: Kind) -> Option<i64> {
+        Some((self.steps(role, 1000)? as f64 * self.scale(kind)?).round() as i64)
     }
 
-    /// What `current_now` shows, in mA before the scale. Parts with a single current register average it. Monitors
+    /// What the values of one kind are multiplied by: the scale that the gauge reports and the user's.
+    pub(super) fn scale(&self, kind: Kind) -> Option<f64> {
+        Some(f64::from(self.reported_scale(kind)?) * self.scales.of(kind))
+    }
+
+    /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
+    pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
+        let Some(code) = kind.register(self.chip) else { return Some(1) };
+        let register = self.chip.registers.iter().find(|register| register.code == code)?;
+        let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
+        snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
+    }
+
+    /// The register that `current_now` shows. Parts with a single current register average it. Monitors
     /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
     fn current_now(&self) -> Option<Role> {
         [Role::CurrentNow, Role::CurrentAvg].into_iter().find(|&role| self.chip.register(role).is_some())
     }
 
     fn current(&self, role: Role) -> Option<i64> {
-        let current = self.micro(role, self.scales.current)?;
+        let current = self.micro(role, Kind::Current)?;
         Some(if self.scales.absolute_current { current.abs() } else { current })
     }
 
     fn energy(&self, role: Role) -> Option<i64> {
-        self.micro(role, self.scales.energy).filter(|_| self.scales.energy_shown)
+        self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown)
     }
 
     /// Negative while discharging, as the current. An unsigned register has the power of the discharge, and 0 for any
@@ -198,7 +244,7 @@ impl Reading<'_> {
         if !self.is_present() {
             return None;
         }
-        let current = self.current_now().and_then(|role| self.value(role));
+        let current = self.current_now().and_then(|role| self.micro(role, Kind::Current));
         let (Some(current), Some(full)) = (current, self.has_full_flag()) else { return Some("Unknown") };
         Some(match current {
             0 if condition.primary.is_some() => "Not charging",
@@ -379,8 +425,12 @@ mod tests {
     }
 
     fn show(rig: &Rig, name: &str) -> Option<String> {
+        show_scaled(rig, name, &Scales::default())
+    }
+
+    fn show_scaled(rig: &Rig, name: &str, scales: &Scales) -> Option<String> {
         let published = rig.handle.published();
-        let scales = Scales { energy_shown: true, ..Scales::default() };
+        let scales = Scales { energy_shown: true, ..scales.clone() };
         let chip = rig.handle.chip();
         let snapshot = published.snapshot.as_deref();
         let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
@@ -432,7 +482,7 @@ mod tests {
 
     #[test]
     fn before_the_first_measurement_no_value_is_shown() {
-        for chip in ["bq34z100-g1", "bq27441-g1", "bq27520-g3", "bq34110"] {
+        for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq34110"] {
             let mut rig = open(chip);
             turn(&rig, "first_ms", "3000");
             turn(&rig, "first_values", "nonsense");
@@ -647,6 +697,94 @@ mod tests {
             assert_eq!(at("11"), ["Good", "Low"], "{chip}");
             assert_eq!(at("1"), ["Dead", "Critical"], "{chip}");
         }
+    }
+
+    /// A bq34z100-R2 whose pack is discharged, after a power-up with these scales of voltage, current and energy.
+    fn with_scales(scales: [u8; 3]) -> Rig {
+        let mut rig = open("bq34z100-r2");
+        rig.sim.set_flash(48, 30, &scales);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        turn(&rig, "load_ma", "500");
+        for _ in 0..20 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        rig
+    }
+
+    const SCALED: [(&str, Role, Kind); 8] = [
+        ("voltage_now", Role::VoltageNow, Kind::Voltage),
+        ("current_now", Role::CurrentNow, Kind::Current),
+        ("current_avg", Role::CurrentAvg, Kind::Current),
+        ("charge_now", Role::ChargeNow, Kind::Current),
+        ("charge_full", Role::ChargeFull, Kind::Current),
+        ("charge_full_design", Role::ChargeFullDesign, Kind::Current),
+        ("energy_now", Role::EnergyNow, Kind::Energy),
+        ("power_avg", Role::PowerAvg, Kind::Energy),
+    ];
+
+    #[test]
+    fn every_attribute_is_multiplied_by_the_scale_that_the_gauge_reports() {
+        let given = Scales { voltage: 1.5, current: 0.5, energy: 3.0, ..Scales::default() };
+        for reported in [[1, 1, 1], [2, 10, 20], [255, 255, 255]] {
+            let rig = with_scales(reported);
+            let snapshot = rig.handle.published().snapshot.clone().expect("a poll");
+            for (name, role, kind) in SCALED {
+                let raw =
+                    snapshot.value(rig.handle.chip().register(role).expect("a register")).expect("read");
+                assert_ne!(raw, 0, "{name}");
+                let sign = if role == Role::PowerAvg { -1 } else { 1 };
+                // Energies are in cWh.
+                let step = if kind == Kind::Energy { 10_000 } else { 1000 };
+                let scaled = sign * raw * step * i64::from(reported[kind as usize]);
+                assert_eq!(show(&rig, name), Some(scaled.to_string()), "{name} {reported:?}");
+                // The user's scale comes on top.
+                let both = (scaled as f64 * given.of(kind)).round() as i64;
+                assert_eq!(show_scaled(&rig, name, &given), Some(both.to_string()), "{name} {reported:?}");
+            }
+        }
+    }
+
+    /// The scales are read with every poll.
+    #[test]
+    fn a_scale_applies_as_soon_as_the_gauge_reports_it() {
+        let mut rig = with_scales([1, 1, 1]);
+        let before: i64 = show(&rig, "voltage_now").expect("measured").parse().expect("a number");
+        turn(&rig, "load_ma", "0");
+        turn(&rig, "voltage_mv", &(before / 1000).to_string());
+        rig.sim.set_flash(48, 30, &[7]);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.poll_after(Duration::from_secs(2));
+        assert_shows(&rig, &[("voltage_now", Some(&(7 * before).to_string()))]);
+    }
+
+    #[test]
+    fn a_scale_of_0_leaves_no_value_of_its_kind() {
+        let rig = with_scales([1, 0, 1]);
+        for (name, _, kind) in SCALED {
+            assert_eq!(show(&rig, name).is_some(), kind != Kind::Current, "{name}");
+        }
+        assert_shows(&rig, &[("status", Some("Unknown"))]);
+    }
+
+    #[test]
+    fn a_scale_that_may_be_given_twice_is_warned_of() {
+        let warnings = |reported, given: &Scales| {
+            let (handle, scales) = (with_scales(reported).handle.clone(), given.clone());
+            crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+        };
+        let given = Scales { current: 10.0, energy: 2.5, ..Scales::default() };
+        assert_eq!(
+            warnings([5, 10, 1], &given),
+            [
+                "BAT0: the gauge reports a scale of 10, and current-scale 10 comes on top: values are multiplied by 100; \
+                 leave out current-scale if it is the same scale"
+            ]
+        );
+        assert_eq!(warnings([5, 10, 20], &given).len(), 2);
+        assert!(warnings([5, 10, 20], &Scales::default()).is_empty());
+        assert!(warnings([1, 1, 1], &given).is_empty());
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
+use super::attribute::Kind;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
@@ -61,6 +62,9 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
+    file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
+    file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
+    file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
     file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())).written(
         |gauge, data, done| gauge.submit(Attempt::Interval, interval(data), done, Request::Interval),
     ),
@@ -236,6 +240,11 @@ fn itpor(gauge: &Supply) -> Option<String> {
     let flags = gauge.fresh()?.value(chip.register(Role::Flags)?)?;
     let lost = chip.volatile.filter(|&lost| lost != 0)?;
     line(u8::from(flags & i64::from(lost) != 0))
+}
+
+/// What the attributes of a kind are multiplied by.
+fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
+    line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
 }
 
 fn digest(gauge: &Supply) -> Option<String> {

@@ -275,7 +275,8 @@ mod tests {
     #[test]
     fn the_chip_and_its_relatives_can_be_mounted() {
         assert_eq!(identified("bq34z100-g1", 0x0100, 0x0016, 0x0008), "itself");
-        assert_eq!(identified("bq34z100-g1", 0x0100, 0x0202, 0x0008), "its relative bq34z100-R2");
+        assert_eq!(identified("bq27520-g3", 0x0520, 0x0311, 0), "its relative bq27520-G2");
+        assert_eq!(identified("bq34z100-r2", 0x0100, 0x0202, 0x0008), "itself");
         // Without DM_CODE these two cannot be told apart.
         assert_eq!(identified("bq27441-g1", 0x0421, 0x0109, 0), "itself");
         assert_eq!(identified("bq27421-g1", 0x0421, 0x0109, 0), "itself");
@@ -292,6 +293,7 @@ mod tests {
             assert_eq!(found, says);
         };
         refused(0x0520, 0x0324, 0, "this is a bq27520-G3");
+        refused(0x0100, 0x0202, 8, "this is a bq34z100-R2");
         refused(0x0520, 0x0329, 0, "this is a bq27520-G4");
         refused(0x0421, 0x0109, 0, "this is a bq27441-G1 or a bq27421-G1");
         refused(0x0521, 0x0017, 8, "unknown part");

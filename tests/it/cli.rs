@@ -936,6 +936,32 @@ fn a_state_file_has_one_daemon_and_outlives_it() {
     assert_eq!(read(&other, "BAT0/df/48/11"), "3400");
 }
 
+/// The gauge stores a scale, which applies after the reset that the write ends with.
+#[test]
+fn a_scale_that_may_be_given_twice_is_warned_of_at_the_mount() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, state) = (folder.file("m"), folder.file("gauge"));
+    let r2 = ["mount", "--sim", "bq34z100-r2", "--sim-state", &state];
+    gaugefs(&[&r2[..], &["--allow-unproven", "--current-scale", "10", &at]].concat()).done();
+    assert_eq!(read(&at, "BAT0/gauge/current_scale"), "10");
+    fs::write(Path::new(&at).join("BAT0/df/48/31"), "10\n").expect("a write");
+    fs::write(Path::new(&at).join("BAT0/gauge/refresh"), "1\n").expect("a poll");
+    assert_eq!(read(&at, "BAT0/gauge/current_scale"), "100");
+    gaugefs(&["umount", &at]).done();
+
+    let ran = gaugefs(&[&r2[..], &["--current-scale", "10", "--voltage-scale", "2", &at]].concat());
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+    assert!(
+        ran.err.starts_with("gaugefs: warning: BAT0: the gauge reports a scale of 10, and current-scale 10")
+    );
+    assert_eq!(read(&at, "BAT0/gauge/current_scale"), "100");
+    assert_eq!(read(&at, "BAT0/gauge/voltage_scale"), "2");
+}
+
 #[test]
 fn log_and_trace_are_written() {
     if !can_mount() {

@@ -702,17 +702,17 @@ impl Bus for OtherFirmware {
     }
 }
 
-fn with_firmware(version: u16) -> Option<Mount> {
+fn with_firmware(chip: &str, version: u16) -> Option<Mount> {
     let open = move |sim: &Sim| {
         Box::new(OtherFirmware { bus: Box::new(sim.bus()), version, asked: false }) as Box<dyn Bus>
     };
-    Mount::with("bq34z100-g1", Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
+    Mount::with(chip, Duration::from_secs(3600), Keys::default(), |_| {}, Vec::new(), open)
 }
 
 /// A firmware that the table was not proven for may keep its data flash elsewhere.
 #[test]
 fn an_unknown_firmware_shows_standard_commands_and_says_why() {
-    let Some(mount) = with_firmware(0x0017) else { return };
+    let Some(mount) = with_firmware("bq34z100-g1", 0x0017) else { return };
     let why = mount.cat("gauge/last_error");
     assert!(why.contains("Z: bq34z100-G1: firmware 0x0017, hardware 0x0008: "), "{why}");
     assert!(why.contains("proven only for firmware 0x0016, hardware 0x0008"), "{why}");
@@ -728,11 +728,32 @@ fn an_unknown_firmware_shows_standard_commands_and_says_why() {
     assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
 }
 
-/// The bq34z100-R2 has the registers of the G1, but another layout of data flash.
+/// What the gauge reports, times what the user gives.
+#[test]
+fn the_scales_that_are_applied_are_shown() {
+    let open = |sim: &Sim| Box::new(sim.bus()) as Box<dyn Bus>;
+    let prepare = |sim: &Sim| {
+        sim.set_flash(48, 30, &[2, 10, 20]);
+        sim.set("power", "off").expect("a knob");
+        sim.set("power", "on").expect("a knob");
+    };
+    for (chip, expected) in [("bq34z100-r2", ["2", "10", "20"]), ("bq34110", ["1", "1", "1"])] {
+        let prepare = if chip == "bq34z100-r2" { prepare } else { |_: &Sim| {} };
+        let Some(mount) =
+            Mount::with(chip, Duration::from_secs(3600), Keys::default(), prepare, Vec::new(), open)
+        else {
+            return;
+        };
+        let files = ["voltage_scale", "current_scale", "energy_scale"];
+        assert_eq!(files.map(|file| mount.cat(&format!("gauge/{file}"))), expected, "{chip}");
+    }
+}
+
+/// The bq27520-G2 has the registers of the G3, but nobody has described its data flash.
 #[test]
 fn a_sibling_shows_standard_commands_only() {
-    let Some(mount) = with_firmware(0x0202) else { return };
-    assert!(mount.cat("model_name").contains("R2"), "{}", mount.cat("model_name"));
+    let Some(mount) = with_firmware("bq27520-g3", 0x0311) else { return };
+    assert!(mount.cat("model_name").contains("G2"), "{}", mount.cat("model_name"));
     assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
     assert!(!mount.path("df").exists());
     assert_eq!(mount.echo("unsealed", "gauge/seal"), Err(Errno::EPERM));

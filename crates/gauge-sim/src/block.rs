@@ -674,15 +674,16 @@ impl Wire for Block {
         self.board = self.part.scale(flash);
     }
 
-    /// Flash Update OK Cell Volt against Voltage() (SLUSBZ5D 7.3.16.3) and against Voltage() scaled back to a
-    /// cell's, as the limit for seven cells requires (8.2.2.1.3), unless calibration is enabled. All parameters
+    /// Flash Update OK Cell Volt against Voltage() (SLUSBZ5D 7.3.16.3) and, on the bq34z100-G1, against Voltage() scaled
+    /// back to a cell's, as the limit for seven cells requires (8.2.2.1.3), unless calibration is enabled. All parameters
     /// count at once.
     fn gate(&self, flash: &Flash) -> bool {
         let Some(gate) = &self.part.gate else { return true };
         let limit = i64::from(flash.i16(gate.limit.0, gate.limit.1));
         let voltage = i64::from(self.voltage(flash));
-        let scaled = self.part.scale(flash);
-        let scaled = scaled.is_none_or(|scale| 5000 * voltage >= limit * i64::from(scale.divider));
+        let scaled = self.part.scale(flash).zip(gate.cell_divider);
+        let scaled =
+            scaled.is_none_or(|(scale, cell)| i64::from(cell) * voltage >= limit * i64::from(scale.divider));
         self.ram.calibration || voltage >= limit && scaled
     }
 

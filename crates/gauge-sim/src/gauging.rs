@@ -60,6 +60,8 @@ pub(super) enum Quantity {
     ChargeVoltage,
     ConstantPowerTimeToEmpty,
     Current,
+    /// What the host multiplies currents and charges by.
+    CurrentScale,
     CycleCount,
     DesignCapacity,
     Dod,
@@ -67,6 +69,7 @@ pub(super) enum Quantity {
     /// The same in sixteenths of an hour.
     DodTimeHours,
     EndDod,
+    EnergyScale,
     Flags,
     FlagsB,
     Full,
@@ -97,6 +100,7 @@ pub(super) enum Quantity {
     TimeToEmpty,
     TimeToFull,
     Voltage,
+    VoltageScale,
 }
 
 /// Parameters as data flash had them at the last reset.
@@ -123,7 +127,10 @@ pub(super) struct Settings {
     pub(super) charge_percent: [u8; 3],
     /// Limits of the temperature ranges, if the part has any.
     pub(super) jeita: Option<[f64; 4]>,
+    /// mWh in one step of an energy.
     pub(super) energy_scale: f64,
+    /// What the host multiplies voltages, currents and energies by, as registers show it.
+    pub(super) scales: [u8; 3],
     pub(super) soc1: (u16, u16),
     pub(super) socf: (u16, u16),
     pub(super) low_mv: (f64, f64, f64),
@@ -559,12 +566,14 @@ impl Gauging {
             Quantity::ChargeVoltage => self.charge_advice().0,
             Quantity::ConstantPowerTimeToEmpty | Quantity::TimeToEmpty => self.times().0,
             Quantity::Current => signed(self.current_ma()),
+            Quantity::CurrentScale => s.scales[1].into(),
             Quantity::CycleCount => self.ram.cycles,
             Quantity::DesignCapacity => s.design_mah,
             Quantity::Dod => whole(self.ram.dod),
             Quantity::DodTime => whole(self.ram.dod_s / 60.0),
             Quantity::DodTimeHours => whole(self.ram.dod_s * 16.0 / 3600.0),
             Quantity::EndDod => whole(self.ram.end_dod),
+            Quantity::EnergyScale => s.scales[2].into(),
             Quantity::Flags => {
                 let set = self.map.flags.iter().filter(|(condition, _)| self.ram.flags & condition != 0);
                 set.fold(0, |word, (_, bit)| word | bit)
@@ -603,6 +612,7 @@ impl Gauging {
             Quantity::Temperature => whole(self.temperature()),
             Quantity::TimeToFull => self.times().1,
             Quantity::Voltage => self.voltage_mv(),
+            Quantity::VoltageScale => s.scales[0].into(),
         }
     }
 }

@@ -108,6 +108,8 @@ pub(super) struct Gate {
     pub(super) limit: Place,
     /// Voltage Divider, and the bit that switches off the internal divider.
     pub(super) divider: Option<(Place, Flag)>,
+    /// The Voltage Divider at which Voltage() is a cell's, if Voltage() scaled back to it is compared as well.
+    pub(super) cell_divider: Option<u16>,
 }
 
 /// What Voltage() shows of the voltage at the pin. It is proportional to Voltage Divider, the voltage at the

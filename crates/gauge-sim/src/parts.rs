@@ -10,11 +10,13 @@ mod bq27441_g1;
 mod bq27520_g3;
 mod bq34110;
 mod bq34z100_g1;
+mod bq34z100_r2;
 mod bq35100;
 mod kernel;
 
 static PARTS: &[&Part] = &[
     &bq34z100_g1::PART,
+    &bq34z100_r2::PART,
     &bq27520_g3::PART,
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,

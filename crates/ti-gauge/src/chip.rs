@@ -14,6 +14,7 @@ pub mod bq27441_g1;
 pub mod bq27520_g3;
 pub mod bq34110;
 pub mod bq34z100_g1;
+pub mod bq34z100_r2;
 pub mod bq35100;
 pub mod kernel;
 
@@ -32,6 +33,7 @@ pub use recognise::{Limited, Recognised, recognise};
 /// Every chip that has a table, in the order of the README. The others are in [`kernel::GAUGES`].
 pub static CHIPS: &[&Chip] = &[
     &bq34z100_g1::CHIP,
+    &bq34z100_r2::CHIP,
     &bq27520_g3::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
@@ -64,6 +66,8 @@ pub struct Chip {
     pub control_status: &'static [Bit],
     /// What the flags mean to a power_supply.
     pub condition: Condition,
+    /// The registers that hold scales of measured values.
+    pub scale_registers: ScaleRegisters,
     /// How the seal state is read and changed.
     pub security: Security,
     /// How data flash is read and written, with the delays.
@@ -129,7 +133,7 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds.
+/// The power_supply property that a register feeds. Units are those before [`ScaleRegisters`] apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -156,9 +160,9 @@ pub enum Role {
     TimeToEmptyAvg,
     /// `time_to_full_now`, min.
     TimeToFullNow,
-    /// `energy_now`, mWh before the user's energy scale.
+    /// `energy_now`, mWh.
     EnergyNow,
-    /// `power_avg`, mW before the same scale.
+    /// `power_avg`, mW.
     PowerAvg,
     /// `cycle_count`.
     CycleCount,
@@ -268,6 +272,23 @@ pub struct Primary {
     pub mode_mask: u8,
     /// The modes in which the gauge computes StateOfHealth().
     pub health_modes: &'static [u8],
+}
+
+/// The polled registers by whose values the host multiplies those of others; `None` where the part has none. A
+/// configured gauge has no 0 in them. Parameters of data flash are in the units of the registers.
+#[derive(Debug)]
+pub struct ScaleRegisters {
+    /// Of voltages.
+    pub voltage: Option<u8>,
+    /// Of currents and charges.
+    pub current: Option<u8>,
+    /// Of energies and powers.
+    pub energy: Option<u8>,
+}
+
+impl ScaleRegisters {
+    /// The part has none.
+    pub const NONE: Self = Self { voltage: None, current: None, energy: None };
 }
 
 /// Seal states and keys.

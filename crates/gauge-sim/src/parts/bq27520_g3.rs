@@ -37,7 +37,7 @@ static SCHEME: BlockPart = BlockPart {
     host_registers: &[(0x02, Host::AtRate), (0x06, Host::Temperature)],
     keys: &[0, 4],
     data_memory: None,
-    gate: Some(Gate { limit: (68, 0), divider: None }),
+    gate: Some(Gate { limit: (68, 0), divider: None, cell_divider: None }),
     authentication: None,
     // Manufacturer block A; it cannot be written (SLUS914A 4.1.2.3).
     sealed_blocks: &[(1, 57)],

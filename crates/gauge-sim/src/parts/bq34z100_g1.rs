@@ -48,7 +48,11 @@ static SCHEME: BlockPart = BlockPart {
     host_registers: &[],
     keys: &[0, 4],
     data_memory: None,
-    gate: Some(Gate { limit: (68, 0), divider: Some(((104, 14), (64, 0, 0x0800))) }),
+    gate: Some(Gate {
+        limit: (68, 0),
+        divider: Some(((104, 14), (64, 0, 0x0800))),
+        cell_divider: Some(5000),
+    }),
     authentication: Some((112, 8)),
     // Manufacturer block A and lifetime data, of which the second can be written (7.3.6.17).
     sealed_blocks: &[(1, 58), (4, 59)],

@@ -1,4 +1,4 @@
-//! The simulated bq34z100-G1, compared byte by byte with the manuals. These tests use no other code of
+//! The simulated bq34z100-G1 and bq34z100-R2, compared byte by byte with the manuals. These tests use no other code of
 //! gaugefs, so they fail only if the simulator is wrong.
 
 use std::fs;
@@ -29,8 +29,12 @@ impl Bench {
     }
 
     fn with(options: &Options) -> Self {
+        Self::of("bq34z100-g1", options)
+    }
+
+    fn of(chip: &str, options: &Options) -> Self {
         let clock = Arc::new(SimClock::new());
-        let sim = Sim::new("bq34z100-g1", options, clock.clone()).unwrap();
+        let sim = Sim::new(chip, options, clock.clone()).unwrap();
         Self { sim, clock }
     }
 
@@ -244,6 +248,71 @@ mod registers {
         assert_eq!(bench.sim.get("bus_us").unwrap(), "3960");
         assert_eq!(bench.sim.get("bytes").unwrap(), "43");
         assert_eq!(bench.sim.get("transfers").unwrap(), "3");
+    }
+}
+
+/// The bq34z100-R2, on which the transcripts of the bq34z100-G1 hold except for its version and subclass 48.
+mod firmware_2_02 {
+    use super::*;
+
+    fn bench() -> Bench {
+        Bench::of("bq34z100-r2", &Options::default())
+    }
+
+    #[test]
+    fn only_the_firmware_version_differs_from_slua790() {
+        let bench = bench();
+        bench.replay("W 00 01 00 ; R 00 2 -> 00 01");
+        bench.replay("W 00 08 00 ; R 00 2 -> 07 01");
+        bench.replay("W 00 02 00 ; R 00 2 -> 02 02");
+        bench.replay("W 00 03 00 ; R 00 2 -> 08 00");
+        bench.replay("R 28 2 -> 01 00 ; R 2C 2 -> 00 00 ; R 3A 2 -> 61 01 ; R 3C 2 -> E8 03");
+        bench.set("voltage_mv", "15500");
+        bench.replay("R 08 2 -> 8C 3C");
+    }
+
+    #[test]
+    fn voltsel_is_set_as_in_slusbz5d_7_3_3_1() {
+        let bench = bench();
+        bench.replay(UNSEAL);
+        bench.replay("W 61 00 ; W 3E 40 ; W 3F 00 ; R 40 1 -> 01 ; R 60 1 -> 6D ; W 40 09 ; W 60 65");
+        bench.replay("X 20 ; R 3A 2 -> 61 01 ; W 00 41 00 ; X 200 ; R 3A 2 -> 61 09");
+    }
+
+    #[test]
+    fn subclass_48_has_three_scales_before_the_names() {
+        let bench = bench();
+        bench.replay(UNSEAL);
+        let data = DATA_0.strip_suffix("0B").unwrap();
+        bench.replay(&format!("W 61 00 ; W 3E 30 ; W 3F 00 ; R 40 20 -> {data} 01"));
+        let names =
+            "01 0B 62 71 33 34 7A 31 30 30 2D 47 31 0B 54 65 78 61 73 20 49 6E 73 74 2E 04 4C 49 4F 4E 00 00";
+        bench.replay(&format!("W 3F 01 ; R 40 20 -> {names}"));
+    }
+
+    #[test]
+    fn scales_are_copies_of_data_flash_that_no_other_register_is_multiplied_by() {
+        let bench = bench();
+        bench.set("voltage_mv", "3900");
+        bench.replay("R 20 3 -> 01 01 01");
+        let before = [0x04, 0x06, 0x08, 0x24].map(|register| bench.word(register));
+        assert_eq!(before[2], 3900);
+        bench.replay(UNSEAL);
+        bench.write(48, 30, &[2, 10]);
+        bench.sleep(1);
+        bench.write(48, 32, &[20]);
+        bench.replay("X 100 ; W 00 41 00 ; X 200 ; R 20 3 -> 02 0A 14");
+        assert_eq!([0x04, 0x06, 0x08, 0x24].map(|register| bench.word(register)), before);
+    }
+
+    #[test]
+    fn energies_are_in_centiwatthours() {
+        let energy = |chip: &str| {
+            let bench = Bench::of(chip, &Options::default());
+            f64::from(bench.word(0x24))
+        };
+        let ratio = energy("bq34z100-g1") / energy("bq34z100-r2");
+        assert!((ratio - 10.0).abs() < 0.1, "{ratio}");
     }
 }
 

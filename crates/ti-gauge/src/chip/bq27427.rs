@@ -14,8 +14,8 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
-    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scheme, Subclass,
-    Subcommand,
+    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, ScaleRegisters, Scheme,
+    Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -40,6 +40,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
+    scale_registers: ScaleRegisters::NONE,
     security: SECURITY,
     access: Access {
         scheme: Scheme::CfgUpdate,

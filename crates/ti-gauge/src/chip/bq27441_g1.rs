@@ -11,7 +11,8 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
-    Preflight, Register, Role, Safe, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -37,6 +38,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
+    scale_registers: ScaleRegisters::NONE,
     security: SECURITY,
     access: ACCESS,
     gate: None,

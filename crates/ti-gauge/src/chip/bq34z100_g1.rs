@@ -2,7 +2,7 @@
 //!
 //! Table, section and figure numbers are those of the datasheet, SLUSBZ5D. Data flash is its Table
 //! 7-11 row for row; where another place of the documents disagrees, the row says what was taken. A
-//! default that sources dispute is left out. Firmware 0.16 only: the bq34z100-R2's shifts subclass 48.
+//! default that sources dispute is left out. Firmware 0.16 only: the bq34z100-R2 has another subclass 48.
 
 use std::time::Duration;
 
@@ -11,8 +11,8 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scheme, SealStatus,
-    Security, Subclass, Subcommand, Word,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, ScaleRegisters,
+    Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
+    scale_registers: ScaleRegisters::NONE,
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // 7.3.3.1; stored the other way round, as 36 72 04 14 (Table 7-11).
@@ -191,7 +192,7 @@ static REGISTERS: &[Register] = &[
 
 /// Table 7-2. Key words are no subcommands and have no row, so they cannot be sent by name or code.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[Subcommand] = &[
+pub(super) static SUBCOMMANDS: &[Subcommand] = &[
     Subcommand::new(0x0000, "CONTROL_STATUS", Answers),
     Subcommand::new(0x0001, "DEVICE_TYPE", Answers),
     Subcommand::new(0x0002, "FW_VERSION", Answers),
@@ -225,7 +226,7 @@ static SUBCOMMANDS: &[Subcommand] = &[
 ];
 
 /// Table 7-3.
-static CONTROL_STATUS: &[Bit] = &[
+pub(super) static CONTROL_STATUS: &[Bit] = &[
     Bit::new(0x4000, "FAS"),
     Bit::new(0x2000, "SS"),
     Bit::new(0x1000, "CALEN"),
@@ -241,7 +242,7 @@ static CONTROL_STATUS: &[Bit] = &[
 ];
 
 /// Table 7-6.
-static FLAGS: &[Bit] = &[
+pub(super) static FLAGS: &[Bit] = &[
     Bit::new(0x8000, "OTC"),
     Bit::new(0x4000, "OTD"),
     Bit::new(0x2000, "BATHI"),
@@ -258,7 +259,7 @@ static FLAGS: &[Bit] = &[
 ];
 
 /// Table 7-7.
-static FLAGS_B: &[Bit] = &[
+pub(super) static FLAGS_B: &[Bit] = &[
     Bit::new(0x8000, "SOH"),
     Bit::new(0x4000, "LIFE"),
     Bit::new(0x2000, "FIRSTDOD"),
@@ -267,7 +268,7 @@ static FLAGS_B: &[Bit] = &[
 ];
 
 /// Table 7-9.
-static LEARNED_STATUS: &[Bit] =
+pub(super) static LEARNED_STATUS: &[Bit] =
     &[Bit::new(0x08, "Qmax"), Bit::new(0x04, "ITEN"), Bit::new(0x02, "CF1"), Bit::new(0x01, "CF0")];
 
 /// Table 7-17.
@@ -290,7 +291,7 @@ static PACK_CONFIG: &[Bit] = &[
 ];
 
 /// Table 7-18.
-static PACK_CONFIG_B: &[Bit] = &[
+pub(super) static PACK_CONFIG_B: &[Bit] = &[
     Bit::new(0x80, "CHGDoDEoC"),
     Bit::new(0x20, "VconsEN"),
     Bit::new(0x08, "JEITA"),
@@ -300,7 +301,7 @@ static PACK_CONFIG_B: &[Bit] = &[
 ];
 
 /// Table 7-19.
-static PACK_CONFIG_C: &[Bit] = &[
+pub(super) static PACK_CONFIG_C: &[Bit] = &[
     Bit::new(0x80, "SOH_DISP"),
     Bit::new(0x40, "RSOC_HOLD"),
     Bit::new(0x20, "FF_NEAR_EDV"),
@@ -312,7 +313,7 @@ static PACK_CONFIG_C: &[Bit] = &[
 ];
 
 /// Table 7-20.
-static LED_COMM: &[Bit] = &[
+pub(super) static LED_COMM: &[Bit] = &[
     Bit::new(0x80, "EXT_LED3"),
     Bit::new(0x40, "EXT_LED2"),
     Bit::new(0x20, "EXT_LED1"),
@@ -324,7 +325,7 @@ static LED_COMM: &[Bit] = &[
 ];
 
 /// Table 7-22.
-static ALERT_CONFIG: &[Bit] = &[
+pub(super) static ALERT_CONFIG: &[Bit] = &[
     Bit::new(0x8000, "OTC"),
     Bit::new(0x4000, "OTD"),
     Bit::new(0x2000, "BAT_HIGH"),
@@ -341,20 +342,21 @@ static ALERT_CONFIG: &[Bit] = &[
 ];
 
 /// 7.3.8: the factor of every voltage, the flash gate's included.
-const DIVIDER: Safe = Safe::AtLeast(1, "with 0 every voltage reads 0 and flash stays shut");
+pub(super) const DIVIDER: Safe = Safe::AtLeast(1, "with 0 every voltage reads 0 and flash stays shut");
 
 /// Voltages of a cell are the pack's divided by this.
-const CELLS: Safe = Safe::AtLeast(1, "a pack has one cell at least");
+pub(super) const CELLS: Safe = Safe::AtLeast(1, "a pack has one cell at least");
 
 /// 7.3.16.3: above the voltage the gauge would take no further write, this one's repair included.
-const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further data-flash write");
+pub(super) const GATE: Safe =
+    Safe::BelowVoltage("above it the gauge would store no further data-flash write");
 
 /// StateOfHealth() and the depth of discharge are fractions of these.
-const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");
+pub(super) const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");
 
 /// 7.3.13: LED modes from 4 on, which all have [LED_Mode2] set, move communication from I2C to HDQ or
 /// are not defined.
-const KEEP_I2C: Safe = Safe::Keep(0x04, "LED_Mode 4 would move the gauge from I2C to HDQ");
+pub(super) const KEEP_I2C: Safe = Safe::Keep(0x04, "LED_Mode 4 would move the gauge from I2C to HDQ");
 
 /// Table 7-11.
 #[rustfmt::skip]

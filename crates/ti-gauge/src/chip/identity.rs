@@ -1,6 +1,6 @@
 //! The answers that identify a part, and the known parts that have no table.
 
-use super::{Chip, bq34z100_g1, bq27427, bq27441_g1, bq27520_g3, kernel};
+use super::{Chip, bq27427, bq27441_g1, bq27520_g3, kernel};
 use crate::value::Type;
 
 /// The answers that identify a part.
@@ -64,7 +64,7 @@ pub struct Signature {
     pub subclass: u8,
     /// Offset in the subclass.
     pub offset: u16,
-    /// Type; of an `F4` the bytes are compared, as an `H4`.
+    /// Type; of an `F4` the bytes are compared, as an `H4`, and of a string the length, as a `U1`.
     pub kind: Type,
     /// Smallest plausible value.
     pub min: i64,
@@ -106,8 +106,6 @@ impl Sibling {
 /// Known parts without a table, by what they answer. Several rows that fit the same answers are parts that only
 /// the user can tell apart. A device type that is inferred from a part's name has no row.
 pub static SIBLINGS: &[Sibling] = &[
-    // The data flash of firmware 2.02 has other offsets from 31 of subclass 48 on (SLUUCO5A).
-    Sibling::new("bq34z100-R2", 0x0100, &[0x0202], &[], Some(&bq34z100_g1::CHIP)),
     // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
     // the kernel's driver, the last another map of commands; 6.04 is a build for one product.
     Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], Some(&kernel::BQ27520_G1)),

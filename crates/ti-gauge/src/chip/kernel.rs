@@ -13,7 +13,10 @@
 //!   be above `charge_full`.
 //! - bq27000 and bq27010: a step of charge is 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
-use super::{Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, Security, Tier};
+use super::{
+    Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, ScaleRegisters, Security,
+    Tier,
+};
 use crate::value::Type::{self, I, U};
 
 /// The gauges, in the order of the driver.
@@ -148,6 +151,7 @@ const fn gauge(
         subcommands: &[],
         control_status: &[],
         condition: flavour.condition(),
+        scale_registers: ScaleRegisters::NONE,
         security: Security::NONE,
         access: Access::NONE,
         gate: None,

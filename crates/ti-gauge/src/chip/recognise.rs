@@ -129,7 +129,8 @@ mod tests {
     #[test]
     fn a_firmware_without_a_table_is_a_sibling() {
         assert_eq!(seen(0x0100, 0x0016, 0x0008, None), "bq34z100-g1");
-        assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-R2 like bq34z100-g1");
+        assert_eq!(seen(0x0100, 0x0202, 0x0008, None), "bq34z100-r2");
+        assert_eq!(seen(0x0100, 0x0202, 0x0009, None), "bq34z100-r2");
         assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
         assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
         assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
@@ -154,7 +155,7 @@ mod tests {
     fn another_version_of_a_known_type_is_unproven() {
         assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unproven bq27520-g3");
         assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unproven bq34z100-g1");
-        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unproven bq34z100-g1 or bq35100");
+        assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unproven bq34z100-g1 or bq34z100-r2 or bq35100");
         assert_eq!(seen(0x0421, 0x0200, 0, None), "unproven bq27441-g1 or bq27421-g1");
     }
 

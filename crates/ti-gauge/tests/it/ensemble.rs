@@ -75,6 +75,14 @@ fn accesses(chip: &str) -> &'static [Access] {
             Key,
             Mount,
         ],
+        "bq34z100-r2" => &[
+            Write(&[((80, 53), "3100")]),
+            Write(&[((48, 33), "Pack 7"), ((80, 53), "3100"), ((48, 11), "2200")]),
+            Read,
+            SealState,
+            Key,
+            Mount,
+        ],
         "bq27520-g3" => &[Write(&[((48, 10), "1200")]), Read, SealState, Mount],
         "bq27441-g1" => &[
             Write(&[((82, 10), "1200")]),

@@ -27,6 +27,7 @@ const CASES: &[Case] = &[
     Case { chip: "bq34z100-g1", at: (80, 53), text: "3100", found: Seal::FullAccess },
     Case { chip: "bq34z100-g1", at: (48, 31), text: "Pack 7", found: Seal::Sealed },
     Case { chip: "bq34z100-g1", at: (58, 3), text: "0x5a", found: Seal::Sealed },
+    Case { chip: "bq34z100-r2", at: (48, 33), text: "Pack 7", found: Seal::Sealed },
     Case { chip: "bq27520-g3", at: (48, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Unsealed },

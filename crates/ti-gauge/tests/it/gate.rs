@@ -45,7 +45,7 @@ fn written(rig: &mut Rig, values: Values<'_>) {
 
 /// Whether the gauge still stores what it is sent: a byte that no parameter depends on.
 fn is_open(rig: &mut Rig) -> bool {
-    let (id, offset) = if rig.gauge.chip.name == "bq34z100-g1" { (58, 31) } else { (FLAT, 0x43F0) };
+    let (id, offset) = if rig.gauge.chip.name.starts_with("bq34z100") { (58, 31) } else { (FLAT, 0x43F0) };
     let byte = (rig.sim.get("programmed").expect("a knob").len() as u8).wrapping_mul(37) ^ 0x5A;
     let row = rig.gauge.chip.subclass(id).filter(|_| id != FLAT);
     let row = row.and_then(|class| Some((class, class.parameter(offset)?)));
@@ -121,6 +121,21 @@ fn values_are_judged_together() {
     // And together right, although the divider alone is wrong.
     refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "3000")], "OutOfRange", &["2312 mV"]);
     written(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "3000"), (LIMIT, "2300")]);
+}
+
+/// The divider of firmware 2.02 has another full scale than that of 0.16, so 33000 is a divider of three cells there;
+/// and no source has the factor of [VOLTSEL].
+#[test]
+fn the_gate_of_the_bq34z100_r2_has_no_full_scale() {
+    let at = |voltage_mv| at("bq34z100-r2", voltage_mv);
+    written(&mut at("3855"), &[(DIVIDER, "33000")]);
+    refused(&mut at("3855"), &[(DIVIDER, "500")], "OutOfRange", &["385 mV", "2800 mV", "68/0"]);
+    refused(&mut at("12000"), &[(DIVIDER, "33000")], "OutOfRange", &["cannot show"]);
+    refused(&mut at("3855"), &[(CELLS, "2")], "OutOfRange", &["1927 mV per cell"]);
+    refused(&mut at("3855"), &[(PACK_CONFIG, EXTERNAL)], "OutOfRange", &["[VOLTSEL]"]);
+    let mut new = at("3855");
+    assert_eq!(new.write(68, 0, "0"), WRITTEN);
+    written(&mut new, &[(PACK_CONFIG, EXTERNAL), (DIVIDER, "33000"), (CELLS, "3")]);
 }
 
 #[test]

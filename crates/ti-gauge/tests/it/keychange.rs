@@ -31,6 +31,7 @@ fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for (chip, texts) in [
         ("bq34z100-g1", vec![unseal, full_access, AUTHENTICATION]),
+        ("bq34z100-r2", vec![unseal, full_access, AUTHENTICATION]),
         ("bq27520-g3", vec![unseal, full_access]),
         ("bq35100", vec![unseal, full_access]),
     ] {

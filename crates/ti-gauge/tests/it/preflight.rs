@@ -18,6 +18,7 @@ const STORED: Result<Outcome> = Ok(Outcome::Written { reset: false, old: Vec::ne
 /// A chip, and one of its parameters with a value that the gauge does not hold.
 const ROWS: &[(&str, (u8, u16), &str)] = &[
     ("bq34z100-g1", (80, 53), "3100"),
+    ("bq34z100-r2", (80, 53), "3100"),
     ("bq27520-g3", (48, 10), "1200"),
     ("bq27441-g1", (82, 10), "1200"),
     ("bq27421-g1", (82, 10), "1200"),

@@ -1,6 +1,6 @@
 //! The tables of all chips: complete, free of overlaps, and as in the manuals.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fmt::Debug;
 use std::hash::Hash;
 
@@ -151,6 +151,7 @@ fn a_poll_reads_the_expected_bursts() {
     for chip in CHIPS {
         let (expected, bytes): (&[(u8, u8)], u64) = match chip.name {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
+            "bq34z100-r2" => (&[(0x02, 0x12), (0x18, 4), (0x20, 16)], 47),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
             "bq27441-g1" | "bq27421-g1" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
             // Two bytes between 0x06 and 0x19 are read without need. The gap of 16 bytes is not read, because
@@ -315,7 +316,12 @@ fn a_signature_is_an_existing_parameter_and_not_a_key() {
             let at = format!("{} {}/0x{:04x}", chip.name, signature.subclass, signature.offset);
             let row = chip.parameter(signature.subclass, signature.offset);
             let row = row.unwrap_or_else(|| panic!("{at} is no parameter"));
-            let expected = if row.kind == Type::F4 { Type::H(4) } else { row.kind };
+            let expected = match row.kind {
+                Type::F4 => Type::H(4),
+                // Its length.
+                Type::S(_) => Type::U(1),
+                kind => kind,
+            };
             assert_eq!(signature.kind, expected, "{at}");
             let (least, most) = signature.kind.bounds().expect("an integer");
             assert!(least <= signature.min && signature.max <= most, "{at}");
@@ -334,6 +340,7 @@ fn a_signature_is_an_existing_parameter_and_not_a_key() {
 }
 
 fn fits(signature: &Signature, bytes: &[u8]) -> bool {
+    let bytes = &bytes[..signature.kind.size()];
     let Value::Int(value) = codec::decode(signature.kind, bytes) else { panic!("an integer") };
     (signature.min..=signature.max).contains(&value)
 }
@@ -539,6 +546,7 @@ fn each_chip_has_the_number_of_rows_of_its_manual() {
     // Subclasses, parameters, parameters that the gauge updates, parameters with safe limits, registers, subcommands.
     let expected = BTreeMap::from([
         ("bq34z100-g1", [22, 211, 51, 9, 43, 23]),
+        ("bq34z100-r2", [22, 213, 51, 9, 46, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27421-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27427", [14, 88, 24, 6, 26, 19]),
@@ -666,6 +674,50 @@ fn bq34z100_g1_flags_match_their_tables() {
     assert_eq!(listed(register("LearnedStatus").bits), "3:Qmax 2:ITEN 1:CF1 0:CF0");
     let roles = chip.registers.iter().filter(|register| register.role.is_some()).count();
     assert_eq!(roles, 16, "this part feeds every property there is");
+}
+
+/// Subclass 48 is that of the image of a pack with firmware 2.02. The rest is the bq34z100-G1's, as far as that image
+/// agrees with it.
+#[test]
+fn bq34z100_r2_differs_from_the_bq34z100_g1_where_its_image_does() {
+    let (chip, old) = (Chip::by_name("bq34z100-r2").unwrap(), Chip::by_name("bq34z100-g1").unwrap());
+    let golden = "\
+Configuration | Data | 48 29 I1 | JEITA T4 | -128 127 55 | °C
+Configuration | Data | 48 30 U1 | Volt Scale | 1 255 1 |  | unproven
+Configuration | Data | 48 31 U1 | Curr Scale | 1 255 1 |  | unproven
+Configuration | Data | 48 32 U1 | Energy Scale | 1 255 1 |  | unproven
+Configuration | Data | 48 33 S12 | Device Name | x x BQ34Z100-G1 | 
+Configuration | Data | 48 45 S12 | Manufacturer Name | x x Texas Inst. | 
+Configuration | Data | 48 57 S5 | Device Chemistry | x x LION | 
+Configuration | Manufacturer Data | 56 10 H2 | DF Config Version | 0 65535 0 | hex | unproven
+Configuration | Lifetime Data | 59 8 U2 | Lifetime Max Pack Voltage | 0 65535 ? | mV
+Calibration | Current | 107 1 U1 | Deadband | 0 255 5 | mA | unproven
+";
+    assert_lists(chip, golden);
+    assert_eq!(unproven(chip), 10);
+    let rows = |chip: &'static Chip| -> BTreeSet<String> {
+        parameters(chip).map(|(class, parameter, _)| row(class, parameter)).collect()
+    };
+    let (rows, old_rows) = (rows(chip), rows(old));
+    assert_eq!((rows.difference(&old_rows).count(), old_rows.difference(&rows).count()), (8, 6));
+    assert_eq!(limits(chip)[1], "64/0 keep 0x3000", "[SCALED] is no bit of this part");
+    assert_eq!((limits(chip).len(), limits(old).len()), (9, 9));
+}
+
+#[test]
+fn scales_are_polled_registers_of_one_byte() {
+    for chip in CHIPS {
+        let registers = &chip.scale_registers;
+        for code in [registers.voltage, registers.current, registers.energy].into_iter().flatten() {
+            let register = chip.registers.iter().find(|register| register.code == code).expect(chip.name);
+            assert_eq!((register.size, register.tier), (1, Tier::Poll), "{} {}", chip.name, register.name);
+        }
+        // A unit that is not the kernel's thousandth has a step.
+        for register in [Role::EnergyNow, Role::PowerAvg].into_iter().filter_map(|role| chip.register(role)) {
+            let step = if register.unit.starts_with('c') { (10, 1) } else { (1, 1) };
+            assert_eq!(register.step, step, "{} {}", chip.name, register.name);
+        }
+    }
 }
 
 #[test]

@@ -186,6 +186,7 @@ fn a_value_that_was_not_stored_is_detected() {
 #[test]
 fn design_capacity_can_be_written_on_every_part() {
     for (chip, at, text) in [
+        ("bq34z100-r2", (48, 11), "1200"),
         ("bq27520-g3", (48, 10), "1200"),
         ("bq27441-g1", (82, 10), "1200"),
         ("bq27421-g1", (82, 10), "1200"),
@@ -348,6 +349,30 @@ fn data_memory_needs_the_full_access_key() {
     assert!(matches!(error.cause(), Cause::NotPermitted(_)), "{error}");
     assert!(rig.sim.flash() == before);
     assert_eq!(rig.seal(), Seal::Sealed);
+}
+
+/// The names of the bq34z100-G1 are two bytes lower.
+#[test]
+fn firmware_2_02_on_the_data_flash_of_0_16_is_not_written() {
+    let mut rig = Rig::new("bq34z100-r2");
+    rig.sim.set_flash(48, 30, b"\x01\x0bbq34z100-G1\x0bTexas Inst.\x04LION\x00\x00");
+    let before = rig.sim.flash();
+    let error = rig.write(48, 11, "1200").expect_err("another map");
+    assert!(matches!(error.cause(), Cause::Gone(_)), "{error}");
+    assert!(rig.sim.flash() == before);
+    assert_eq!(rig.seal(), Seal::Sealed);
+}
+
+/// Their order is not known.
+#[test]
+fn the_scales_of_the_bq34z100_r2_are_written_with_consent_only() {
+    let rig = Rig::new("bq34z100-r2");
+    let (_, names) = rig.gauge.chip.row("48", "33").expect("the names follow");
+    assert!(!names.unproven);
+    for offset in ["30", "31", "32"] {
+        let (_, scale) = rig.gauge.chip.row("48", offset).expect("a row");
+        assert!(scale.unproven && scale.name.ends_with("Scale"));
+    }
 }
 
 #[test]
