@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use super::bq27441_g1::{self, FLAGS, OWN, family, rate};
+use super::bq27441_g1::{self, FLAGS, OWN, UPDATE_STATUS, family, rate};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
@@ -45,7 +45,7 @@ static SCHEME: BlockPart = BlockPart {
     voltage_register: 0x04,
     host_registers: &[(0x02, Host::Temperature)],
     keys: &[0],
-    data_memory: Some(DataMemory { update_status: (82, 2), gain_sign: Some((105, 5)) }),
+    data_memory: Some(DataMemory { seals: UPDATE_STATUS, gain_sign: Some((105, 5)) }),
     gate: None,
     authentication: None,
     sealed_blocks: &[],
