@@ -204,15 +204,20 @@ impl Image {
         Some(at_line(line, why))
     }
 
-    /// The lines with undocumented bytes of documented subclasses, and the number of bytes in each.
+    /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
     pub fn undocumented(&self) -> String {
         let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
         let told = known.chunk_by(|one, other| one.line == other.line).map(|line| {
             let count: usize = line.iter().map(|raw| raw.bytes.len()).sum();
             let (number, id) = (line[0].line, line[0].subclass);
-            let what =
-                if count == 1 { "1 undocumented byte".into() } else { format!("{count} undocumented bytes") };
-            format!("line {number}: {what} of subclass {id}; refused if the gauge has other values\n")
+            let bytes = if count == 1 { "byte" } else { "bytes" };
+            let what = match self.chip.subclass(id) {
+                Some(class) if class.parameters.is_empty() => {
+                    format!("{count} {bytes} of subclass {id}, {}", class.name)
+                }
+                _ => format!("{count} undocumented {bytes} of subclass {id}"),
+            };
+            format!("line {number}: {what}; refused if the gauge has other values\n")
         });
         told.collect()
     }
