@@ -8,9 +8,11 @@ use std::time::Duration;
 use crate::value::Type;
 
 pub mod bq27421_g1;
+pub mod bq27426;
 pub mod bq27427;
 pub mod bq27441_g1;
 pub mod bq27520_g3;
+pub mod bq27621_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq35100;
@@ -33,7 +35,9 @@ pub static CHIPS: &[&Chip] = &[
     &bq27520_g3::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
+    &bq27426::CHIP,
     &bq27427::CHIP,
+    &bq27621_g1::CHIP,
     &bq34110::CHIP,
     &bq35100::CHIP,
 ];

@@ -544,8 +544,9 @@ mod tests {
             "device type 0x0421, firmware 0x0109: bq27441-g1 or bq27421-g1 or bq27411-G1; choose with --chip";
         let ambiguous = Image::parse("device_type = 0x0421\nfirmware = 0x0109\n", None);
         assert!(ambiguous.expect_err("two chips").to_string().ends_with(why));
-        let relative = Image::parse("device_type = 0x0426\n", None).expect_err("no table").to_string();
-        assert!(relative.contains("a bq27426, whose data flash gaugefs does not support"), "{relative}");
+        let relative = Image::parse("device_type = 0x0520\nfirmware = 0x0329\n", None);
+        let relative = relative.expect_err("no table").to_string();
+        assert!(relative.contains("a bq27520-G4, whose data flash gaugefs does not support"), "{relative}");
     }
 
     /// Whatever a file holds, it is an image or an error.

@@ -26,13 +26,13 @@ pub(super) static PART: Part = Part {
 };
 
 /// Qmax, Avg I Last Run, R_a, Board Offset and CC Offset.
-static REWRITES: &[(u16, usize, usize)] =
+pub(super) static REWRITES: &[(u16, usize, usize)] =
     &[(82, 0, 2), (82, 25, 2), (89, 0, 2), (89, 8, 2), (104, 0, 1), (105, 0, 2)];
 
 /// A host must not look for `[CFGUPMODE]` before 1.1 s have passed (2.4.3).
-const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
+pub(super) const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
 
-static SCHEME: BlockPart = BlockPart {
+pub(super) const SCHEME: BlockPart = BlockPart {
     // Not documented.
     code: 0x0001,
     map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },

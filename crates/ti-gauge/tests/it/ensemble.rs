@@ -84,7 +84,8 @@ fn accesses(chip: &str) -> &'static [Access] {
             Mount,
         ],
         "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read, Mount],
-        "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
+        "bq27426" | "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
+        "bq27621-g1" => &[Write(&[((82, 3), "1200")]), Read, Mount],
         "bq34110" => &[
             Write(&[((FLAT, 0x41F5), "3100")]),
             Write(&[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")]),
