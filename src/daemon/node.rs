@@ -61,12 +61,16 @@ fn chip(modalias: &str) -> Option<&'static Chip> {
     })
 }
 
+/// Names by which the kernel's driver is bound to parts that it does not know.
+const BORROWED: &[(&str, &str)] = &[("bq27427", "bq27426")];
+
 /// The kernel's names have no dash, and most have no suffix for the first generation. Its bq34z100 is also the name of
 /// the bq34z100-R2, which TI made compatible.
 fn compatible(chip: &Chip) -> Vec<String> {
     let name = chip.name.replace('-', "");
     let short = ["g1", "r2"].iter().find_map(|suffix| name.strip_suffix(suffix)).map(str::to_string);
-    [Some(name), short].into_iter().flatten().collect()
+    let borrowed = BORROWED.iter().find(|(part, _)| *part == chip.name).map(|(_, name)| (*name).to_string());
+    [Some(name), short, borrowed].into_iter().flatten().collect()
 }
 
 #[cfg(test)]
@@ -103,7 +107,7 @@ mod tests {
             let mut names = compatible(gauge);
             names.retain(|name| rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")));
             assert!(!names.is_empty(), "{} is not in the rule", gauge.name);
-            for name in names.iter().filter(|name| *name != "bq34z100") {
+            for name in names.iter().filter(|name| !["bq34z100", "bq27426"].contains(&&***name)) {
                 assert_eq!(
                     chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name),
                     Some(gauge.name)
@@ -118,9 +122,11 @@ mod tests {
         }
         assert_eq!(chip("of:NgT(null)Cti,bq27500").map(|chip| chip.name), Some("bq2750x"));
         assert_eq!(chip("of:NgT(null)Cti,bq27500-1").map(|chip| chip.name), Some("bq27500"));
-        assert!(chip("of:NgT(null)Cti,bq27220").is_none());
+        assert_eq!(chip("of:NgT(null)Cti,bq27220").map(|chip| chip.name), Some("bq27220"));
+        assert!(chip("of:NgT(null)Cti,bq99").is_none());
         assert!(chip("i2c:bq34z100").is_none());
-        // The firmware decides.
+        // What the gauge answers decides.
+        assert!(chip("of:NgT(null)Cti,bq27426").is_none());
         assert!(chip("of:NgT(null)Cti,bq34z100").is_none());
         assert_eq!(chip("of:NgT(null)Cti,bq34z100g1").map(|chip| chip.name), Some("bq34z100-g1"));
     }

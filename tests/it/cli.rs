@@ -641,6 +641,49 @@ fn bytes_without_a_parameter_are_imported_on_request() {
     gaugefs(&["umount", &at]).done();
 }
 
+/// A chemistry file as TI's tools write it for a BQ27426, with its classes and the second block of class 104.
+#[test]
+fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("chemistry.gm.fs"));
+    let identity =
+        "W: AA 00 01 00\nC: AA 00 26 04\nW: AA 00 02 00\nC: AA 00 02 02\nW: AA 00 13 00\nX: 1100\n";
+    // Class, block, and how many of its bytes are known.
+    let blocks =
+        [(83, 0, 32), (83, 1, 11), (84, 0, 32), (84, 1, 10), (85, 0, 17), (108, 0, 17), (104, 1, 26)];
+    let block = |(class, block, length): (u8, u8, usize)| {
+        let data = " 11".repeat(length) + &" 00".repeat(32 - length);
+        let sum = 0xff - (0x11 * length) as u8;
+        let select = format!("W: AA 3E {class:02X} {block:02X}\n");
+        format!("{select}W: AA 40{data}\nW: AA 60 {sum:02X}\nX: 10\n{select}C: AA 60 {sum:02X}\n")
+    };
+    let text = identity.to_string() + &blocks.map(block).concat() + "W: AA 00 42 00\nX: 2000\n";
+    fs::write(&file, text).expect("a file");
+    let lint = gaugefs(&["lint", &file]).done();
+    for name in ["83, OCV Table 83", "84, OCV Table 84", "85, Chemistry 85", "108, Chemistry 108"] {
+        assert!(lint.contains(&format!(" bytes of subclass {name};")), "{name}: {lint}");
+    }
+    assert!(lint.contains(" undocumented bytes of subclass 104;"), "{lint}");
+    gaugefs(&["mount", "--sim", "bq27426", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["import", &gauge, &file]).failed(&["line 9: raw 83/0: 5353", "write them with --raw"]);
+    let written = gaugefs(&["import", "--raw", &gauge, &file]).done();
+    assert_eq!(written.lines().count(), blocks.len(), "{written}");
+    for (class, start, length) in [(83, 0, 43), (84, 0, 42), (85, 0, 17), (108, 0, 17), (104, 32, 26)] {
+        let raw = fs::read(format!("{gauge}/df/{class}/raw")).expect("bytes");
+        let (new, after) = raw[start..].split_at(length);
+        assert!(
+            new.iter().all(|&byte| byte == 0x11) && after.iter().all(|&byte| byte == 0),
+            "{class}: {raw:x?}"
+        );
+    }
+    assert_eq!(gaugefs(&["import", &gauge, &file]).done(), "");
+    gaugefs(&["umount", &at]).done();
+}
+
 #[test]
 fn a_key_file_that_others_may_read_is_refused() {
     let folder = Folder::new();

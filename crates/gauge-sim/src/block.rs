@@ -30,8 +30,6 @@ const CODES: u16 = 112;
 /// While a gauge that has sealed itself refuses keys, any subcommand above this one starts that time again
 /// (SLUUAC9A 6.4.5.1.1).
 const LOCKING: u16 = 0x001A;
-/// Update Status: the gauge seals itself.
-const SEAL: u8 = 0x80;
 /// Update Status: Impedance Track is enabled.
 const IT_ENABLE: u8 = 0x04;
 /// Flags() of the parts with RAM: data memory is ROM's, and CONFIG UPDATE.
@@ -103,10 +101,10 @@ impl Ram {
 }
 
 impl BlockPart {
-    /// The level of a gauge that begins to work with its data memory: one with RAM reads Update Status.
+    /// The level of a gauge that begins to work with its data memory: one with RAM reads it there.
     fn level(&self, flash: &Flash) -> Level {
-        match self.data_memory.as_ref().map(|memory| memory.update_status) {
-            Some((id, offset)) if flash.u8(id, offset) & SEAL == 0 => Level::Unsealed,
+        match self.data_memory.as_ref().map(|memory| memory.seals) {
+            Some((id, offset, bit)) if flash.u8(id, offset) & bit == 0 => Level::Unsealed,
             Some(_) | None => Level::Sealed,
         }
     }
@@ -130,8 +128,8 @@ impl BlockPart {
 
     /// Marks a gauge with RAM as one that was sealed.
     fn remember_seal(&self, flash: &mut Flash) {
-        if let Some((id, offset)) = self.data_memory.as_ref().map(|memory| memory.update_status) {
-            flash.set(id, offset, &[flash.u8(id, offset) | SEAL]);
+        if let Some((id, offset, bit)) = self.data_memory.as_ref().map(|memory| memory.seals) {
+            flash.set(id, offset, &[flash.u8(id, offset) | bit]);
         }
     }
 

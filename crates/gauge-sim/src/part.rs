@@ -78,8 +78,8 @@ pub(super) struct BlockPart {
 /// Data memory that is RAM, filled from ROM when power comes.
 #[derive(Debug)]
 pub(super) struct DataMemory {
-    /// Update Status, whose bit 7 seals.
-    pub(super) update_status: Place,
+    /// Class and offset of a byte, and its bit that seals.
+    pub(super) seals: (u16, usize, u8),
     /// The byte whose bit 7 is the sign of CC Gain, if parts differ in what their ROM has there.
     pub(super) gain_sign: Option<Place>,
 }

@@ -5,9 +5,11 @@ use super::part::Part;
 use super::{battery, envelope, flash, flat, gauging, model, part, seal, timing, update};
 
 mod bq27220;
+mod bq27426;
 mod bq27427;
 mod bq27441_g1;
 mod bq27520_g3;
+mod bq27621_g1;
 mod bq34110;
 mod bq34z100_g1;
 mod bq34z100_r2;
@@ -20,8 +22,10 @@ static PARTS: &[&Part] = &[
     &bq27520_g3::PART,
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,
+    &bq27426::PART,
     &bq27427::PART,
     &bq27220::PART,
+    &bq27621_g1::PART,
     &bq34110::PART,
     &bq35100::PART,
 ];

@@ -9,9 +9,11 @@ use crate::value::Type;
 
 pub mod bq27220;
 pub mod bq27421_g1;
+pub mod bq27426;
 pub mod bq27427;
 pub mod bq27441_g1;
 pub mod bq27520_g3;
+pub mod bq27621_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq34z100_r2;
@@ -37,8 +39,10 @@ pub static CHIPS: &[&Chip] = &[
     &bq27520_g3::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
+    &bq27426::CHIP,
     &bq27427::CHIP,
     &bq27220::CHIP,
+    &bq27621_g1::CHIP,
     &bq34110::CHIP,
     &bq35100::CHIP,
 ];

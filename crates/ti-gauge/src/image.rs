@@ -261,15 +261,20 @@ impl Image {
         Some(at_line(line, why))
     }
 
-    /// The lines with undocumented bytes of documented subclasses, and the number of bytes in each.
+    /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
     pub fn undocumented(&self) -> String {
         let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
         let told = known.chunk_by(|one, other| one.line == other.line).map(|line| {
             let count: usize = line.iter().map(|raw| raw.bytes.len()).sum();
             let (number, id) = (line[0].line, line[0].subclass);
-            let what =
-                if count == 1 { "1 undocumented byte".into() } else { format!("{count} undocumented bytes") };
-            format!("line {number}: {what} of subclass {id}; refused if the gauge has other values\n")
+            let bytes = if count == 1 { "byte" } else { "bytes" };
+            let what = match self.chip.subclass(id) {
+                Some(class) if class.parameters.is_empty() => {
+                    format!("{count} {bytes} of subclass {id}, {}", class.name)
+                }
+                _ => format!("{count} undocumented {bytes} of subclass {id}"),
+            };
+            format!("line {number}: {what}; refused if the gauge has other values\n")
         });
         told.collect()
     }
@@ -651,8 +656,9 @@ mod tests {
             "device type 0x0421, firmware 0x0109: bq27441-g1 or bq27421-g1 or bq27411-G1; choose with --chip";
         let ambiguous = Image::parse("device_type = 0x0421\nfirmware = 0x0109\n", None);
         assert!(ambiguous.expect_err("two chips").to_string().ends_with(why));
-        let relative = Image::parse("device_type = 0x0426\n", None).expect_err("no table").to_string();
-        assert!(relative.contains("a bq27426, whose data flash gaugefs does not support"), "{relative}");
+        let relative = Image::parse("device_type = 0x0520\nfirmware = 0x0329\n", None);
+        let relative = relative.expect_err("no table").to_string();
+        assert!(relative.contains("a bq27520-G4, whose data flash gaugefs does not support"), "{relative}");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use super::bq27441_g1::{self, FLAGS, OWN, family, rate};
+use super::bq27441_g1::{self, FLAGS, OWN, UPDATE_STATUS, family, rate};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
@@ -26,13 +26,13 @@ pub(super) static PART: Part = Part {
 };
 
 /// Qmax, Avg I Last Run, R_a, Board Offset and CC Offset.
-static REWRITES: &[(u16, usize, usize)] =
+pub(super) static REWRITES: &[(u16, usize, usize)] =
     &[(82, 0, 2), (82, 25, 2), (89, 0, 2), (89, 8, 2), (104, 0, 1), (105, 0, 2)];
 
 /// A host must not look for `[CFGUPMODE]` before 1.1 s have passed (2.4.3).
-const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
+pub(super) const TIMING: Timing = Timing { update_enter: Duration::from_millis(1100), ..bq27441_g1::TIMING };
 
-static SCHEME: BlockPart = BlockPart {
+pub(super) const SCHEME: BlockPart = BlockPart {
     // Not documented.
     code: 0x0001,
     map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },
@@ -45,7 +45,7 @@ static SCHEME: BlockPart = BlockPart {
     voltage_register: 0x04,
     host_registers: &[(0x02, Host::Temperature)],
     keys: &[0],
-    data_memory: Some(DataMemory { update_status: (82, 2), gain_sign: Some((105, 5)) }),
+    data_memory: Some(DataMemory { seals: UPDATE_STATUS, gain_sign: Some((105, 5)) }),
     gate: None,
     authentication: None,
     sealed_blocks: &[],

@@ -58,7 +58,7 @@ const SCHEME: BlockPart = BlockPart {
     voltage_register: 0x04,
     host_registers: &[(0x02, Host::Temperature)],
     keys: &[0],
-    data_memory: Some(DataMemory { update_status: (82, 2), gain_sign: None }),
+    data_memory: Some(DataMemory { seals: UPDATE_STATUS, gain_sign: None }),
     gate: None,
     authentication: None,
     sealed_blocks: &[],
@@ -67,6 +67,9 @@ const SCHEME: BlockPart = BlockPart {
     battery_insert: Some((64, 0, 0x20)),
     own: OWN,
 };
+
+/// Bit 7 of Update Status (6.4.2.3.2).
+pub(super) const UPDATE_STATUS: (u16, usize, u8) = (82, 2, 0x80);
 
 pub(super) const OWN: Own = Own {
     update_status: None,

@@ -1,4 +1,4 @@
-//! The simulated bq27441-G1, bq27421-G1, bq27427 and bq27520-G3, compared byte by byte with the manuals.
+//! The simulated bq27441-G1, bq27421-G1, bq27426, bq27427, bq27621-G1 and bq27520-G3, compared byte by byte with the manuals.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -464,6 +464,88 @@ mod bq27427 {
         bench.cycle();
         bench.replay("X 120000");
         assert_eq!(bench.word(0x10) as i16, -300);
+    }
+}
+
+mod bq27426 {
+    use super::*;
+
+    #[test]
+    fn identity_and_chemistry() {
+        let bench = Bench::fresh("bq27426");
+        bench.replay(
+            "W 00 01 00 ; R 00 2 -> 26 04 ; W 00 02 00 ; R 00 2 -> 02 02 ; W 00 08 00 ; R 00 2 -> 30 32",
+        );
+        bench.replay(BEGIN);
+        bench.replay("W 00 31 00");
+        bench.replay(END);
+        bench.replay("W 00 08 00 ; R 00 2 -> 02 12");
+    }
+
+    /// A block of the chemistry is written as TI's images write it, 10 ms after its checksum it is there, and a loss
+    /// of power takes it away.
+    #[test]
+    fn chemistry_is_bytes_in_ram() {
+        let bench = Bench::fresh("bq27426");
+        let sums = [(0x53, 0, 0x9F), (0x53, 1, 0x6E), (0x54, 1, 0xB7), (0x55, 0, 0x5A), (0x6C, 0, 0xD3)];
+        for (class, block, sum) in sums {
+            assert_eq!(bench.block(class, block).1, sum, "{class:02X}/{block}");
+        }
+        bench.replay(BEGIN);
+        for (class, block, length, sum) in
+            [(0x53, 0, 32, 0xDF), (0x53, 1, 11, 0x44), (0x6C, 0, 17, 0xDE), (0x68, 1, 26, 0x45)]
+        {
+            let bytes = " 11".repeat(length) + &" 00".repeat(32 - length);
+            let select = format!("W 3E {class:02X} {block:02X}");
+            let commit = format!("W 60 {sum:02X} ; X 10 ; {select} ; X 30 ; R 60 1 -> {sum:02X}");
+            bench.replay(&format!("{select} ; W 40{bytes} ; {commit}"));
+        }
+        bench.replay(END);
+        assert_eq!(bench.block(0x53, 1).1, 0x44);
+        bench.cycle();
+        assert_eq!(bench.block(0x53, 1).1, 0x6E);
+    }
+}
+
+mod bq27621 {
+    use super::*;
+
+    #[test]
+    fn identity_and_chemistry() {
+        let bench = Bench::fresh("bq27621-g1");
+        bench.replay(
+            "W 00 01 00 ; R 00 2 -> 21 06 ; W 00 02 00 ; R 00 2 -> 05 01 ; W 00 08 00 ; R 00 2 -> 02 12",
+        );
+        bench.replay(BEGIN);
+        bench.replay("W 00 32 00");
+        bench.replay(END);
+        bench.replay("W 00 08 00 ; R 00 2 -> 54 03");
+    }
+
+    /// As Chromium's driver writes it: the checksum follows from the old one.
+    #[test]
+    fn design_capacity() {
+        let bench = Bench::fresh("bq27621-g1");
+        assert_eq!(bench.word(0x3C), 1340);
+        let sum = bench.block(0x52, 0).1;
+        let new = sum.wrapping_add(0x05 + 0x3C).wrapping_sub(0x04).wrapping_sub(0xB0);
+        bench.replay(BEGIN);
+        bench.replay(&format!("W 61 00 ; W 3E 52 ; W 3F 00 ; X 30 ; W 43 04 B0 ; W 60 {new:02X}"));
+        bench.replay(END);
+        assert_eq!((bench.word(0x3C), bench.word(0x0E)), (1200, 1200));
+    }
+
+    /// OpConfigB [DEF_SEAL] seals when CONFIG UPDATE ends; Load Select/Mode, where the relatives have the bit, does
+    /// not.
+    #[test]
+    fn def_seal_seals() {
+        let bench = Bench::fresh("bq27621-g1");
+        assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0);
+        bench.replay(BEGIN);
+        bench.replay("W 61 00 ; W 3E 40 ; W 3F 00 ; X 30 ; W 42 2C ; W 60 71");
+        bench.replay(END);
+        bench.replay("W 00 00 00 ; X 1");
+        assert_eq!(bench.word(0x00) & 0x2000, 0x2000);
     }
 }
 

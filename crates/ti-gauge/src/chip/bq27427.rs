@@ -42,19 +42,7 @@ pub static CHIP: Chip = Chip {
     condition: CONDITION,
     scale_registers: ScaleRegisters::NONE,
     security: SECURITY,
-    access: Access {
-        scheme: Scheme::CfgUpdate,
-        // No document gives it; Zephyr's bq274xx waits so long.
-        select: Duration::from_millis(30),
-        // What a shipped product waits before it reads the checksum back; SLUA801 has it for the family.
-        commit: Duration::from_millis(10),
-        // 2.4.3: at least so long, where the bq27441-G1 is asked at once.
-        enter: Duration::from_millis(1100),
-        enter_limit: Duration::from_millis(2500),
-        // [CFGUPMODE] shows the end. A shipped product gives it 2 s.
-        reset: Duration::ZERO,
-        reset_limit: Duration::from_secs(4),
-    },
+    access: ACCESS,
     gate: None,
     authentication: None,
     subclasses: SUBCLASSES,
@@ -74,11 +62,25 @@ pub static CHIP: Chip = Chip {
     preflight: preflight(&[(64, 4)]),
 };
 
+pub(super) const ACCESS: Access = Access {
+    scheme: Scheme::CfgUpdate,
+    // No document gives it; Zephyr's bq274xx waits so long.
+    select: Duration::from_millis(30),
+    // What a shipped product waits before it reads the checksum back; SLUA801 has it for the family.
+    commit: Duration::from_millis(10),
+    // 2.4.3: at least so long, where the bq27441-G1 is asked at once.
+    enter: Duration::from_millis(1100),
+    enter_limit: Duration::from_millis(2500),
+    // [CFGUPMODE] shows the end. A shipped product gives it 2 s.
+    reset: Duration::ZERO,
+    reset_limit: Duration::from_secs(4),
+};
+
 /// Standard commands, chapter 5, and extended ones, chapter 6. The poll reads 0x02 to 0x11 and 0x18 to
 /// 0x21 whole, so all in there count as polled. Seven more addresses answer with something that has no
 /// name (0x16, 0x1A, 0x66, 0x68, 0x6C, 0x6E and 0x70).
 #[rustfmt::skip]
-static REGISTERS: &[Register] = &[
+pub(super) static REGISTERS: &[Register] = &[
     Register::new(0x00, U2, "Control", "", Window),
     Register::new(0x02, U2, "Temperature", "0.1K", Poll).role(Role::Temp),
     Register::new(0x04, U2, "Voltage", "mV", Poll).role(Role::VoltageNow),
@@ -111,7 +113,7 @@ static REGISTERS: &[Register] = &[
 
 /// The table of 5.1. Key words are no subcommands and have no row.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[Subcommand] = &[
+pub(super) static SUBCOMMANDS: &[Subcommand] = &[
     Subcommand::new(0x0000, "CONTROL_STATUS", Answers),
     Subcommand::new(0x0001, "DEVICE_TYPE", Answers),
     Subcommand::new(0x0002, "FW_VERSION", Answers),
@@ -138,7 +140,7 @@ static SUBCOMMANDS: &[Subcommand] = &[
 ];
 
 /// 5.1.1.
-static CONTROL_STATUS: &[Bit] = &[
+pub(super) static CONTROL_STATUS: &[Bit] = &[
     Bit::new(0x8000, "SHUTDOWNEN"),
     Bit::new(0x4000, "WDRESET"),
     Bit::new(0x2000, "SS"),
@@ -172,7 +174,7 @@ static FLAGS: &[Bit] = &[
 ];
 
 /// The section on OpConfig. Two of the reserved bits have to stay 1.
-static OP_CONFIG: &[Bit] = &[
+pub(super) static OP_CONFIG: &[Bit] = &[
     Bit::new(0x2000, "BIE"),
     Bit::new(0x0800, "GPIOPOL"),
     Bit::new(0x0040, "ResFactStep"),
@@ -188,7 +190,7 @@ static OP_CONFIG: &[Bit] = &[
 static OP_CONFIG_B: &[Bit] = &[Bit::new(0x04, "SMOOTHEN")];
 
 /// The section on OpConfigD.
-static OP_CONFIG_D: &[Bit] = &[
+pub(super) static OP_CONFIG_D: &[Bit] = &[
     Bit::new(0x80, "FilterAlways"),
     Bit::new(0x40, "NoDeltaVAvg"),
     Bit::new(0x20, "PostponeLgDrops0"),

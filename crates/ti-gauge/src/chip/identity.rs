@@ -1,6 +1,6 @@
 //! The answers that identify a part, and the known parts that have no table.
 
-use super::{Chip, bq27427, bq27441_g1, bq27520_g3, kernel};
+use super::{Chip, bq27441_g1, bq27520_g3, kernel};
 use crate::value::Type;
 
 /// The answers that identify a part.
@@ -111,10 +111,6 @@ pub static SIBLINGS: &[Sibling] = &[
     Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], Some(&kernel::BQ27520_G1)),
     Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
     Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], Some(&kernel::BQ27520_G4)),
-    // Same State block in the kernel's driver, the rest of its data memory unknown.
-    Sibling::new("bq27426", 0x0426, &[], &[], Some(&bq27427::CHIP)),
-    // A shipped driver (Chromium's) knows the type; its State block differs.
-    Sibling::new("bq27621-G1", 0x0621, &[], &[], None),
     // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
     // memory.
     Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),

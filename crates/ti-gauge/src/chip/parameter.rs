@@ -16,15 +16,20 @@ pub struct Subclass {
     pub name: &'static str,
     /// Subclass id; [`FLAT`] for a group of parameters of a part that addresses data flash directly.
     pub id: u8,
-    /// Bytes from [`Subclass::start`] to the end of its last documented parameter.
+    /// Bytes from [`Subclass::start`] to the end of its last documented parameter, or of its last known byte.
     pub length: u16,
     /// What a write to its parameters needs.
     pub kind: Kind,
-    /// Its documented parameters, by offset.
+    /// Its documented parameters, by offset; none where only the subclass is known.
     pub parameters: &'static [Parameter],
 }
 
 impl Subclass {
+    /// A subclass of which only the name and the length are known: its bytes are read and written as a whole.
+    pub const fn opaque(class: &'static str, name: &'static str, id: u8, length: u16) -> Self {
+        Self { class, name, id, length, kind: Kind::Reset, parameters: &[] }
+    }
+
     /// Offset of its first byte: 0, or the address at which a flat group begins.
     pub fn start(&self) -> u16 {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }

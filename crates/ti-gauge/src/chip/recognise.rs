@@ -174,7 +174,8 @@ mod tests {
         assert_eq!(seen(0x0427, 0x0202, 0, Some(0x9f)), "bq27427");
         assert_eq!(seen(0x0427, 0x0202, 0, None), "bq27427");
         assert_eq!(seen(0x0427, 0x0109, 0, None), "unproven bq27427");
-        assert_eq!(seen(0x0426, 0x0202, 0, Some(0x9f)), "bq27426 like bq27427");
-        assert_eq!(seen(0x0621, 0x0110, 0, None), "bq27621-G1 like none");
+        assert_eq!(seen(0x0426, 0x0202, 0, Some(0x9f)), "bq27426");
+        assert_eq!(seen(0x0621, 0x0105, 0, None), "bq27621-g1");
+        assert_eq!(seen(0x0621, 0x0110, 0, None), "unproven bq27621-g1");
     }
 }

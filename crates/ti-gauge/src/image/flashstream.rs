@@ -657,6 +657,33 @@ mod tests {
         assert_eq!((image.raw[1].name(), image.raw[1].text()), ("raw 83/32".into(), "11".repeat(32)));
     }
 
+    /// Of a BQ27426 the chemistry is known by name, as is the second block of class 104.
+    #[test]
+    fn a_subclass_known_only_by_name_is_read_as_bytes_and_named() {
+        let data = format!("W: AA 40{}", " 11".repeat(32));
+        let block = |class, block| format!("W: AA 3E {class} 0{block}\n{data}\nW: AA 60 DF\nX: 10\n");
+        let known = ["53 0", "53 1", "54 0", "54 1", "55 0", "6C 0", "68 1"];
+        let text: String = known.iter().map(|place| block(&place[..2], &place[3..])).collect();
+        let image = parse(&text, Chip::by_name("bq27426")).expect("an image");
+        assert!(image.entries.is_empty());
+        assert!(image.raw.iter().all(|raw| image.refused(raw, false).is_none()));
+        let line =
+            |number, what| format!("line {number}: 32 {what}; refused if the gauge has other values\n");
+        let lines = [
+            line(3, "bytes of subclass 83, OCV Table 83"),
+            line(7, "bytes of subclass 83, OCV Table 83"),
+            line(11, "bytes of subclass 84, OCV Table 84"),
+            line(15, "bytes of subclass 84, OCV Table 84"),
+            line(19, "bytes of subclass 85, Chemistry 85"),
+            line(23, "bytes of subclass 108, Chemistry 108"),
+            line(27, "undocumented bytes of subclass 104"),
+        ];
+        assert_eq!(image.undocumented(), lines.concat());
+        let beyond =
+            parse(&block("55", "1"), Chip::by_name("bq27426")).expect_err("beyond the end").to_string();
+        assert_eq!(beyond, "line 3: block 1 of subclass 85, whose last block is 0");
+    }
+
     /// A firmware file is refused: rows of ROM mode have 96 bytes after four that name the row. The error gives
     /// the mode as the reason, not the row.
     #[test]

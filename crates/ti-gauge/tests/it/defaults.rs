@@ -23,9 +23,20 @@ fn defaults_of_the_simulator_match_the_tables() {
         ("bq34z100-r2", 48, 33),
         // The simulated gauge was sealed by its maker.
         ("bq27441-g1", 82, 2),
+        ("bq27426", 82, 2),
         ("bq27427", 82, 2),
     ];
-    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27520-g3", "bq27441-g1", "bq27421-g1", "bq27427"] {
+    let chips = [
+        "bq34z100-g1",
+        "bq34z100-r2",
+        "bq27520-g3",
+        "bq27441-g1",
+        "bq27421-g1",
+        "bq27426",
+        "bq27427",
+        "bq27621-g1",
+    ];
+    for chip in chips {
         let mut rig = crate::rig::Rig::new(chip);
         let mut compared = 0;
         let mut differ = Vec::new();

@@ -92,7 +92,8 @@ fn accesses(chip: &str) -> &'static [Access] {
             Mount,
         ],
         "bq27421-g1" => &[Write(&[((82, 10), "1200")]), Read, Mount],
-        "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
+        "bq27426" | "bq27427" => &[Write(&[((82, 6), "1200")]), Read, Mount],
+        "bq27621-g1" => &[Write(&[((82, 3), "1200")]), Read, Mount],
         "bq27220" => &[
             Write(&[((FLAT, 0x929F), "1200")]),
             Write(&[((FLAT, 0x929F), "1200"), ((FLAT, 0x9201), "64"), ((FLAT, 0x92B4), "3100")]),

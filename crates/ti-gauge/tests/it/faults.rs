@@ -31,10 +31,12 @@ const CASES: &[Case] = &[
     Case { chip: "bq27520-g3", at: (48, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Unsealed },
+    Case { chip: "bq27426", at: (82, 6), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27427", at: (82, 6), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27220", at: (FLAT, 0x929F), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27220", at: (FLAT, 0x929F), text: "1200", found: Seal::Unsealed },
     Case { chip: "bq27220", at: (FLAT, 0x929F), text: "1200", found: Seal::FullAccess },
+    Case { chip: "bq27621-g1", at: (82, 3), text: "1200", found: Seal::Sealed },
     // Design Capacity mAh, and Mfg Status Init, which needs a reset.
     Case { chip: "bq34110", at: (FLAT, 0x41F5), text: "3100", found: Seal::Sealed },
     Case { chip: "bq34110", at: (FLAT, 0x41F5), text: "3100", found: Seal::Unsealed },

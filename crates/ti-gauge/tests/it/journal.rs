@@ -43,7 +43,9 @@ pub(crate) const CASES: &[Case] = &[
     Case { chip: "bq27520-g3", values: &[((48, 10), "1200")], found: Seal::Sealed },
     Case { chip: "bq27441-g1", values: &[((82, 10), "1200")], found: Seal::Sealed },
     Case { chip: "bq27441-g1", values: &[((82, 10), "1200"), ((82, 16), "3100")], found: Seal::Unsealed },
+    Case { chip: "bq27426", values: &[((82, 6), "1200")], found: Seal::Sealed },
     Case { chip: "bq27427", values: &[((82, 6), "1200")], found: Seal::Sealed },
+    Case { chip: "bq27621-g1", values: &[((82, 3), "1200")], found: Seal::Sealed },
     Case { chip: "bq34110", values: &[((FLAT, 0x41F5), "3100")], found: Seal::Sealed },
     Case {
         chip: "bq34110",

@@ -186,7 +186,9 @@ fn an_undocumented_key_change_is_refused() {
         ("bq34110", "no document at hand"),
         ("bq27441-g1", "in ROM"),
         ("bq27421-g1", "in ROM"),
+        ("bq27426", "in ROM"),
         ("bq27427", "in ROM"),
+        ("bq27621-g1", "in ROM"),
     ] {
         for text in ["unseal 0414 3672 1234 5678", "full-access ffff ffff 1234 5678", AUTHENTICATION] {
             refused(&mut Rig::new(chip), text, "NotPermitted", why);

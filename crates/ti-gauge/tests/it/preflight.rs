@@ -22,8 +22,10 @@ const ROWS: &[(&str, (u8, u16), &str)] = &[
     ("bq27520-g3", (48, 10), "1200"),
     ("bq27441-g1", (82, 10), "1200"),
     ("bq27421-g1", (82, 10), "1200"),
+    ("bq27426", (82, 6), "1200"),
     ("bq27427", (82, 6), "1200"),
     ("bq27220", (FLAT, 0x929F), "6000"),
+    ("bq27621-g1", (82, 3), "1200"),
     ("bq34110", (FLAT, 0x41F5), "6000"),
     ("bq35100", (FLAT, 0x41FE), "6000"),
 ];
@@ -114,7 +116,9 @@ fn no_write_in_a_mode_that_someone_else_set() {
         ("bq27520-g3", &[0x0009], ["[BCA]", "ends by itself"], &[], minute),
         ("bq27441-g1", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
         ("bq27421-g1", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
+        ("bq27426", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
         ("bq27427", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
+        ("bq27621-g1", &[0x0013], ["[CFGUPMODE]", "240 s"], &[], 4 * minute),
         ("bq34110", &[0x002D], ["[CAL_EN]", "CAL_TOGGLE"], &[0x002D], minute),
         ("bq34110", &[0x000A], ["[CCA]", "ends by itself"], &[], minute),
         ("bq34110", &[0x0009], ["0x0030", "ends by itself"], &[], minute),
@@ -141,7 +145,7 @@ fn no_write_during_calibration_of_a_ram_gauge() {
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x08 } else { 0 }, "[CCA]"),
         (|asked, register, read| read[1] |= if (asked, register) == (0, 0) { 0x04 } else { 0 }, "[BCA]"),
     ];
-    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27426", "bq27427"] {
         for (tamper, says) in cases {
             refused(&mut Rig::tampered(chip, tamper), "Busy", &[says]);
         }
@@ -330,7 +334,7 @@ fn a_changed_serial_number_is_not_taken_for_another_pack() {
 /// A RAM gauge has lost power, or was exchanged, between two polls.
 #[test]
 fn a_ram_gauge_that_lost_power_is_read_again_before_a_write() {
-    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27426", "bq27427", "bq27621-g1"] {
         let mut rig = Rig::new(chip);
         rig.meet();
         assert_eq!(write(&mut rig), WRITTEN, "{chip}");
@@ -345,7 +349,7 @@ fn a_ram_gauge_that_lost_power_is_read_again_before_a_write() {
 
 #[test]
 fn a_ram_gauge_is_written_only_between_2450_and_4500_mv() {
-    for chip in ["bq27441-g1", "bq27421-g1", "bq27427"] {
+    for chip in ["bq27441-g1", "bq27421-g1", "bq27426", "bq27427", "bq27621-g1"] {
         for mv in ["0", "2449", "4501"] {
             let mut rig = Rig::new(chip);
             rig.sim.set("voltage_mv", mv).expect("a knob");
@@ -409,7 +413,7 @@ fn a_golden_image_is_refused_during_a_learning_cycle() {
 /// On a RAM gauge Update Status is in data memory only, and the host begins and ends the cycle there.
 #[test]
 fn a_write_during_a_learning_cycle_of_a_ram_gauge_is_refused() {
-    for chip in ["bq27441-g1", "bq27427"] {
+    for chip in ["bq27441-g1", "bq27426", "bq27427"] {
         // [VOK] is forced, because the simulated gauges do not set it. Bit 7 of Update Status seals the gauge.
         let mut rig = Rig::tampered(chip, |asked, at, read| {
             if (asked, at) == (0, 0) {

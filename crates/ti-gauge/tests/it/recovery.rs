@@ -378,12 +378,14 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
 }
 
 /// Each part, with Design Capacity and a value for it.
-const PARTS: [(&str, (u8, u16)); 7] = [
+const PARTS: [(&str, (u8, u16)); 9] = [
     ("bq34z100-g1", (48, 11)),
     ("bq27520-g3", (48, 10)),
     ("bq27441-g1", (82, 10)),
     ("bq27421-g1", (82, 10)),
+    ("bq27426", (82, 6)),
     ("bq27427", (82, 6)),
+    ("bq27621-g1", (82, 3)),
     ("bq34110", (FLAT, 0x41F5)),
     ("bq35100", (FLAT, 0x41FE)),
 ];
@@ -981,13 +983,15 @@ struct Beside {
     written: (u8, u16),
 }
 
-const BESIDE: [Beside; 6] = [
+const BESIDE: [Beside; 8] = [
     // Cycle Count and Design Capacity, Board Offset and Int Temp Offset, Qmax and Design Capacity.
     Beside { chip: "bq34z100-g1", learned: (48, 6), written: (48, 11) },
     Beside { chip: "bq34z100-g1", learned: (104, 10), written: (104, 11) },
     Beside { chip: "bq27520-g3", learned: (104, 10), written: (104, 11) },
     Beside { chip: "bq27441-g1", learned: (82, 0), written: (82, 10) },
+    Beside { chip: "bq27426", learned: (82, 0), written: (82, 6) },
     Beside { chip: "bq27427", learned: (82, 0), written: (82, 6) },
+    Beside { chip: "bq27621-g1", learned: (82, 0), written: (82, 3) },
     Beside { chip: "bq34110", learned: (FLAT, 0x400C), written: (FLAT, 0x400D) },
 ];
 

@@ -153,7 +153,8 @@ fn a_poll_reads_the_expected_bursts() {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq34z100-r2" => (&[(0x02, 0x12), (0x18, 4), (0x20, 16)], 47),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
-            "bq27441-g1" | "bq27421-g1" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            "bq27441-g1" | "bq27421-g1" | "bq27426" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
+            "bq27621-g1" => (&[(0x02, 0x10), (0x18, 6)], 28),
             // Two bytes between 0x06 and 0x19 are read without need. The gap of 16 bytes is not read, because
             // it would cost more than the three bytes of another transfer.
             "bq34110" => (&[(0x06, 0x14), (0x2A, 6)], 32),
@@ -260,7 +261,13 @@ fn no_subcommand_that_may_be_sent_is_dangerous() {
 fn parameters_are_in_order_inside_their_subclass_and_do_not_overlap() {
     for chip in CHIPS {
         for subclass in chip.subclasses {
-            assert!(!subclass.parameters.is_empty(), "{} {} is empty", chip.name, subclass.id);
+            // A flat group begins with its first parameter.
+            assert!(
+                subclass.id != FLAT || !subclass.parameters.is_empty(),
+                "{} {} is empty",
+                chip.name,
+                subclass.name
+            );
             assert!(subclass.length > 0, "{} {}", chip.name, subclass.id);
         }
         // All groups of a flat address space have the same id, so they are compared with each other as well.
@@ -549,7 +556,9 @@ fn each_chip_has_the_number_of_rows_of_its_manual() {
         ("bq34z100-r2", [22, 213, 51, 9, 46, 23]),
         ("bq27441-g1", [14, 89, 24, 6, 28, 19]),
         ("bq27421-g1", [14, 89, 24, 6, 28, 19]),
+        ("bq27426", [18, 88, 24, 6, 26, 19]),
         ("bq27427", [14, 88, 24, 6, 26, 19]),
+        ("bq27621-g1", [22, 72, 20, 5, 24, 21]),
         ("bq27520-g3", [20, 216, 78, 5, 36, 27]),
         ("bq27220", [17, 100, 3, 5, 32, 29]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
@@ -829,6 +838,69 @@ Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
         block[at..at + size].copy_from_slice(&default.to_be_bytes()[8 - size..]);
     }
     assert_eq!(codec::checksum(&block), 0xFB);
+}
+
+#[test]
+fn bq27426_has_the_layout_of_bq27427_and_its_chemistry() {
+    let chip = Chip::by_name("bq27426").unwrap();
+    let places = |chip: &'static Chip| {
+        let place = |(class, one, _): (&'static Subclass, &'static Parameter, String)| {
+            (class.id, one.offset, one.kind, one.name)
+        };
+        parameters(chip).map(place).collect::<Vec<_>>()
+    };
+    assert_eq!(places(chip), places(Chip::by_name("bq27427").unwrap()));
+    let known = |id| chip.subclass(id).map(|class| (class.name, class.length, class.stored()));
+    assert_eq!(known(83), Some(("OCV Table 83", 43, 64)));
+    assert_eq!(known(84), Some(("OCV Table 84", 42, 64)));
+    assert_eq!(known(85), Some(("Chemistry 85", 17, 32)));
+    assert_eq!(known(108), Some(("Chemistry 108", 17, 32)));
+    assert_eq!(known(104), Some(("Data", 58, 64)));
+    let golden = "\
+Configuration | Registers | 64 0 H2 | OpConfig | 0 65535 25720 | flags
+Gas Gauging | IT Cfg | 80 59 U2 | Ra Max Delta | 0 32767 8 | 4 mΩ | unproven
+Gas Gauging | State | 82 6 I2 | Design Capacity | 0 8000 1340 | mAh
+Gas Gauging | State | 82 8 I2 | Design Energy | 0 32767 4960 | mWh
+Gas Gauging | State | 82 10 I2 | Terminate Voltage | 2500 3700 3200 | mV
+Gas Gauging | State | 82 21 I2 | Taper Rate | 0 2000 100 | 0.1 Hr rate
+Gas Gauging | Chem Data | 109 8 I2 | Taper Voltage | 0 5000 ? | mV
+";
+    assert_lists(chip, golden);
+    assert_eq!(unproven(chip), 59);
+}
+
+#[test]
+fn bq27621_g1_has_the_places_that_drivers_and_tis_image_agree_on() {
+    let chip = Chip::by_name("bq27621-g1").unwrap();
+    let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
+    assert_eq!(
+        ids,
+        [2, 36, 48, 49, 64, 68, 80, 81, 82, 83, 84, 85, 86, 108, 92, 93, 94, 95, 104, 106, 107, 112]
+    );
+    let proven = parameters(chip).filter(|(class, one, _)| !one.unproven && class.kind != Kind::Security);
+    let proven: Vec<_> = proven.map(|(class, one, _)| format!("{}/{}", class.id, one.offset)).collect();
+    assert_eq!(
+        proven.join(" "),
+        "2/0 2/2 2/4 36/5 36/6 49/0 49/1 49/2 49/3 64/0 82/0 82/2 82/3 82/5 82/7 82/9 82/19 82/20 82/22 82/24 \
+         82/26 82/28 82/30 82/32 82/36"
+    );
+    let golden = "\
+Gas Gauging | State | 82 3 I2 | Design Capacity | 0 8000 1340 | mAh
+Gas Gauging | State | 82 5 I2 | Design Energy | 0 32767 4960 | mWh
+Gas Gauging | State | 82 9 I2 | Terminate Voltage | 2500 3700 3200 | mV
+Gas Gauging | State | 82 20 I2 | Taper Rate | 0 2000 100 | 0.1 Hr rate
+Gas Gauging | State | 82 36 H2 | Chem ID | 0 65535 4610 | hex
+";
+    assert_lists(chip, golden);
+    assert_eq!(
+        limits(chip),
+        ["64/0 keep 0x9360", "64/2 keep 0xfb", "82/0 at least 1", "82/2 keep 0x78", "82/3 at least 1"]
+    );
+    assert_eq!(
+        listed(chip.control_status),
+        "15:SHUTDOWNEN 14:WDRESET 13:SS 12:CALMODE 9:OCVCMDCOMP 8:OCVFAIL 7:INITCOMP 6:HIBERNATE 5:POWERMIN \
+         4:SLEEP 3:LDMD 0:CHEMCHNG"
+    );
 }
 
 #[test]

@@ -190,7 +190,9 @@ fn design_capacity_can_be_written_on_every_part() {
         ("bq27520-g3", (48, 10), "1200"),
         ("bq27441-g1", (82, 10), "1200"),
         ("bq27421-g1", (82, 10), "1200"),
+        ("bq27426", (82, 6), "1200"),
         ("bq27427", (82, 6), "1200"),
+        ("bq27621-g1", (82, 3), "1200"),
     ] {
         let mut rig = Rig::new(chip);
         assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
