@@ -236,6 +236,11 @@ impl Gauge {
         self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
     }
 
+    /// Whether something may still be tried: that time has not come, and the limit for transfers allows it.
+    pub fn may_try_until(&self, time: Duration) -> bool {
+        self.clock.now() < time && !self.is_late()
+    }
+
     /// Waits without any transfer.
     pub fn wait(&self, time: Duration) {
         if !time.is_zero() {

@@ -514,7 +514,7 @@ impl Task<'_> {
         let now = loop {
             match gauge.seal() {
                 Ok(now) => break now,
-                Err(_) if gauge.clock.now() < limit => gauge.wait(POLL_INTERVAL),
+                Err(_) if gauge.may_try_until(limit) => gauge.wait(POLL_INTERVAL),
                 Err(_) => return Keyhole::Silent,
             }
         };
@@ -577,7 +577,7 @@ impl Task<'_> {
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
         let limit = gauge.clock.now() + START;
         let mut closed = gauge.go_to(self.found);
-        while closed.is_err() && gauge.clock.now() < limit {
+        while closed.is_err() && gauge.may_try_until(limit) {
             gauge.wait(POLL_INTERVAL);
             gauge.forget_refusal();
             closed = gauge.go_to(self.found);

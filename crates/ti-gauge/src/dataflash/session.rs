@@ -265,7 +265,7 @@ fn reset(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
                     break;
                 }
                 Ok(_) => {}
-                Err(error) if gauge.clock.now() >= sent + access.reset_limit => {
+                Err(error) if !gauge.may_try_until(sent + access.reset_limit) => {
                     return Err(error.at(Step::Reset));
                 }
                 Err(_) => silent = true,
@@ -291,7 +291,7 @@ fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     loop {
         match gauge.seal() {
             Ok(now) => return gauge.go(now, goal),
-            Err(_) if gauge.clock.now() < limit => gauge.wait(access.reset.max(Duration::from_millis(50))),
+            Err(_) if gauge.may_try_until(limit) => gauge.wait(access.reset.max(Duration::from_millis(50))),
             Err(error) => return Err(error.at(Step::Reset)),
         }
     }
