@@ -8,12 +8,13 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
+
+use crate::scratch;
 
 #[cfg(feature = "screen")]
 mod watching;
@@ -663,11 +664,7 @@ pub(crate) struct Folder(pub(crate) PathBuf);
 
 impl Folder {
     pub(crate) fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("gaugefs cli {} {count}", std::process::id()));
-        fs::create_dir(&path).expect("a temporary folder");
-        Self(path)
+        Self(scratch::folder_named(" with spaces"))
     }
 
     pub(crate) fn file(&self, name: &str) -> String {
@@ -677,12 +674,13 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        for name in ["m", "n"] {
-            while gaugefs(&["umount", &self.file(name)]).code == Some(0) {}
-            let left = gaugefs::daemon::mountpoint::is_ours(Path::new(&self.file(name)));
-            assert!(!left || std::thread::panicking(), "{} is still mounted: what uses it?", self.file(name));
+        let mut left = Vec::new();
+        for name in ["m", "n"].map(|name| self.file(name)) {
+            while gaugefs(&["umount", &name]).code == Some(0) {}
+            left.extend(gaugefs::daemon::mountpoint::is_ours(Path::new(&name)).then_some(name));
         }
-        let _ = fs::remove_dir_all(&self.0);
+        scratch::remove(&self.0);
+        assert!(left.is_empty() || std::thread::panicking(), "{left:?} was still mounted: what used it?");
     }
 }
 

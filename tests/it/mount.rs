@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::RealClock;
@@ -22,7 +22,7 @@ use ti_gauge::dataflash::Change;
 use ti_gauge::image::Image;
 use ti_gauge::keys::Keys;
 
-struct SimKnobs(Sim);
+pub(crate) struct SimKnobs(pub(crate) Sim);
 
 impl Knobs for SimKnobs {
     fn list(&self) -> Vec<(&'static str, bool)> {
@@ -85,14 +85,11 @@ impl Mount {
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
         options: fuse::Options,
     ) -> Option<Self> {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
         if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
             return None;
         }
-        let name = format!("gaugefs-test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let folder = std::env::temp_dir().join(name);
-        fs::create_dir(&folder).expect("a temporary folder");
+        let folder = crate::scratch::folder();
         let clock = Arc::new(RealClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
         prepare(&sim);
