@@ -7,6 +7,7 @@ mod ends;
 mod input;
 mod keys;
 mod manual;
+mod model;
 mod mount;
 mod others;
 mod over;
