@@ -29,7 +29,7 @@ use ti_gauge::value::Type;
 
 use crate::cli::{Folder, can_mount};
 use crate::mount::SimKnobs;
-use crate::semantics::table;
+use crate::semantics::{TEXT, table};
 
 const CHIP: &str = "bq34z100-g1";
 /// Most files that are open at a time.
@@ -1422,6 +1422,14 @@ fn random_calls_of_several_users_answer_as_documented() {
         let _ = writeln!(report, "{count:8} {call} {outcome}");
     }
     println!("{report}");
+    let section = TEXT.split_once("\n## Errnos\n").expect("the section is there").1;
+    let words: BTreeSet<_> = section.split(|letter: char| !letter.is_ascii_uppercase()).collect();
+    for (call, outcome) in model.counts.keys() {
+        assert!(
+            outcome == "success" || words.contains(&**outcome),
+            "{call} answers {outcome}: not documented"
+        );
+    }
     model.open.clear();
     assert!(model.programmed() > 10, "{report}");
 }

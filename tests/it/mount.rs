@@ -388,6 +388,32 @@ fn an_open_file_shows_new_values() {
     until("the new current", || read().is_ok_and(|text| mount.shows("current_now", &text)));
 }
 
+/// The kernel copies what is written to the page that readers share before gaugefs knows of it. A reader waits until
+/// the write is answered; it used to read a value that then was not stored.
+#[test]
+fn regression_an_open_file_does_not_show_a_write_under_way() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = fs::File::open(mount.path("df/80/53")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0).expect("reads");
+        String::from_utf8_lossy(&buffer[..length]).into_owned()
+    };
+    assert_eq!(read(), "3000\n");
+    mount.sim.set("fault", "corrupt-commit").expect("a fault");
+    // Without O_TRUNC, which makes the kernel drop the page.
+    let mut written = OpenOptions::new().write(true).open(mount.path("df/80/53")).expect("opens");
+    std::thread::scope(|scope| {
+        let write = scope.spawn(move || written.write_all(b"3100\n").map_err(errno));
+        until("the write begins", || mount.cat("df/transaction") != "idle" || write.is_finished());
+        while !write.is_finished() {
+            assert_eq!(read(), "3000\n");
+        }
+        assert_eq!(write.join().expect("no panic"), Err(Errno::EIO));
+    });
+    assert_eq!(read(), "3000\n");
+}
+
 /// What a refresh has changed is seen as soon as the write to `gauge/refresh` returns, whether the kernel can keep
 /// names or not. A folder that is open meanwhile stays where it is.
 #[test]

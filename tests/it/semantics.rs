@@ -14,7 +14,7 @@ use ti_gauge::chip::{CHIPS, snake_case};
 use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
 
-const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
+pub(crate) const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
 
 /// The cells of each row of the table below a heading.
 pub(crate) fn table(heading: &str) -> Vec<Vec<&'static str>> {
