@@ -495,7 +495,7 @@ fn keys_appear_nowhere() {
         assert_eq!(sought.found(&content), None, "{file}");
     }
     gaugefs(&["umount", &at]).done();
-    within(Duration::from_secs(20), "the end is logged", || {
+    within(Duration::from_secs(60), "the end is logged", || {
         fs::read_to_string(&log).expect("the log").contains("unmounted")
     });
     let mut left = 0;
