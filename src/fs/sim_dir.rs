@@ -2,7 +2,7 @@
 
 use nix::errno::Errno;
 
-use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
+use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, not_writable};
 use crate::error::Error;
 use crate::owner::Done;
 
@@ -60,6 +60,9 @@ impl Operations for Of<'_, SimItem> {
 
     fn write(&self, data: &[u8], done: Done<()>) {
         let knob = self.supply.knobs.as_ref().zip(self.knob());
+        if knob.is_some_and(|(_, (_, writable))| !writable) {
+            return done(Err(not_writable()));
+        }
         let text = std::str::from_utf8(data).unwrap_or_default().trim();
         done(knob.map_or_else(
             || Err(Error::host("", Errno::ENODEV, "the simulated gauge has no such knob")),

@@ -107,9 +107,11 @@ impl Adapter {
         }
     }
 
-    /// How long the kernel may keep the attributes.
+    /// How long the kernel may keep the attributes. Before each read of a file that may be written, it has to ask for
+    /// them, so that it finds out about a write that is under way.
     fn attr_ttl(&self, shown: &Shown) -> Duration {
         match self.fs.shape(shown.node) {
+            Shape::File if self.fs.may_be_written(shown.node) => Duration::ZERO,
             Shape::File => shown.valid,
             Shape::Folder | Shape::Link => self.name_ttl(shown.node),
         }

@@ -326,11 +326,12 @@ impl<W> Inodes<W> {
         self.touch(number);
     }
 
-    /// Ends the time of settling, or gives the nodeid a new file time until then.
+    /// Ends the time of settling, or gives the nodeid a new file time until then. During a write it gets one each time:
+    /// the kernel's page has what is being written, and whoever drops it waits until the write is answered.
     pub(super) fn settle(&mut self, number: u64, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.renewed = inode.renewed.filter(|&since| now.instant < since + SETTLING);
-        if inode.renewed.is_some() {
+        if inode.renewed.is_some() || inode.writing > 0 {
             self.touch(number);
         }
     }

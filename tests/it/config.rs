@@ -319,8 +319,7 @@ struct Tree(PathBuf, #[expect(dead_code, reason = "it is unmounted when it is dr
 
 impl Tree {
     fn new(name: &str, entries: Vec<MountedGauge>, signal: Arc<Signal>) -> Self {
-        let folder = std::env::temp_dir().join(format!("gaugefs-{name}-{}", std::process::id()));
-        fs::create_dir(&folder).expect("a temporary folder");
+        let folder = crate::scratch::folder_named(&format!("-{name}"));
         let access = Access {
             uid: nix::unistd::geteuid().as_raw(),
             gid: nix::unistd::getegid().as_raw(),

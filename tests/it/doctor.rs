@@ -4,7 +4,6 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::Output;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -18,10 +17,7 @@ struct System(PathBuf);
 impl System {
     /// A system without problems: a user in the group i2c, one bus, FUSE, nothing mounted.
     fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("gaugefs doctor {} {count}", std::process::id()));
-        let system = Self(path);
+        let system = Self(crate::scratch::folder_named(" with spaces"));
         system.write("proc/sys/kernel/osrelease", "6.1.0-25-amd64\n");
         system.write(
             "proc/self/status",
@@ -321,7 +317,7 @@ fn mounts_that_hang_or_are_dead_are_found() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was checked");
         return;
     }
-    let place = std::env::temp_dir().join(format!("gaugefs-dead-{}", std::process::id()));
+    let place = crate::scratch::folder();
     let at = place.to_str().expect("a path in UTF-8");
     let doctor =
         || String::from_utf8(command(&["doctor"]).output().expect("gaugefs runs").stdout).expect("text");

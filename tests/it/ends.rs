@@ -9,7 +9,6 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -21,6 +20,7 @@ use nix::sys::stat::minor;
 use nix::unistd::{Pid, geteuid};
 
 use super::cli::{CHIP, command, gaugefs};
+use crate::scratch;
 
 /// Limit for everything that must not hang. Long, because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -32,13 +32,7 @@ struct Connections(PathBuf);
 
 impl Connections {
     fn mount() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let folder = std::env::temp_dir().join(format!(
-            "gaugefs-connections-{}-{}",
-            std::process::id(),
-            COUNT.fetch_add(1, Relaxed)
-        ));
-        fs::create_dir(&folder).expect("a folder");
+        let folder = scratch::folder();
         let kind = Some("fusectl");
         mount(kind, &folder, kind, MsFlags::empty(), None::<&str>).expect("connections can be aborted");
         Self(folder)
@@ -75,8 +69,7 @@ struct Daemon {
 
 impl Daemon {
     fn start(name: &str, connections: &Connections) -> Self {
-        let folder = std::env::temp_dir().join(format!("gaugefs-ends-{name}-{}", std::process::id()));
-        fs::create_dir_all(&folder).expect("a folder");
+        let folder = scratch::folder_named(&format!("-{name}"));
         let mut mount = Self::mount(&folder);
         let process = mount.arg("--foreground").stderr(File::create(folder.join("log")).expect("a log"));
         let mut daemon =

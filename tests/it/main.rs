@@ -7,12 +7,14 @@ mod ends;
 mod input;
 mod keys;
 mod manual;
+mod model;
 mod mount;
 mod others;
 mod over;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
+mod scratch;
 mod semantics;
 mod service;
 mod swapped;

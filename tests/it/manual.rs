@@ -46,7 +46,7 @@ struct Scratch(PathBuf);
 
 impl Scratch {
     fn new(name: &str, text: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("gaugefs-{}-{name}", std::process::id()));
+        let path = crate::scratch::folder().join(name);
         fs::write(&path, text).expect("a temporary file");
         Self(path)
     }
@@ -58,7 +58,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        let _ = fs::remove_file(&self.0);
+        let _ = self.0.parent().map(fs::remove_dir_all);
     }
 }
 

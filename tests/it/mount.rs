@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::RealClock;
@@ -23,9 +23,9 @@ use ti_gauge::image::Image;
 use ti_gauge::keys::Keys;
 
 /// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
-struct SimKnobs {
-    sim: Sim,
-    defect: Arc<AtomicBool>,
+pub(crate) struct SimKnobs {
+    pub(crate) sim: Sim,
+    pub(crate) defect: Arc<AtomicBool>,
 }
 
 impl Knobs for SimKnobs {
@@ -91,14 +91,11 @@ impl Mount {
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
         options: fuse::Options,
     ) -> Option<Self> {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
         if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
             return None;
         }
-        let name = format!("gaugefs-test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let folder = std::env::temp_dir().join(name);
-        fs::create_dir(&folder).expect("a temporary folder");
+        let folder = crate::scratch::folder();
         let clock = Arc::new(RealClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
         prepare(&sim);
@@ -405,6 +402,32 @@ fn an_open_file_shows_new_values() {
     let since = fs::metadata(mount.path("current_now")).and_then(|file| file.modified()).expect("a time");
     assert!(since > before);
     until("the new current", || read().is_ok_and(|text| mount.shows("current_now", &text)));
+}
+
+/// The kernel copies what is written to the page that readers share before gaugefs knows of it. A reader waits until
+/// the write is answered; it used to read a value that then was not stored.
+#[test]
+fn regression_an_open_file_does_not_show_a_write_under_way() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let file = fs::File::open(mount.path("df/80/53")).expect("opens");
+    let read = || {
+        let mut buffer = [0; 64];
+        let length = file.read_at(&mut buffer, 0).expect("reads");
+        String::from_utf8_lossy(&buffer[..length]).into_owned()
+    };
+    assert_eq!(read(), "3000\n");
+    mount.sim.set("fault", "corrupt-commit").expect("a fault");
+    // Without O_TRUNC, which makes the kernel drop the page.
+    let mut written = OpenOptions::new().write(true).open(mount.path("df/80/53")).expect("opens");
+    std::thread::scope(|scope| {
+        let write = scope.spawn(move || written.write_all(b"3100\n").map_err(errno));
+        until("the write begins", || mount.cat("df/transaction") != "idle" || write.is_finished());
+        while !write.is_finished() {
+            assert_eq!(read(), "3000\n");
+        }
+        assert_eq!(write.join().expect("no panic"), Err(Errno::EIO));
+    });
+    assert_eq!(read(), "3000\n");
 }
 
 /// What a refresh has changed is seen as soon as the write to `gauge/refresh` returns, whether the kernel can keep

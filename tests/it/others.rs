@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -13,20 +12,14 @@ use super::cli::{CHIP, Ran, command, gaugefs};
 
 /// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 2 s, and
 /// the machine may be busy.
-const LIMIT: Duration = Duration::from_secs(20);
-/// The same where no command has to wait at all.
-const PROMPT: Duration = Duration::from_secs(10);
+const LIMIT: Duration = Duration::from_secs(60);
 
 /// A folder that is removed with what is mounted in it.
 struct Folder(PathBuf);
 
 impl Folder {
     fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("gaugefs-others-{}-{count}", std::process::id()));
-        fs::create_dir_all(&path).expect("a folder");
-        Self(path)
+        Self(crate::scratch::folder())
     }
 
     fn file(&self, name: &str) -> String {
@@ -124,8 +117,8 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     let Some(mut stopped) = Daemon::start(folder.file("stopped")) else { return };
     let (at, other) = (stopped.at.clone(), folder.file("other"));
     stopped.send(Signal::SIGSTOP);
-    within(PROMPT, command(&["mount", "--sim", CHIP, &other])).done();
-    within(PROMPT, command(&["umount", &other])).done();
+    within(LIMIT, command(&["mount", "--sim", CHIP, &other])).done();
+    within(LIMIT, command(&["umount", &other])).done();
     within(LIMIT, command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
     let inside = format!("{at}/BAT0/gauge/other");
     within(LIMIT, command(&["mount", "--sim", CHIP, &inside])).failed(&["does not answer"]);
@@ -143,7 +136,7 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     assert!(!stopped.is_mounted());
     assert!(!reader.wait().expect("a child").success());
     // The daemon notices once it runs again, and the place is free before that.
-    within(PROMPT, command(&["mount", "--sim", CHIP, &at])).done();
+    within(LIMIT, command(&["mount", "--sim", CHIP, &at])).done();
     stopped.send(Signal::SIGCONT);
     assert!(stopped.ends());
     assert!(stopped.is_mounted(), "it has removed the mount of another daemon");
@@ -237,7 +230,7 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
     for option in ["--log", "--trace"] {
         for (path, why) in [(&link, "a symbolic link"), (&fifo, "not a regular file")] {
             let arguments = ["mount", "--foreground", "--sim", CHIP, option, path, &at];
-            within(PROMPT, command(&arguments)).failed(&[path, why]);
+            within(LIMIT, command(&arguments)).failed(&[path, why]);
         }
     }
     let journal = folder.file(&format!("{}.journal", gaugefs::lock::key_of_state(Path::new(&state))));

@@ -7,7 +7,6 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::RealClock;
@@ -29,9 +28,7 @@ impl Drop for Tree {
 
 impl Tree {
     fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let name = format!("gaugefs-over-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let tree = Self(std::env::temp_dir().join(name));
+        let tree = Self(crate::scratch::folder());
         fs::create_dir_all(tree.supplies()).expect("a temporary folder");
         tree
     }

@@ -14,10 +14,10 @@ use ti_gauge::chip::{CHIPS, Chip, snake_case};
 use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
 
-const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
+pub(crate) const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
 
 /// The cells of each row of the table below a heading.
-fn table(heading: &str) -> Vec<Vec<&'static str>> {
+pub(crate) fn table(heading: &str) -> Vec<Vec<&'static str>> {
     let section = TEXT.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
     let rows =
         section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));

@@ -14,6 +14,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
 use super::cli::{CHIP, command, gaugefs};
+use crate::scratch;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -30,8 +31,7 @@ impl Service {
             eprintln!("SKIPPED: without root and /dev/fuse nothing was attached to a service");
             return None;
         }
-        let folder = std::env::temp_dir().join(format!("gaugefs-service-{name}-{}", std::process::id()));
-        fs::create_dir_all(&folder).expect("a folder");
+        let folder = scratch::folder_named(&format!("-{name}"));
         let systemd = UnixDatagram::bind(folder.join("notify")).expect("a socket");
         systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
         let place = folder.join("tree");
@@ -145,8 +145,7 @@ fn only_a_service_can_be_attached_to() {
 /// What a unit runs before its daemon: systemd's copy of a key file does not show who may read the original.
 #[test]
 fn the_key_file_of_a_service_is_refused_if_others_may_read_it() {
-    let folder = std::env::temp_dir().join(format!("gaugefs-service-keys-{}", std::process::id()));
-    fs::create_dir_all(&folder).expect("a folder");
+    let folder = scratch::folder();
     let keys = folder.join("i2c-1.keys");
     let check = || gaugefs(&["check-keys", path(&keys)]);
     assert_eq!(check().done(), "", "a service needs no keys");
@@ -176,8 +175,7 @@ fn messages_about_keys_name_the_file_of_the_service() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no service had keys");
         return;
     }
-    let folder = std::env::temp_dir().join(format!("gaugefs-service-names-{}", std::process::id()));
-    fs::create_dir_all(&folder).expect("a folder");
+    let folder = scratch::folder();
     let at = folder.join("m");
     let mount = |keys: &str| {
         fs::write(folder.join("gaugefs-keys"), keys).expect("a credential");

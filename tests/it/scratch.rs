@@ -1,0 +1,101 @@
+//! The folders that tests work in. A folder is named after the process that made it, so that the next test can remove
+//! what a killed one has left: its mounts, its daemons and the folder.
+
+use std::fs;
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Once;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use nix::mount::{MntFlags, umount2};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use crate::cli::{CHIP, can_mount, command, within};
+
+/// Names of all folders begin so.
+const PREFIX: &str = "gaugefs-test-";
+
+/// A new folder.
+pub(crate) fn folder() -> PathBuf {
+    folder_named("")
+}
+
+/// A new folder whose name ends so.
+pub(crate) fn folder_named(end: &str) -> PathBuf {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    static SWEPT: Once = Once::new();
+    SWEPT.call_once(|| sweep(&std::env::temp_dir()));
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    let path = std::env::temp_dir().join(format!("{PREFIX}{}-{count}{end}", std::process::id()));
+    fs::create_dir(&path).expect("a temporary folder");
+    path
+}
+
+/// Removes what tests that run no more have left in a folder.
+fn sweep(parent: &Path) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let process = name.to_str().and_then(|name| name.strip_prefix(PREFIX)?.split('-').next());
+        if process.is_some_and(|process| !Path::new("/proc").join(process).exists()) {
+            remove(&entry.path());
+        }
+    }
+}
+
+/// Removes a folder with the daemons and mounts in it.
+pub(crate) fn remove(folder: &Path) {
+    for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {
+        let process = entry.file_name().to_str().and_then(|name| name.parse().ok());
+        let Some(process) = process.filter(|process| *process != std::process::id() as i32) else { continue };
+        let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        let mut words = line.split(|byte| *byte == 0);
+        let is_gaugefs = words.next().is_some_and(|program| program.ends_with(b"/gaugefs"));
+        if is_gaugefs && words.any(|word| Path::new(std::ffi::OsStr::from_bytes(word)).starts_with(folder)) {
+            let _ = kill(Pid::from_raw(process), Signal::SIGKILL);
+        }
+    }
+    for mountpoint in mounts(folder) {
+        if umount2(&mountpoint, MntFlags::MNT_DETACH).is_err() {
+            let _ = Command::new("fusermount3").args(["-u", "-z"]).arg(&mountpoint).status();
+        }
+    }
+    let _ = fs::remove_dir_all(folder);
+}
+
+/// What is mounted in a folder, the latest first.
+fn mounts(folder: &Path) -> Vec<PathBuf> {
+    let table = fs::read_to_string("/proc/self/mounts").unwrap_or_default();
+    let places = table.lines().rev().filter_map(|line| line.split(' ').nth(1));
+    places
+        .map(|place| PathBuf::from(place.replace("\\040", " ")))
+        .filter(|place| place.starts_with(folder))
+        .collect()
+}
+
+#[test]
+fn what_a_killed_test_has_left_is_removed() {
+    if !can_mount() {
+        return;
+    }
+    let mut ended = Command::new("true").spawn().expect("a process");
+    ended.wait().expect("its end");
+    // In a folder of its own, where no other test removes it.
+    let parent = folder();
+    let left = parent.join(format!("{PREFIX}{}-0 with spaces", ended.id()));
+    fs::create_dir(&left).expect("a folder");
+    let at = |name: &str| left.join(name).to_str().expect("text").to_string();
+    // One daemon in the background and one that is stopped.
+    assert_eq!(command(&["mount", "--sim", CHIP, &at("m")]).status().expect("gaugefs runs").code(), Some(0));
+    let mut daemon =
+        command(&["mount", "-f", "--sim", CHIP, &at("n")]).stderr(Stdio::null()).spawn().expect("it");
+    within(Duration::from_secs(60), "mounted", || left.join("n/BAT0").exists());
+    kill(Pid::from_raw(daemon.id() as i32), Signal::SIGSTOP).expect("it runs");
+    assert_eq!(mounts(&left).len(), 2);
+    sweep(&parent);
+    daemon.wait().expect("it was killed");
+    assert_eq!((mounts(&left), left.exists()), (Vec::new(), false));
+    remove(&parent);
+}
