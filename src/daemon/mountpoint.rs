@@ -2,7 +2,7 @@
 //! died or does not answer.
 //!
 //! mountinfo says what is mounted without a call to any mounted file system. A call that may reach one is made
-//! by [`look`], with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
+//! by `look`, with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
 //! without its server, holds up nobody.
 
 use std::ffi::OsString;
