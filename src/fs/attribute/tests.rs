@@ -1,0 +1,484 @@
+//! What the attributes of simulated gauges show.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use gauge_bus::clock::Clock;
+
+use super::*;
+use crate::owner::rig::{INTERVAL, Rig};
+use crate::owner::{Request, Settings, Startup};
+
+/// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power`).
+const ABI: &[&str] = &[
+    "authentic",
+    "calibrate",
+    "capacity",
+    "capacity_alert_max",
+    "capacity_alert_min",
+    "capacity_error_margin",
+    "capacity_level",
+    "charge_avg",
+    "charge_counter",
+    "charge_empty",
+    "charge_empty_design",
+    "charge_full",
+    "charge_full_design",
+    "charge_now",
+    "charge_type",
+    "current_avg",
+    "current_max",
+    "current_now",
+    "cycle_count",
+    "energy_avg",
+    "energy_empty",
+    "energy_empty_design",
+    "energy_full",
+    "energy_full_design",
+    "energy_now",
+    "health",
+    "internal_resistance",
+    "manufacture_day",
+    "manufacture_month",
+    "manufacture_year",
+    "manufacturer",
+    "model_name",
+    "power_avg",
+    "power_now",
+    "present",
+    "scope",
+    "serial_number",
+    "state_of_health",
+    "status",
+    "technology",
+    "temp",
+    "temp_alert_max",
+    "temp_alert_min",
+    "temp_ambient",
+    "temp_max",
+    "temp_min",
+    "time_to_empty_avg",
+    "time_to_empty_now",
+    "time_to_full_avg",
+    "time_to_full_now",
+    "type",
+    "voltage_avg",
+    "voltage_boot",
+    "voltage_max",
+    "voltage_max_design",
+    "voltage_min",
+    "voltage_min_design",
+    "voltage_now",
+    "voltage_ocv",
+];
+
+#[test]
+fn every_attribute_is_one_of_the_kernels() {
+    for attribute in Attribute::all() {
+        assert!(ABI.contains(&attribute.name()), "{}", attribute.name());
+    }
+}
+
+#[test]
+fn names_are_unique() {
+    let names: BTreeSet<_> = Attribute::all().map(Attribute::name).collect();
+    assert_eq!(names.len(), ATTRIBUTES.len());
+    assert!(LISTED_WHILE_GONE.iter().all(|name| names.contains(name)));
+}
+
+/// A simulated gauge that has been identified and polled.
+fn open(chip: &str) -> Rig {
+    let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+    rig.start().expect("it answers");
+    rig
+}
+
+fn turn(rig: &Rig, knob: &str, text: &str) {
+    rig.sim.set(knob, text).unwrap_or_else(|error| panic!("{knob} {text}: {error}"));
+}
+
+fn show(rig: &Rig, name: &str) -> Option<String> {
+    show_scaled(rig, name, &Scales::default())
+}
+
+fn show_scaled(rig: &Rig, name: &str, scales: &Scales) -> Option<String> {
+    let published = rig.handle.published();
+    let scales = Scales { energy_shown: true, ..scales.clone() };
+    let chip = rig.handle.chip();
+    let snapshot = published.snapshot.as_deref();
+    let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+    Attribute::by_name(name).expect("an attribute").text(&reading)
+}
+
+#[track_caller]
+fn assert_shows(rig: &Rig, expected: &[(&str, Option<&str>)]) {
+    for &(name, text) in expected {
+        assert_eq!(show(rig, name).as_deref(), text, "{name}");
+    }
+}
+
+/// Everything that is measured, or follows from it.
+const MEASURED: [&str; 17] = [
+    "capacity",
+    "capacity_error_margin",
+    "voltage_now",
+    "current_now",
+    "current_avg",
+    "charge_now",
+    "charge_full",
+    "charge_full_design",
+    "energy_now",
+    "power_avg",
+    "temp",
+    "time_to_empty_now",
+    "time_to_full_now",
+    "cycle_count",
+    "state_of_health",
+    "status",
+    "health",
+];
+
+#[test]
+fn without_a_battery_nothing_is_measured() {
+    let mut rig = open("bq27441-g1");
+    assert_shows(&rig, &[("present", Some("1")), ("health", Some("Good"))]);
+    // OpConfig without [BIE]: the host says whether there is a battery.
+    rig.sim.set_flash(64, 0, &[0x05, 0xf8]);
+    let bat_remove = 0x000d;
+    rig.ask(|done| Request::Control(bat_remove, done)).expect("a sealed gauge takes it");
+    rig.poll_after(INTERVAL);
+    assert_shows(&rig, &[("present", Some("0"))]);
+    for name in MEASURED.into_iter().chain(["capacity_level"]) {
+        assert_eq!(show(&rig, name), None, "{name}");
+    }
+}
+
+#[test]
+fn before_the_first_measurement_no_value_is_shown() {
+    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq34110"] {
+        let mut rig = open(chip);
+        turn(&rig, "first_ms", "3000");
+        turn(&rig, "first_values", "nonsense");
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.clock.sleep(Duration::from_secs(1));
+        for _ in 0..3 {
+            rig.poll_after(Duration::ZERO);
+        }
+        assert_shows(
+            &rig,
+            &[("present", Some("1")), ("status", Some("Unknown")), ("health", Some("Unknown"))],
+        );
+        for name in &MEASURED[..15] {
+            assert_eq!(show(&rig, name), None, "{chip}: {name}");
+        }
+        for _ in 0..4 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        assert!(show(&rig, "voltage_now").is_some_and(|text| text != "0"), "{chip}");
+        assert_shows(&rig, &[("status", Some("Not charging"))]);
+    }
+}
+
+#[test]
+fn the_status_agrees_with_the_current_that_is_shown() {
+    for chip in ["bq34z100-g1", "bq27520-g3", "bq27441-g1", "bq34110"] {
+        let mut rig = open(chip);
+        for load in ["500", "-500", "0", "-300", "300"] {
+            turn(&rig, "load_ma", load);
+            for _ in 0..12 {
+                rig.poll_after(Duration::from_secs(1));
+                let current: i64 = show(&rig, "current_now").expect("measured").parse().expect("a number");
+                let status = show(&rig, "status").expect("present");
+                let expected: &[&str] = match current {
+                    0 => &["Not charging", "Full"],
+                    1.. => &["Charging", "Full"],
+                    _ => &["Discharging"],
+                };
+                assert!(expected.contains(&&*status), "{chip}: {status} at {current} µA");
+            }
+        }
+    }
+}
+
+/// The charge ends with a current that is small, not 0.
+#[test]
+fn a_pack_that_is_charged_is_full_although_a_current_still_flows() {
+    let mut rig = open("bq34110");
+    turn(&rig, "soc", "100");
+    turn(&rig, "load_ma", "-20");
+    turn(&rig, "speed", "100");
+    for _ in 0..100 {
+        rig.poll_after(Duration::from_secs(1));
+    }
+    assert_shows(&rig, &[("capacity_level", Some("Full")), ("status", Some("Full"))]);
+    turn(&rig, "speed", "1");
+    turn(&rig, "load_ma", "500");
+    rig.poll_after(Duration::from_secs(3));
+    assert_shows(&rig, &[("capacity_level", Some("Full")), ("status", Some("Discharging"))]);
+}
+
+#[test]
+fn what_a_gauge_of_primary_cells_does_not_know_is_not_shown() {
+    let mut rig = open("bq35100");
+    turn(&rig, "load_ma", "50");
+    rig.poll_after(INTERVAL);
+    let unknown = Some("Unknown");
+    assert_shows(&rig, &[("current_now", None), ("status", unknown), ("state_of_health", None)]);
+    assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown)]);
+    let (start, stop) = (0x0011, 0x0012);
+    rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+    rig.poll_after(Duration::from_secs(3));
+    assert_shows(&rig, &[("current_now", Some("-50000")), ("status", Some("Discharging"))]);
+    rig.ask(|done| Request::Control(stop, done)).expect("a sealed gauge takes it");
+    rig.poll_after(INTERVAL);
+    assert_shows(&rig, &[("current_now", None), ("status", unknown)]);
+
+    // ALERT Configuration lets no flag through, and the mode accumulates charge only: both are known now.
+    let all = (0..rig.handle.chip().subclasses.len()).collect();
+    rig.ask(|done| Request::Read(all, done)).expect("the default key");
+    assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown), ("state_of_health", None)]);
+    // [GMSEL] 10, and all alerts.
+    rig.sim.set_flash(0, 0x1b1, &[0x82, 0xfb]);
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    rig.poll_after(INTERVAL);
+    rig.ask(Request::Refresh).expect("it answers");
+    let all = (0..rig.handle.chip().subclasses.len()).collect();
+    rig.ask(|done| Request::Read(all, done)).expect("the default key");
+    rig.poll_after(INTERVAL);
+    assert_shows(&rig, &[("health", Some("Good")), ("capacity_level", Some("Normal"))]);
+    assert!(show(&rig, "state_of_health").is_some());
+}
+
+/// The power of the bq34z100-G1 is unsigned, that of the others negative while discharging.
+#[test]
+fn power_has_the_sign_of_the_current() {
+    for chip in ["bq34z100-g1", "bq27441-g1", "bq27520-g3"] {
+        let mut rig = open(chip);
+        turn(&rig, "load_ma", "500");
+        turn(&rig, "speed", "20");
+        for _ in 0..20 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        let power: i64 = show(&rig, "power_avg").expect("measured").parse().expect("a number");
+        assert!(power < -1_000_000, "{chip}: {power} µW");
+    }
+}
+
+/// The attributes of the driver of Linux 6.12 that are not the same for all.
+#[rustfmt::skip]
+const OF_THE_DRIVER: &[(&[&str], &str)] = &[
+    (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+    (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
+    (&["bq27521"], "current_now temp voltage_now"),
+    (&["bq27530", "bq27531", "bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+    (&["bq27541", "bq27542", "bq27546", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+    (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
+    (&["bq27z561", "bq28z610", "bq78z100"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+];
+
+#[test]
+fn a_gauge_without_a_table_shows_the_attributes_of_the_kernels_driver() {
+    let mut chips = 0;
+    for (names, attributes) in OF_THE_DRIVER {
+        for name in *names {
+            let mut rig = open(name);
+            turn(&rig, "speed", "20");
+            let mut shown = BTreeSet::new();
+            for load in ["500", "-500"] {
+                turn(&rig, "load_ma", load);
+                for _ in 0..5 {
+                    rig.poll_after(Duration::from_secs(2));
+                }
+                let found = Attribute::all().map(Attribute::name);
+                shown.extend(found.filter(|attribute| show(&rig, attribute).is_some()));
+            }
+            let mut expected: BTreeSet<_> = attributes.split(' ').collect();
+            expected.extend(["type", "status", "present", "technology", "scope", "current_avg"]);
+            expected.extend(["manufacturer", "model_name"]);
+            if *name != "bq27521" {
+                expected.extend(["health", "capacity_level"]);
+            }
+            assert_eq!(shown, expected, "{name}");
+            chips += 1;
+        }
+    }
+    assert_eq!(chips, ti_gauge::chip::kernel::GAUGES.len());
+}
+
+#[test]
+fn a_bq27000_counts_in_the_voltage_of_its_sense_resistor() {
+    let mut rig = open("bq27000");
+    let number = |rig: &Rig, name| show(rig, name).expect("measured").parse::<i64>().expect("a number");
+    let raw = |rig: &Rig, name| {
+        let published = rig.handle.published();
+        let chip = rig.handle.chip();
+        let register = chip.registers.iter().find(|register| register.name == name).expect("a register");
+        published.snapshot.as_ref().expect("polled").value(register).expect("read")
+    };
+    // In quarters of a kelvin, rounded down as in the driver.
+    assert_eq!(number(&rig, "temp"), 249);
+    assert_eq!(number(&rig, "charge_full_design"), 25 * 256 * 3570 / 20);
+    for (load, sign, status) in [("500", -1, "Discharging"), ("-500", 1, "Charging")] {
+        turn(&rig, "load_ma", load);
+        for _ in 0..20 {
+            rig.poll_after(Duration::from_secs(10));
+        }
+        let (current, power) = (raw(&rig, "AverageCurrent"), raw(&rig, "AveragePower"));
+        assert!((2700..2900).contains(&current), "{current} steps of 3.57 µV");
+        assert_eq!(number(&rig, "current_now"), sign * current * 3570 / 20);
+        assert_eq!(number(&rig, "power_avg"), sign * power * 29200 / 20);
+        assert_eq!(number(&rig, "charge_now"), raw(&rig, "NominalAvailableCapacity") * 3570 / 20);
+        assert_eq!(number(&rig, "energy_now"), raw(&rig, "AvailableEnergy") * 29200 / 20);
+        assert_shows(&rig, &[("status", Some(status)), ("health", Some("Good"))]);
+    }
+    turn(&rig, "load_ma", "0");
+    turn(&rig, "soc", "0");
+    rig.poll_after(INTERVAL);
+    // [EDVF] is set, so this 0 is one.
+    assert_shows(&rig, &[("capacity", Some("0")), ("health", Some("Dead"))]);
+}
+
+#[test]
+fn an_empty_reading_of_a_bq27000_that_is_not_empty_is_no_value() {
+    let rig = open("bq27000");
+    let capacity = rig.handle.chip().register(Role::Capacity).expect("a register");
+    assert_eq!(valid(capacity, 0, 0x80), None);
+    assert_eq!(valid(capacity, 0, 0x81), Some(0));
+    assert_eq!(valid(capacity, 1, 0x80), Some(1));
+    let current = rig.handle.chip().register(Role::CurrentAvg).expect("a register");
+    assert_eq!(valid(current, 0, 0x80), Some(0));
+    assert_eq!([valid(current, 7, 0x80), valid(current, 7, 0)], [Some(7), Some(-7)]);
+}
+
+#[test]
+fn a_pack_is_dead_at_the_final_threshold_and_low_at_the_first() {
+    for chip in ["bq27541", "bq27411", "bq27000", "bq34z100-g1"] {
+        let mut rig = open(chip);
+        let mut at = |soc| {
+            turn(&rig, "soc", soc);
+            rig.poll_after(INTERVAL);
+            ["health", "capacity_level"].map(|name| show(&rig, name).expect("known"))
+        };
+        assert_eq!(at("50"), ["Good", "Normal"], "{chip}");
+        assert_eq!(at("11"), ["Good", "Low"], "{chip}");
+        assert_eq!(at("1"), ["Dead", "Critical"], "{chip}");
+    }
+}
+
+/// A bq34z100-R2 whose pack is discharged, after a power-up with these scales of voltage, current and energy.
+fn with_scales(scales: [u8; 3]) -> Rig {
+    let mut rig = open("bq34z100-r2");
+    rig.sim.set_flash(48, 30, &scales);
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    turn(&rig, "load_ma", "500");
+    for _ in 0..20 {
+        rig.poll_after(Duration::from_secs(2));
+    }
+    rig
+}
+
+const SCALED: [(&str, Role, Kind); 8] = [
+    ("voltage_now", Role::VoltageNow, Kind::Voltage),
+    ("current_now", Role::CurrentNow, Kind::Current),
+    ("current_avg", Role::CurrentAvg, Kind::Current),
+    ("charge_now", Role::ChargeNow, Kind::Current),
+    ("charge_full", Role::ChargeFull, Kind::Current),
+    ("charge_full_design", Role::ChargeFullDesign, Kind::Current),
+    ("energy_now", Role::EnergyNow, Kind::Energy),
+    ("power_avg", Role::PowerAvg, Kind::Energy),
+];
+
+#[test]
+fn every_attribute_is_multiplied_by_the_scale_that_the_gauge_reports() {
+    let given = Scales { voltage: 1.5, current: 0.5, energy: 3.0, ..Scales::default() };
+    for reported in [[1, 1, 1], [2, 10, 20], [255, 255, 255]] {
+        let rig = with_scales(reported);
+        let snapshot = rig.handle.published().snapshot.clone().expect("a poll");
+        for (name, role, kind) in SCALED {
+            let raw = snapshot.value(rig.handle.chip().register(role).expect("a register")).expect("read");
+            assert_ne!(raw, 0, "{name}");
+            let sign = if role == Role::PowerAvg { -1 } else { 1 };
+            // Energies are in cWh.
+            let step = if kind == Kind::Energy { 10_000 } else { 1000 };
+            let scaled = sign * raw * step * i64::from(reported[kind as usize]);
+            assert_eq!(show(&rig, name), Some(scaled.to_string()), "{name} {reported:?}");
+            // The user's scale comes on top.
+            let both = (scaled as f64 * given.of(kind)).round() as i64;
+            assert_eq!(show_scaled(&rig, name, &given), Some(both.to_string()), "{name} {reported:?}");
+        }
+    }
+}
+
+/// The scales are read with every poll.
+#[test]
+fn a_scale_applies_as_soon_as_the_gauge_reports_it() {
+    let mut rig = with_scales([1, 1, 1]);
+    let before: i64 = show(&rig, "voltage_now").expect("measured").parse().expect("a number");
+    turn(&rig, "load_ma", "0");
+    turn(&rig, "voltage_mv", &(before / 1000).to_string());
+    rig.sim.set_flash(48, 30, &[7]);
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    rig.poll_after(Duration::from_secs(2));
+    assert_shows(&rig, &[("voltage_now", Some(&(7 * before).to_string()))]);
+}
+
+#[test]
+fn a_scale_of_0_leaves_no_value_of_its_kind() {
+    let rig = with_scales([1, 0, 1]);
+    for (name, _, kind) in SCALED {
+        assert_eq!(show(&rig, name).is_some(), kind != Kind::Current, "{name}");
+    }
+    assert_shows(&rig, &[("status", Some("Unknown"))]);
+}
+
+#[test]
+fn a_scale_that_may_be_given_twice_is_warned_of() {
+    let warnings = |reported, given: &Scales| {
+        let (handle, scales) = (with_scales(reported).handle.clone(), given.clone());
+        crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+    };
+    let given = Scales { current: 10.0, energy: 2.5, ..Scales::default() };
+    assert_eq!(
+        warnings([5, 10, 1], &given),
+        [
+            "BAT0: the gauge reports a scale of 10, and current-scale 10 comes on top: values are multiplied by 100; \
+             leave out current-scale if it is the same scale"
+        ]
+    );
+    assert_eq!(warnings([5, 10, 20], &given).len(), 2);
+    assert!(warnings([5, 10, 20], &Scales::default()).is_empty());
+    assert!(warnings([1, 1, 1], &given).is_empty());
+}
+
+#[test]
+fn words_in_uevent_are_the_kernels() {
+    let rig = open("bq34z100-g1");
+    let published = rig.handle.published();
+    let (chip, scales) = (rig.handle.chip(), Scales::default());
+    let snapshot = published.snapshot.as_deref();
+    let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+    let text = uevent("my pack", &reading);
+    for line in ["NAME=my_pack", "STATUS=Not charging", "MANUFACTURER=Texas Instruments"] {
+        assert!(text.contains(&format!("POWER_SUPPLY_{line}\n")), "{line} in {text}");
+    }
+}
+
+#[test]
+fn a_gauge_that_asks_for_an_update_of_its_capacity_says_so() {
+    let mut rig = open("bq34z100-g1");
+    assert_shows(&rig, &[("health", Some("Good"))]);
+    // Max Error Limit; after a reset MaxError() is 100 %.
+    rig.sim.set_flash(48, 10, &[50]);
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    rig.poll_after(Duration::from_secs(2));
+    assert_shows(&rig, &[("health", Some("Calibration required"))]);
+}
