@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crate::clock::Clock;
@@ -41,8 +41,10 @@ pub struct Bounded {
     adapter: u64,
     patience: Duration,
     clock: Arc<dyn Clock>,
-    jobs: Sender<Job>,
+    /// `None` once the bus is being dropped.
+    jobs: Option<Sender<Job>>,
     outcomes: Receiver<Outcome>,
+    thread: Option<JoinHandle<()>>,
     /// The outcome of the last job is still to come; nobody waits for it any more.
     overdue: bool,
     /// See [`Bus::limit`].
@@ -55,11 +57,13 @@ impl Bounded {
         let (jobs, queue) = mpsc::channel();
         let (sender, outcomes) = mpsc::channel();
         let thread = thread::Builder::new().name(format!("i2c-{adapter}")).stack_size(64 * 1024);
-        if let Err(error) = thread.spawn(move || run(bus, &queue, &sender)) {
-            // Each transfer reports the adapter as gone then.
+        // Without a thread each transfer reports the adapter as gone.
+        let started = thread.spawn(move || run(bus, &queue, &sender));
+        let started = started.inspect_err(|error| {
             log::error!("/dev/i2c-{adapter}: cannot start a thread: {error}");
-        }
-        Self { adapter, patience, clock, jobs, outcomes, overdue: false, latest: None }
+        });
+        let (jobs, thread) = (Some(jobs), started.ok());
+        Self { adapter, patience, clock, jobs, outcomes, thread, overdue: false, latest: None }
     }
 
     /// Takes note of a transfer that has returned after all.
@@ -85,7 +89,8 @@ impl Bounded {
         self.catch_up()?;
         let left = self.latest.map(|latest| (latest + GRACE).saturating_sub(self.clock.now()).max(GRACE));
         let patience = left.map_or(self.patience, |left| left.min(self.patience));
-        self.jobs.send(job).map_err(|_| BusError::Gone)?;
+        let jobs = self.jobs.as_ref().ok_or(BusError::Gone)?;
+        jobs.send(job).map_err(|_| BusError::Gone)?;
         match self.outcomes.recv_timeout(patience) {
             Ok(Ok((outcome, read))) => outcome.map(|()| read),
             // As if it had happened here.
@@ -98,6 +103,17 @@ impl Bounded {
                 log::error!("{error}");
                 Err(error)
             }
+        }
+    }
+}
+
+/// The adapter's node and its lock are released when this returns, unless a transfer hangs.
+impl Drop for Bounded {
+    fn drop(&mut self) {
+        self.jobs = None;
+        if let Some(thread) = self.thread.take().filter(|_| !self.overdue) {
+            // A panic was passed on to whoever asked for the transfer.
+            let _ = thread.join();
         }
     }
 }
@@ -158,6 +174,15 @@ mod tests {
             self.begun.send(write.to_vec()).expect("the test listens");
             read.fill(0x5a);
             self.returns.recv().expect("the test decides")
+        }
+    }
+
+    #[test]
+    fn the_bus_is_released_when_it_is_dropped() {
+        for _ in 0..100 {
+            let Rig { bus, begun, .. } = rig(47, PATIENCE);
+            drop(bus);
+            assert_eq!(begun.try_recv(), Err(TryRecvError::Disconnected));
         }
     }
 
