@@ -14,14 +14,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// A path in a message. Where another user has chosen it, such as a mount point, it may contain line ends.
 pub(crate) fn shown(path: &Path) -> String {
-    let mut text = String::new();
-    for letter in path.to_string_lossy().chars() {
-        match letter.is_control() {
-            true => text.extend(letter.escape_default()),
-            false => text.push(letter),
-        }
-    }
-    text
+    text::printable(&path.to_string_lossy())
 }
 
 /// One failure: one line that a technician can act on, and the errno that a file operation answers with.

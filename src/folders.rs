@@ -8,7 +8,9 @@ use std::path::PathBuf;
 use nix::unistd::{User, geteuid};
 
 /// Folders for the locks of root's daemons and of the services.
-pub(crate) const SYSTEM_LOCKS: [&str; 2] = ["/run/gaugefs", STATE];
+pub(crate) const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
+/// Root's folder for locks.
+const RUN: &str = "/run/gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 
@@ -16,7 +18,7 @@ const STATE: &str = "/var/lib/gaugefs";
 /// without any.
 pub(crate) fn locks() -> Option<PathBuf> {
     if geteuid().is_root() {
-        return Some("/run/gaugefs".into());
+        return Some(RUN.into());
     }
     named("XDG_RUNTIME_DIR").map(|runtime| runtime.join("gaugefs")).or_else(state)
 }

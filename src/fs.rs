@@ -112,14 +112,7 @@ impl MountedGauge {
     /// the same one.
     pub fn warnings(&self) -> Vec<String> {
         let published = self.handle.published();
-        let chip = self.handle.chip();
-        let reading = Reading {
-            chip,
-            model: chip.model,
-            snapshot: published.snapshot.as_deref(),
-            handle: &self.handle,
-            scales: &self.scales,
-        };
+        let reading = Reading::new(&self.handle, published.snapshot.as_deref(), &self.scales);
         let twice = Kind::ALL.into_iter().filter_map(|kind| {
             let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
             (reported != 1 && given != 1.0).then(|| {

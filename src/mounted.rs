@@ -61,10 +61,10 @@ fn identity(gauge: &Path) -> String {
     let text = |name: &str| Some(text(gauge, name).ok()?.trim().to_string());
     let model = text("model_name").unwrap_or("unknown part".into());
     let chip = part(gauge).ok();
-    let pack = chip.and_then(|chip| Some((chip.registers, chip.preflight.pack.as_ref()?)));
-    let pack = pack.and_then(|(registers, pack)| match pack.word {
+    let pack = chip.and_then(|chip| Some((chip, chip.preflight.pack.as_ref()?)));
+    let pack = pack.and_then(|(chip, pack)| match pack.word {
         Word::Register(code) => {
-            let register = registers.iter().find(|register| register.code == code)?;
+            let register = chip.register_at(code)?;
             let word: u16 = text(&format!("gauge/registers/{}", snake_case(register.name)))?.parse().ok()?;
             Some(format!("{} 0x{word:04x}", pack.name))
         }

@@ -17,6 +17,15 @@ pub(super) struct Reading<'a> {
     pub(super) scales: &'a Scales,
 }
 
+impl<'a> Reading<'a> {
+    /// A reading of a gauge, under the name of the part that has answered.
+    pub(super) fn new(handle: &'a Handle, snapshot: Option<&'a Snapshot>, scales: &'a Scales) -> Self {
+        let chip = handle.chip();
+        let model = handle.published().limited.map_or(chip.model, |limited| limited.name(chip));
+        Self { chip, model, snapshot, handle, scales }
+    }
+}
+
 /// A kind of values, which have one scale in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -174,7 +183,7 @@ impl Reading<'_> {
     /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
     pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
         let Some(code) = kind.register(self.chip) else { return Some(1) };
-        let register = self.chip.registers.iter().find(|register| register.code == code)?;
+        let register = self.chip.register_at(code)?;
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
         snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
     }

@@ -56,9 +56,7 @@ impl Supply {
     }
 
     pub(super) fn reading<'a>(&'a self, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
-        let chip = self.chip();
-        let model = self.published().limited.map_or(chip.model, |limited| limited.name(chip));
-        Reading { chip, model, snapshot, handle: &self.handle, scales: &self.scales }
+        Reading::new(&self.handle, snapshot, &self.scales)
     }
 
     /// Queues a request with the value that was written, unless the value is invalid.

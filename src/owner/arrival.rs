@@ -205,8 +205,7 @@ impl Owner {
     /// Reports the flaws that the table describes, if the bytes that show them have been read.
     pub(super) fn report_quirks(&self) {
         for quirk in self.gauge.chip.quirks {
-            let bytes = index(self.gauge.chip, quirk.subclass).and_then(|index| self.shared.kept(index));
-            let byte = bytes.and_then(|bytes| bytes.get(usize::from(quirk.offset)).copied());
+            let byte = self.shared.kept_byte((quirk.subclass, quirk.offset));
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
                 let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);

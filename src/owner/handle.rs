@@ -190,6 +190,14 @@ impl Shared {
         valid.then(|| kept.bytes.clone())
     }
 
+    /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
+    pub(super) fn kept_byte(&self, (id, offset): (u8, u16)) -> Option<u8> {
+        let holds =
+            |row: &Subclass| row.id == id && (row.start()..row.start() + row.length).contains(&offset);
+        let index = self.chip.subclasses.iter().position(holds)?;
+        self.kept(index)?.get(usize::from(offset - self.chip.subclasses[index].start())).copied()
+    }
+
     /// Keeps the bytes of a subclass, read after that poll.
     pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
         lock(&self.kept)[subclass] = Some(Kept { bytes, poll });
@@ -251,11 +259,8 @@ impl Handle {
     }
 
     /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
-    pub fn kept_byte(&self, (id, offset): (u8, u16)) -> Option<u8> {
-        let mut rows = self.shared.chip.subclasses.iter();
-        let index = rows.position(|row| row.id == id && row.parameter(offset).is_some())?;
-        let start = self.shared.chip.subclasses[index].start();
-        self.kept(index)?.get(usize::from(offset - start)).copied()
+    pub fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
+        self.shared.kept_byte(place)
     }
 
     /// Age of the published snapshot; `None` while the gauge is gone.

@@ -284,8 +284,7 @@ impl Owner {
 
 /// The register at an address, in two bytes.
 fn word(chip: &Chip, registers: &Registers, code: u8) -> Option<u16> {
-    let register = chip.registers.iter().find(|register| register.code == code)?;
-    registers.value(register).map(|value| value as u16)
+    registers.value(chip.register_at(code)?).map(|value| value as u16)
 }
 
 #[cfg(test)]

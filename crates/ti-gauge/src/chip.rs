@@ -593,6 +593,11 @@ impl Chip {
         self.access.scheme != Scheme::None
     }
 
+    /// The register at an address.
+    pub fn register_at(&self, code: u8) -> Option<&'static Register> {
+        self.registers.iter().find(|register| register.code == code)
+    }
+
     /// The register that feeds a property.
     pub fn register(&self, role: Role) -> Option<&'static Register> {
         self.registers.iter().find(|register| register.role == Some(role))

@@ -336,8 +336,9 @@ impl Gauge {
     }
 
     fn name_of(&self, code: u8) -> String {
-        let register = self.chip.registers.iter().find(|register| register.code == code);
-        register.map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
+        self.chip
+            .register_at(code)
+            .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
     }
 
     /// Sends a subcommand without reading an answer.

@@ -104,9 +104,7 @@ fn show(rig: &Rig, name: &str) -> Option<String> {
 fn show_scaled(rig: &Rig, name: &str, scales: &Scales) -> Option<String> {
     let published = rig.handle.published();
     let scales = Scales { energy_shown: true, ..scales.clone() };
-    let chip = rig.handle.chip();
-    let snapshot = published.snapshot.as_deref();
-    let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+    let reading = Reading::new(&rig.handle, published.snapshot.as_deref(), &scales);
     Attribute::by_name(name).expect("an attribute").text(&reading)
 }
 
@@ -462,9 +460,8 @@ fn a_scale_that_may_be_given_twice_is_warned_of() {
 fn words_in_uevent_are_the_kernels() {
     let rig = open("bq34z100-g1");
     let published = rig.handle.published();
-    let (chip, scales) = (rig.handle.chip(), Scales::default());
-    let snapshot = published.snapshot.as_deref();
-    let reading = Reading { chip, model: chip.model, snapshot, handle: &rig.handle, scales: &scales };
+    let scales = Scales::default();
+    let reading = Reading::new(&rig.handle, published.snapshot.as_deref(), &scales);
     let text = uevent("my pack", &reading);
     for line in ["NAME=my_pack", "STATUS=Not charging", "MANUFACTURER=Texas Instruments"] {
         assert!(text.contains(&format!("POWER_SUPPLY_{line}\n")), "{line} in {text}");
