@@ -233,6 +233,8 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
             within(LIMIT, command(&arguments)).failed(&[path, why]);
         }
     }
+    let arguments = ["mount", "--foreground", "--sim", CHIP, "--sim-state", &fifo, &at];
+    within(LIMIT, command(&arguments)).failed(&[&fifo, "not a regular file"]);
     let journal = folder.file(&format!("{}.journal", gaugefs::lock::key_of_state(Path::new(&state))));
     mkfifo(&journal);
     let arguments =
