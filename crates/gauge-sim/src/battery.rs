@@ -32,6 +32,10 @@ const PRIMARY_CURVE: &[(f64, f64)] = &[
 /// Resistance of a cell at 25 degrees, in ohms.
 const RESISTANCE: f64 = 0.042;
 const PRIMARY_RESISTANCE: f64 = 2.0;
+/// The part of the resistance that shows only after a while and goes as slowly, in ohms, and its time constant in
+/// seconds. A rested cell takes most of an hour to come to rest, and one that is nearly empty longer.
+const DIFFUSION: f64 = 0.03;
+const DIFFUSION_TIME: f64 = 1800.0;
 /// Voltage to which the charger charges a cell, in mV.
 const CHARGER_MV: f64 = 4200.0;
 /// Warming by the cell's own losses: kelvins per watt, and the time constant in seconds.
@@ -52,10 +56,13 @@ pub(super) struct Battery {
     pub(super) ambient: f64,
     /// How much warmer the pack is, in kelvins.
     rise: f64,
+    /// How far the voltage of a cell is still above its open-circuit voltage without a current, in mV.
+    offset_mv: f64,
     /// What a gauge is made to measure instead of the pack's voltage.
     pub(super) forced_mv: Option<u16>,
     curve: &'static [(f64, f64)],
     ohms: f64,
+    diffusion: f64,
 }
 
 impl Battery {
@@ -69,15 +76,18 @@ impl Battery {
             load_ma: 0.0,
             ambient: 25.0,
             rise: 0.0,
+            offset_mv: 0.0,
             forced_mv: None,
             curve: CURVE,
             ohms: RESISTANCE,
+            diffusion: DIFFUSION,
         }
     }
 
     /// The same with primary cells.
     pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
-        Self { curve: PRIMARY_CURVE, ohms: PRIMARY_RESISTANCE, ..Self::new(cells, capacity_mah, soc) }
+        let (curve, ohms) = (PRIMARY_CURVE, PRIMARY_RESISTANCE);
+        Self { curve, ohms, diffusion: 0.0, ..Self::new(cells, capacity_mah, soc) }
     }
 
     /// Changes the size and keeps the state of charge.
@@ -116,13 +126,14 @@ impl Battery {
         if self.charge_mah >= self.capacity_mah - SHUT {
             return 0.0;
         }
-        let driven = (CHARGER_MV - self.open_circuit(self.percent())) / self.resistance();
+        let driven = (CHARGER_MV - self.open_circuit(self.percent()) - self.offset_mv) / self.resistance();
         (-self.load_ma).min(driven.max(0.0))
     }
 
     /// A cell's voltage under the present current, in mV.
     pub(super) fn cell_mv(&self) -> f64 {
-        (self.open_circuit(self.percent()) + self.current_ma() * self.resistance()).max(0.0)
+        let rested = self.open_circuit(self.percent()) + self.offset_mv;
+        (rested + self.current_ma() * self.resistance()).max(0.0)
     }
 
     /// Lets time pass during which the current changes little.
@@ -132,6 +143,22 @@ impl Battery {
         self.charge_mah = (self.charge_mah + moved).clamp(0.0, self.capacity_mah);
         let watts = (current / 1000.0).powi(2) * self.resistance();
         self.rise += (watts * WARMING - self.rise) * (1.0 - libm::exp(-seconds / WARMING_TIME));
+        let aim = current * self.diffusion();
+        self.offset_mv += (aim - self.offset_mv) * (1.0 - libm::exp(-seconds / DIFFUSION_TIME));
+    }
+
+    fn diffusion(&self) -> f64 {
+        self.diffusion * (1.0 + (20.0 - self.percent()).max(0.0) * 0.1)
+    }
+
+    /// The pack has rested for a long time.
+    pub(super) fn rest(&mut self) {
+        self.offset_mv = 0.0;
+    }
+
+    /// How fast the voltage of a cell changes at rest, in mV/s.
+    pub(super) fn slope_mv_s(&self) -> f64 {
+        (self.current_ma() * self.diffusion() - self.offset_mv) / DIFFUSION_TIME
     }
 
     /// Energy from a charge down to empty, in mWh, without losses.
@@ -148,7 +175,8 @@ impl Battery {
         area / 100.0 * self.capacity_mah / 1000.0 * self.cells
     }
 
-    fn open_circuit(&self, percent: f64) -> f64 {
+    /// Of one cell, in mV, at a state of charge.
+    pub(super) fn open_circuit(&self, percent: f64) -> f64 {
         for pair in self.curve.windows(2) {
             let ((from, low), (to, high)) = (pair[0], pair[1]);
             if percent <= to {
@@ -181,7 +209,12 @@ mod tests {
             last = now;
         }
         assert!(battery.charge_mah.abs() < 1e-6);
-        assert!((battery.cell_mv() - 3000.0).abs() < 1e-6);
+        // It takes hours until nothing is left of the current.
+        assert!(battery.cell_mv() < 2980.0, "{}", battery.cell_mv());
+        battery.step(1800.0);
+        assert!(battery.slope_mv_s() > 0.004, "{}", battery.slope_mv_s());
+        battery.step(10.0 * 3600.0);
+        assert!((battery.cell_mv() - 3000.0).abs() < 1e-3);
     }
 
     #[test]

@@ -331,6 +331,8 @@ impl Block {
             }),
             Status::LoadMode => own.load_mode.is_some_and(|(id, offset)| flash.u8(id, offset) != 0),
             Status::Enabled => self.gauging.ram.enabled,
+            Status::VoltageOk => self.gauging.ram.enabled && self.gauging.ram.learning.voltage_ok(),
+            Status::RaOff => self.gauging.ram.enabled && self.gauging.ram.learning.ra_off,
             Status::ChemistryChanged => self.ram.chemistry.is_some(),
             Status::Calibrating
             | Status::ChecksumValid
@@ -455,7 +457,7 @@ impl Block {
                     let status = device.flash.u8(id, offset) | IT_ENABLE;
                     self.store(device, own.update_status, &[status]);
                 }
-                self.gauging.ram.enabled = true;
+                self.gauging.enable();
             }
             Action::ItDisable => self.gauging.ram.enabled = false,
             Action::CalEnable => self.ram.calibration = !self.ram.calibration,

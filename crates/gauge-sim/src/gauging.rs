@@ -6,6 +6,7 @@ use std::mem;
 
 use super::battery::Battery;
 use super::flash::Flash;
+use super::learning::{LEARNED, Learning, Lesson, Ocv, QMAX_AND_RA, settled};
 use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, lasting, signed, whole};
 use super::part::{Host, Place};
 
@@ -46,6 +47,8 @@ pub(super) struct Map {
     pub(super) cycles: Option<Place>,
     /// The classes of the lifetime data and of their count of samples.
     pub(super) lifetime: Option<(u16, u16)>,
+    /// Where Impedance Track stores what it learns: Qmax, the cycle count at that time, and Update Status.
+    pub(super) learned: Option<[Place; 3]>,
 }
 
 /// What a register can show.
@@ -248,9 +251,11 @@ pub(super) struct Ram {
     lifetime: [f64; 6],
     lifetime_kept: [f64; 6],
     lifetime_s: f64,
-    /// Cycle count and lifetime data have changed since they were stored.
+    pub(super) learning: Learning,
+    /// Cycle count, lifetime data and what was learned have changed since they were stored.
     cycles_changed: bool,
     lifetime_changed: bool,
+    learned_changed: bool,
 }
 
 impl Gauging {
@@ -261,6 +266,7 @@ impl Gauging {
         let ram = Ram { max_error: 2, state_s: 3600.0, dod_s: 1800.0, flags: OCVTAKEN, ..Ram::default() };
         let mut new = Self { map, battery, settings, measured: true, ram };
         new.load(flash);
+        new.begin_learning();
         new
     }
 
@@ -302,6 +308,36 @@ impl Gauging {
         self.ram.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
         (self.ram.dod_s, self.ram.drift_mah) = (0.0, 0.0);
         self.simulate();
+    }
+
+    /// Impedance Track is enabled. A pack that is at rest shows its depth of discharge at once.
+    pub(super) fn enable(&mut self) {
+        self.ram.enabled = true;
+        self.begin_learning();
+    }
+
+    fn begin_learning(&mut self) {
+        self.ram.learning = Learning::after_reset();
+        if self.ram.flags & OCVTAKEN != 0 {
+            self.learn();
+        }
+    }
+
+    /// Learns from the open-circuit voltage that was just taken.
+    fn learn(&mut self) {
+        if !self.ram.enabled {
+            return;
+        }
+        let degrees = (self.temperature() - FREEZING) / 10.0;
+        let ocv = Ocv { dod: 1.0 - self.battery.percent() / 100.0, cell_mv: self.cell_mv(), degrees };
+        let s = &mut self.settings;
+        let lesson = self.ram.learning.take(&ocv, f64::from(s.design_mah), s.learned);
+        if let Some(Lesson { qmax_mah, learned }) = lesson {
+            s.learned = s.learned & !LEARNED | learned;
+            s.qmax_mah = qmax_mah.round().clamp(1.0, 32_767.0);
+            self.ram.max_error = if learned == QMAX_AND_RA { 1 } else { 3 };
+            self.ram.learned_changed = true;
+        }
     }
 
     /// Makes a new prediction, and counts from here.
@@ -420,6 +456,7 @@ impl Gauging {
         if next != self.ram.state {
             self.ram.state = next;
             self.ram.state_s = 0.0;
+            self.ram.learning.change();
             self.simulate();
             if next == State::Rest {
                 self.ram.flags &= !OCVTAKEN;
@@ -428,11 +465,28 @@ impl Gauging {
                 self.ram.flags_b &= !FIRSTDOD;
             }
         }
-        if self.ram.state == State::Rest && self.ram.state_s >= OCV_S && self.ram.flags & OCVTAKEN == 0 {
+        let rested = self.ram.state == State::Rest && self.ram.state_s >= OCV_S;
+        let settled = || settled(self.battery.slope_mv_s(), self.ram.state_s);
+        if rested && self.ram.flags & OCVTAKEN == 0 && settled() {
             self.take_ocv();
+            self.learn();
             self.ram.flags |= OCVTAKEN;
             self.ram.flags_b &= !FIRSTDOD;
         }
+    }
+
+    /// In a discharge, compares the voltage with the one that the counted charge would have without a current.
+    fn measure_resistance(&mut self, seconds: f64) {
+        if !self.ram.enabled || self.ram.state != State::Discharge {
+            return;
+        }
+        let current = self.current_ma().abs();
+        if current == 0.0 {
+            return;
+        }
+        let open = self.battery.open_circuit(100.0 * self.counted() / self.battery.capacity_mah);
+        let (rate, cell) = (current / f64::from(self.settings.design_mah.max(1)), self.cell_mv());
+        self.ram.learning.discharge(seconds, rate, cell, open);
     }
 
     /// Primary charge termination: twice the taper window below the taper current near the full voltage.
@@ -445,8 +499,7 @@ impl Gauging {
         if tapering && !self.ram.tapered && self.ram.taper_s >= 2.0 * s.taper_s {
             self.ram.tapered = true;
             if s.full_at_taper {
-                self.battery.charge_mah = self.battery.capacity_mah;
-                self.ram.drift_mah = 0.0;
+                self.ram.drift_mah = self.battery.capacity_mah - self.battery.charge_mah;
             }
             self.ram.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
             self.ram.flags_b |= DODEOC;
@@ -633,6 +686,7 @@ impl Model for Gauging {
     fn set_percent(&mut self, percent: f64) {
         let reserve = self.settings.reserve_mah.min(self.battery.capacity_mah);
         self.battery.charge_mah = reserve + self.full() * percent / 100.0;
+        self.battery.rest();
         self.ram.drift_mah = 0.0;
         self.simulate();
     }
@@ -652,6 +706,9 @@ impl Model for Gauging {
         (self.battery, self.measured) = (battery, measured);
         (self.ram.max_error, self.ram.state_s, self.ram.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
+        // What is measured now is not known to be at rest.
+        self.ram.learning = Learning::after_reset();
+        self.ram.flags &= !OCVTAKEN;
     }
 
     fn at_rest(&self) -> bool {
@@ -672,6 +729,8 @@ impl Model for Gauging {
         self.ram.average_ma += (current - self.ram.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
         self.ram.passed_mah += moved;
         self.ram.qmax_passed_mah += moved;
+        self.ram.learning.pass(moved);
+        self.measure_resistance(seconds);
         self.ram.cycle_mah += (-moved).max(0.0);
         while self.ram.cycle_mah >= self.settings.cycle_mah {
             self.ram.cycle_mah -= self.settings.cycle_mah;
@@ -689,6 +748,14 @@ impl Model for Gauging {
         let cycles = mem::take(&mut self.ram.cycles_changed);
         if let Some((id, offset)) = self.map.cycles.filter(|_| cycles) {
             kept.push(Kept::new(id, offset, &self.ram.cycles.to_be_bytes()));
+        }
+        let learned = mem::take(&mut self.ram.learned_changed);
+        if let Some([qmax, count, status]) = self.map.learned.filter(|_| learned) {
+            let word = |(id, offset): Place, word: u16| Kept::new(id, offset, &word.to_be_bytes());
+            let bits = flash.u8(status.0, status.1) & !LEARNED | self.settings.learned & LEARNED;
+            kept.push(word(qmax, whole(self.settings.qmax_mah)));
+            kept.push(word(count, self.ram.cycles));
+            kept.push(Kept::new(status.0, status.1, &[bits]));
         }
         let lifetime = mem::take(&mut self.ram.lifetime_changed);
         if let Some((data, samples)) = self.map.lifetime.filter(|_| lifetime) {

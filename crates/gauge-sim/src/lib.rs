@@ -56,6 +56,7 @@ mod flash;
 mod flat;
 mod gauging;
 mod knob;
+mod learning;
 mod mac;
 mod model;
 mod part;

@@ -194,7 +194,11 @@ pub(super) enum Status {
     Initialized,
     Sleep,
     LoadMode,
+    /// Impedance Track is enabled.
     Enabled,
+    VoltageOk,
+    /// Ra is not updated.
+    RaOff,
     ChemistryChanged,
     // Marks: subcommands set and clear them, and nothing else does.
     Calibrating,

@@ -35,7 +35,7 @@ pub(super) const TIMING: Timing = Timing { update_enter: Duration::from_millis(1
 pub(super) const SCHEME: BlockPart = BlockPart {
     // Not documented.
     code: 0x0001,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // The bq27441-G1's.

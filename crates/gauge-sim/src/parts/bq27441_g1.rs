@@ -48,7 +48,7 @@ pub(super) const TIMING: Timing = Timing {
 const SCHEME: BlockPart = BlockPart {
     // SLUSBH1C, device comparison.
     code: 0x0048,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // 4.1.5.

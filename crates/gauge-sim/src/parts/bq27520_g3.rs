@@ -26,7 +26,14 @@ static REWRITES: &[(u16, usize, usize)] =
 
 static SCHEME: BlockPart = BlockPart {
     code: 0,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: Some((82, 4)), lifetime: None },
+    map: Map {
+        settings,
+        registers: REGISTERS,
+        flags: FLAGS,
+        cycles: Some((82, 4)),
+        lifetime: None,
+        learned: None,
+    },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     remembered: 0x0020,
@@ -101,7 +108,9 @@ static STATUS: &[(Status, u16)] = &[
     (Status::Snooze,        0x0020),
     (Status::Sleep,         0x0010),
     (Status::LoadMode,      0x0008),
-    (Status::Enabled,       0x0003), // [VOK], [QEN]
+    (Status::RaOff,         0x0004),
+    (Status::VoltageOk,     0x0002),
+    (Status::Enabled,       0x0001),
 ];
 
 /// Flags(), SLUSAB7A. `[OCV_GD]` is a good open-circuit voltage, and `[SYSDOWN]` was `[SOCF]` before.

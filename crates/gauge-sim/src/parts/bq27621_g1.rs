@@ -28,7 +28,7 @@ static REWRITES: &[(u16, usize, usize)] = &[(82, 0, 2), (82, 28, 2), (85, 0, 2),
 static SCHEME: BlockPart = BlockPart {
     // There is no DM_CODE.
     code: 0,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // The bq27441-G1's.

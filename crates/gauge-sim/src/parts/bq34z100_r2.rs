@@ -41,6 +41,7 @@ static SCHEME: BlockPart = BlockPart {
         flags: FLAGS,
         cycles: Some((48, 6)),
         lifetime: Some((59, 60)),
+        learned: Some([(82, 0), (82, 2), (82, 4)]),
     },
     subcommands: SUBCOMMANDS,
     status: STATUS,
@@ -108,7 +109,9 @@ static STATUS: &[(Status, u16)] = &[
     (Status::ChecksumValid, 0x0200),
     (Status::Sleep,         0x0010),
     (Status::LoadMode,      0x0008),
-    (Status::Enabled,       0x0003), // [VOK], [QEN]
+    (Status::RaOff,         0x0004),
+    (Status::VoltageOk,     0x0002),
+    (Status::Enabled,       0x0001),
 ];
 
 /// Flags(), table 7-6.

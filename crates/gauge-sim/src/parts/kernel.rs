@@ -17,7 +17,7 @@ const fn named(name: &'static str, part: &'static RegisterPart) -> Part {
 }
 
 const fn map(registers: &'static [Row], flags: Flags) -> Map {
-    Map { settings, registers, flags, cycles: None, lifetime: None }
+    Map { settings, registers, flags, cycles: None, lifetime: None, learned: None }
 }
 
 /// A part that answers DEVICE_TYPE and FW_VERSION with these words. The versions are made up where none is known.

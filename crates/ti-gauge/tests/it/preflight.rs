@@ -94,7 +94,7 @@ impl Rig {
     }
 
     /// Sends subcommands as another program would: unseals the gauge, and seals it again.
-    fn send(&mut self, codes: &[u16]) {
+    pub(crate) fn send(&mut self, codes: &[u16]) {
         self.gauge.go_to(Seal::Unsealed).expect("the default key");
         for &code in codes {
             self.gauge.command(code).expect("the gauge answers");
@@ -384,6 +384,9 @@ fn a_write_that_would_end_a_learning_cycle_is_refused() {
     assert_eq!(rig.write(58, 3, "0x5a"), STORED);
     // First Qmax is learned and Ra is not, then both are.
     assert_eq!(rig.write(82, 4, "0x05"), WRITTEN);
+    // After the reset there is nothing to lose until a rest has set [VOK] again.
+    rig.clock.sleep(Duration::from_secs(3600));
+    rig.seal();
     refused(&mut rig, "Busy", SAYS);
     assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
     assert_eq!(write(&mut rig), WRITTEN);
