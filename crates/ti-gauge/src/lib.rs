@@ -49,6 +49,7 @@ pub mod gauge;
 pub mod image;
 pub mod journal;
 pub mod keys;
+pub mod learning;
 pub mod probe;
 pub mod registers;
 pub mod text;

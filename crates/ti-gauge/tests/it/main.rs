@@ -7,6 +7,7 @@ mod gate;
 mod gauge;
 mod journal;
 mod keychange;
+mod learning;
 mod power;
 mod preflight;
 mod probe;
