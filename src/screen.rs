@@ -1,4 +1,4 @@
-//! The commands that show and record mounted gauges: `top`, `log` and `plot`. The cargo feature `screen`
+//! The commands that show and record mounted gauges: `top`, `learn`, `log` and `plot`. The cargo feature `screen`
 //! guards this module and its place in the command line.
 
 use std::process::ExitCode;
@@ -8,6 +8,8 @@ use clap::Subcommand;
 
 use crate::error::Result;
 
+mod learn;
+mod learning;
 mod log;
 mod plot;
 mod sample;
@@ -19,6 +21,7 @@ mod watch;
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Top(top::Top),
+    Learn(learn::Learn),
     Log(log::Log),
     Plot(plot::Plot),
 }
@@ -27,6 +30,7 @@ impl Command {
     pub(crate) fn run(self) -> Result<ExitCode> {
         match self {
             Self::Top(top) => top.run(),
+            Self::Learn(learn) => learn.run(),
             Self::Log(log) => log.run(),
             Self::Plot(plot) => plot.run(),
         }

@@ -125,7 +125,7 @@ impl Log {
                         out.write(&row(&name(&gone.gauge), &Sample::absent()))?;
                     }
                 }
-                Seen::Learned(_) | Seen::Refused(_) => {}
+                Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
             }
             if left == 0 || out.closed {
                 break;

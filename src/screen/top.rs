@@ -92,7 +92,7 @@ impl Top {
                     return Err(Error::host(path, Errno::ENOENT, why));
                 }
                 Seen::Trouble(why) => serde_json::to_string(&Trouble { path: &path, error: why }),
-                Seen::Learned(_) | Seen::Refused(_) => continue,
+                Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => continue,
             };
             let line = line.expect("keys are strings, so it cannot fail");
             let at = known.unwrap_or_else(|| {

@@ -11,10 +11,12 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
+use super::learning;
 use super::sample::Sample;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use ti_gauge::chip::{CHIPS, Parameter, Subclass, kebab_case};
+use ti_gauge::learning::Limits;
 
 /// TI's name for the subclass with the values that a gauge has learned.
 const STATE: &str = "State";
@@ -27,6 +29,8 @@ pub(super) enum Order {
     Refresh(PathBuf),
     /// Read the learned values of this gauge from data flash.
     ReadLearned(PathBuf),
+    /// Read the thresholds of learning of this gauge from data flash.
+    ReadLimits(PathBuf),
 }
 
 /// What a thread reports.
@@ -45,6 +49,8 @@ pub(super) enum Seen {
     Trouble(String),
     /// The outcome of [`Order::ReadLearned`].
     Learned(Result<Vec<Learned>, String>),
+    /// The outcome of [`Order::ReadLimits`]; also sent with [`Seen::Learned`] if the gauge is unsealed.
+    Limits(Limits),
     /// Why an order failed.
     Refused(String),
 }
@@ -155,7 +161,13 @@ fn watch(
                         report(&gauge, Seen::Refused(format!("refresh: {}", refusal(&gauge, &error))))
                     }
                 },
-                Ok(Order::ReadLearned(gauge)) => report(&gauge, Seen::Learned(learned(&gauge))),
+                Ok(Order::ReadLearned(gauge)) => {
+                    report(&gauge, Seen::Learned(learned(&gauge)))
+                        && limits(&gauge).is_none_or(|limits| report(&gauge, Seen::Limits(limits)))
+                }
+                Ok(Order::ReadLimits(gauge)) => {
+                    limits(&gauge).is_none_or(|limits| report(&gauge, Seen::Limits(limits)))
+                }
                 Err(RecvTimeoutError::Timeout) => true,
                 Err(RecvTimeoutError::Disconnected) => false,
             };
@@ -219,12 +231,21 @@ pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'stati
         .collect()
 }
 
+fn model_name(gauge: &Path) -> String {
+    let uevent = fs::read_to_string(gauge.join("uevent")).unwrap_or_default();
+    let model = uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME="));
+    model.unwrap_or_default().into()
+}
+
+/// The thresholds of learning. A sealed gauge is not unsealed for them.
+fn limits(gauge: &Path) -> Option<Limits> {
+    let seal = fs::read_to_string(gauge.join("gauge/seal")).ok()?;
+    (seal.trim() != "sealed").then(|| learning::limits(gauge, &model_name(gauge)))
+}
+
 /// Reads the learned parameters. They are in one subclass, so a sealed gauge is unsealed only once.
 fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
-    let uevent = fs::read_to_string(gauge.join("uevent")).unwrap_or_default();
-    let model =
-        uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME=")).unwrap_or_default();
-    let rows = learned_parameters(model);
+    let rows = learned_parameters(&model_name(gauge));
     if rows.is_empty() {
         return Err("no learned parameter of this part is known".into());
     }

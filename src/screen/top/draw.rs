@@ -9,6 +9,7 @@ use ratatui::widgets::{
     Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, TableState, Wrap,
 };
 
+use super::super::learning::line;
 use super::super::sample::{Sample, decimal};
 use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
@@ -363,6 +364,10 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     let Some(sample) = &gauge.shown else { return };
     let mut lines = vec![];
     let heading = |text: String| Line::styled(text, bold());
+    if let Some(state) = gauge.shown_state.as_ref().filter(|_| area.height >= 8) {
+        lines.push(heading("Cycle".into()));
+        lines.extend(wrapped(&line(state), area.width).into_iter().map(Line::raw));
+    }
     let model_name = sample.attribute("model_name").unwrap_or_default();
     let known = !learned_parameters(model_name).is_empty();
     let why = match (&gauge.learned, gauge.unsealed()) {

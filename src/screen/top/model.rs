@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
+use super::super::learning;
 use super::super::sample::Sample;
 use super::super::watch::{Learned, Order, Report, Seen};
 use super::history::{History, QUANTITIES, Quantity, seconds};
+use ti_gauge::learning::{Cycle, Limits, State};
 
 /// The time spans of a chart, in seconds.
 const SPANS: [(f64, &str); 10] = [
@@ -42,6 +44,11 @@ pub(super) struct Gauge {
     /// Changes of bits and of learned values, the newest first.
     pub(super) changes: VecDeque<(f64, String)>,
     pub(super) learned: Option<Result<Vec<Learned>, String>>,
+    /// The learning cycle, if the part has one, and its state on the screen.
+    cycle: Option<Cycle>,
+    limits: Limits,
+    state: Option<State>,
+    pub(super) shown_state: Option<State>,
     /// When the learned values were requested, and when they arrived.
     asked: Option<f64>,
     pub(super) learned_at: Option<f64>,
@@ -152,6 +159,7 @@ impl Model {
         match report.seen {
             Seen::Sample(sample) => gauge.update(*sample, paused),
             Seen::Learned(outcome) => gauge.update_learned(outcome, now),
+            Seen::Limits(limits) => gauge.set_limits(limits),
             Seen::Refused(why) => self.message = why,
             Seen::Trouble(_) => {}
         }
@@ -231,6 +239,7 @@ impl Model {
         self.paused = if self.paused.is_some() { None } else { Some(now) };
         for gauge in self.gauges.iter_mut().filter(|_| self.paused.is_none()) {
             gauge.shown.clone_from(&gauge.latest);
+            gauge.shown_state.clone_from(&gauge.state);
         }
     }
 }
@@ -246,6 +255,10 @@ impl Gauge {
             history: History::default(),
             changes: VecDeque::new(),
             learned: None,
+            cycle: None,
+            limits: Limits::default(),
+            state: None,
+            shown_state: None,
             asked: None,
             learned_at: None,
         }
@@ -264,6 +277,7 @@ impl Gauge {
                 .is_some_and(|(a, b)| a.is_same_poll(b));
             if !same {
                 self.history.add(&sample);
+                self.watch_cycle(&sample);
             }
         }
         for (name, bits) in &sample.words {
@@ -276,8 +290,26 @@ impl Gauge {
         }
         if !paused {
             self.shown = Some(sample.clone());
+            self.shown_state.clone_from(&self.state);
         }
         self.latest = Some(sample);
+    }
+
+    fn watch_cycle(&mut self, sample: &Sample) {
+        if self.cycle.is_none() {
+            self.cycle = learning::cycle(sample);
+            self.set_limits(self.limits);
+        }
+        if let (Some(cycle), Some(reading)) = (&mut self.cycle, learning::reading(sample)) {
+            self.state = Some(cycle.update(&reading));
+        }
+    }
+
+    fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+        if let Some(cycle) = &mut self.cycle {
+            cycle.set_limits(limits);
+        }
     }
 
     fn update_learned(&mut self, outcome: Result<Vec<Learned>, String>, now: f64) {

@@ -59,6 +59,7 @@ impl Tree {
         ] {
             tree.file(&format!("gauge/{name}"), text);
         }
+        tree.file("gauge/registers/current", &format!("{}\n", current_ua / 1000));
         tree
     }
 
@@ -172,7 +173,12 @@ fn screens_of_all_sizes() {
     let mut later = Tree::new("PACK-A", -500_000).sample(NOON + 5.0);
     later.moment = model.gauge().and_then(|gauge| gauge.shown.as_ref()?.moment);
     model.update(report("PACK-A", sample(&later)), NOON + 6.0);
-    golden("80x24-learning", &text(&drawn(&model, 80, 24, NOON + 7.0)));
+    let learning = text(&drawn(&model, 80, 24, NOON + 7.0));
+    assert!(
+        learning.contains("discharging for at least") && learning.contains("qualified since"),
+        "{learning}"
+    );
+    golden("80x24-learning", &learning);
     golden("200x50-learning", &text(&drawn(&model, 200, 50, NOON + 7.0)));
     golden("40x10-learning", &text(&drawn(&model, 40, 10, NOON + 7.0)));
     press(&mut model, '?');

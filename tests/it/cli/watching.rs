@@ -302,6 +302,57 @@ fn top_prints_json_until_its_reader_closes_the_pipe() {
     gaugefs(&["top", &at]).failed(&["not a terminal", "--json"]);
 }
 
+#[test]
+fn learn_says_what_a_cycle_waits_for() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let file = |name: &str| format!("{gauge}/{name}");
+    let transfers = || read(&at, "BAT0/gauge/statistics/transfers");
+    let before = transfers();
+    let ran = gaugefs(&["learn", "--once", &gauge]);
+    assert_eq!((ran.code, ran.err.as_str()), (Some(4), ""), "{}", ran.out);
+    assert!(
+        ran.out.contains("waits for IT_ENABLE") && ran.out.contains("disqualified since before"),
+        "{}",
+        ran.out
+    );
+    assert_eq!(transfers(), before, "it causes no bus traffic");
+
+    fs::write(file("gauge/poll_interval"), "0.5").expect("an interval");
+    fs::write(file("gauge/seal"), "unsealed").expect("the default key fits");
+    fs::write(file("gauge/control"), "IT_ENABLE").expect("a subcommand");
+    within(LONG, "a poll", || read(&at, "BAT0/gauge/control_status").contains("QEN"));
+    let ran = gaugefs(&["learn", "--once", "--json", &gauge]);
+    assert_eq!(ran.code, Some(3), "{}", ran.out);
+    let state: Value = serde_json::from_str(&ran.out).expect("JSON");
+    for (pointer, value) in [
+        ("/path", json!(gauge)),
+        ("/bits", json!("VOK -RUP_DIS QEN")),
+        ("/phase", json!("resting")),
+        ("/temperature", json!(25.0)),
+        ("/qualified", json!(true)),
+        ("/why", json!(null)),
+    ] {
+        assert_eq!(state.pointer(pointer), Some(&value), "{pointer} in {state}");
+    }
+    let mut screen = Screen::new(&[&at]);
+    screen.press("l");
+    screen.shows("VOK -RUP_DIS QEN");
+    screen.press("q");
+    screen.ends();
+
+    fs::write(file("df/82/4"), "0x06").expect("Update Status may be written");
+    within(LONG, "a poll", || read(&at, "BAT0/gauge/learned_status").contains("CF1"));
+    let out = gaugefs(&["learn", &gauge]).done();
+    assert!(out.contains("update status 06; learned"), "{out}");
+    gaugefs(&["learn", &folder.file("none")]).failed(&["none: not mounted"]);
+}
+
 /// Rows of a CSV whose cells hold no quotes.
 fn rows(file: &str) -> Vec<Vec<String>> {
     let text = fs::read_to_string(file).unwrap_or_default();
