@@ -154,6 +154,7 @@ impl Owner {
         self.forget_dataflash();
         if is_reported {
             self.dataflash.forget();
+            self.shared.forget_scales();
         }
         self.publish_seal();
         if self.restore.is_empty() {

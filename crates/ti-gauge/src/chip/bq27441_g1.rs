@@ -11,7 +11,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
-    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Subclass, Subcommand,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Subclass, Subcommand,
     Word,
 };
 use crate::value::Type::U;
@@ -38,7 +38,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     access: ACCESS,
     gate: None,

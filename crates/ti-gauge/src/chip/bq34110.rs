@@ -19,8 +19,8 @@ use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
-    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature, Subclass,
-    Subcommand, Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -52,7 +52,7 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         // OperationStatus() bits 2 and 1, as the underwater vehicle's driver reads them.
         status: SealStatus::Field { register: Some(0x3A), shift: 1 },
