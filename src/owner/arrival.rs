@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{Answers, Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
-use ti_gauge::dataflash::Outcome;
+use ti_gauge::dataflash::{Outcome, Place};
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
 
@@ -208,7 +208,7 @@ impl Owner {
         for quirk in self.gauge.chip.quirks {
             let byte = self.shared.kept_byte((quirk.subclass, quirk.offset));
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
-                let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
+                let file = format!("df/{}", Place::from((quirk.subclass, quirk.offset)));
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);
                 self.shared.report(Attempt::Other, &Error::new(file, Cause::Protocol(why)));
             }

@@ -727,8 +727,7 @@ fn scales_are_bytes_of_polled_registers_or_of_data_flash() {
                 }
                 Scale::Flash(subclass, offset) => {
                     let row = chip.parameter(subclass, offset).expect(chip.name);
-                    assert!(matches!(row.range, Range::Int { default: Some(1), .. }), "{}", row.name);
-                    assert_eq!(row.kind, Type::U(1), "{}", row.name);
+                    assert_eq!((row.kind, row.int_default(None)), (Type::U(1), Some(1)), "{}", row.name);
                 }
             }
         }
@@ -743,6 +742,32 @@ fn scales_are_bytes_of_polled_registers_or_of_data_flash() {
             assert_eq!(register.step, step, "{} {}", chip.name, register.name);
         }
     }
+}
+
+/// SLUUAC9A has a column for each flavour.
+#[test]
+fn a_bq27441_g1b_has_its_own_defaults() {
+    let chip = Chip::by_name("bq27441-g1").unwrap();
+    let defaults = |id, offset| {
+        let row = chip.parameter(id, offset).expect("a row");
+        [Some(0x48), Some(0x58), None].map(|dm_code| row.int_default(dm_code))
+    };
+    assert_eq!(defaults(82, 10), [Some(1340), Some(1000), None]);
+    assert_eq!(defaults(82, 33), [Some(4190), Some(4290), None]);
+    assert_eq!(defaults(89, 28), [Some(588), Some(375), None]);
+    assert_eq!(defaults(82, 16), [Some(3200); 3]);
+    let differ =
+        parameters(chip).filter(|(_, row, _)| row.int_default(None).is_none() && row.flavour.is_some());
+    assert_eq!(differ.count(), 22);
+}
+
+/// LEADACID's driver and the CEDV profile: voltages of a cell.
+#[test]
+fn voltages_of_a_cell_of_the_bq34110_say_so() {
+    let chip = Chip::by_name("bq34110").unwrap();
+    let cells: Vec<_> = parameters(chip).filter(|(_, row, _)| row.unit == "mV/cell").collect();
+    assert_eq!(cells.len(), 17);
+    assert!(cells.iter().all(|(_, row, _)| row.name.contains("Voltage")));
 }
 
 #[test]
@@ -1003,7 +1028,7 @@ Calibration | Temp Model | 0 16837 I2 | Int Coeff 3 | -32768 32767 -12324 | Num 
 Gas Gauging | Design | 0 16885 I2 | Design Capacity mAh | 0 32767 ? | mAh
 Gas Gauging | CEDV Profile | 0 16986 I2 | Fixed EDV 0 | 0 32767 ? | mV
 Gas Gauging | CEDV Profile | 0 16988 U1 | EDV 0 Hold Time | 0 255 ? | s | unproven
-Gas Gauging | CEDV Profile | 0 17015 I2 | Voltage 100% DOD | -32768 32767 ? | mV
+Gas Gauging | CEDV Profile | 0 17015 I2 | Voltage 100% DOD | -32768 32767 ? | mV/cell
 Gas Gauging | CEDV Config | 0 17054 U1 | RemCap Init Percent | 0 100 ? | %
 ";
     assert_lists(chip, golden);
