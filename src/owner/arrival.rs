@@ -41,12 +41,13 @@ impl Owner {
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
         self.restore_after_power_loss();
-        // Reading the bytes that show a quirk takes a key, unless the gauge is found unsealed.
+        // Reading the bytes that show a quirk, or a scale, takes a key, unless the gauge is found unsealed.
         let published = self.shared.published();
         if published.seal != Seal::Sealed && published.limited.is_none() {
             let chip = self.gauge.chip;
-            let subclasses: Vec<_> =
-                chip.quirks.iter().filter_map(|quirk| index(chip, quirk.subclass)).collect();
+            let quirks = chip.quirks.iter().map(|quirk| quirk.subclass);
+            let ids = quirks.chain(chip.scaling.in_flash().map(|(subclass, _)| subclass));
+            let subclasses: Vec<_> = ids.filter_map(|id| index(chip, id)).collect();
             // A failure is in the log already, and no reason to do without the gauge.
             let _ = self.read(&subclasses, Duration::ZERO);
         }
