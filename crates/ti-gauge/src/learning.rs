@@ -444,7 +444,9 @@ impl Cycle {
         let mut taken = false;
         if self.phase == Phase::Rest {
             self.ocv_pending |= !bits.ocv_taken();
-            let new = self.ocv_pending || reading.time - self.phase_since.time > ENTRY_S;
+            // Polls that are far apart see neither; a reset would set [RUP_DIS].
+            let fell = held && !bits.voltage_ok() && !bits.ra_off();
+            let new = self.ocv_pending || fell || reading.time - self.phase_since.time > ENTRY_S;
             taken = bits.ocv_taken() && new && !self.ocv_taken;
         }
         if taken {

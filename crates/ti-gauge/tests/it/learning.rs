@@ -350,6 +350,21 @@ fn the_line() {
     );
 }
 
+/// A poll an hour shows the charge, and then a rest with its open-circuit voltage: that was no reset.
+#[test]
+fn polls_that_are_far_apart() {
+    let mut cycle = Cycle::new(Learns::ImpedanceTrack, Limits::default());
+    let mut read = |time, bits: &[&str], current_ma| {
+        let bits = Bits::named(bits.iter().copied());
+        cycle.update(&Reading { time, bits, current_ma, has_learned_status: true, ..Reading::default() })
+    };
+    assert_eq!(read(0.0, &["QEN", "VOK", "OCVTAKEN", "ITEN"], 500.0).spoiled, None);
+    let rested = read(3600.0, &["QEN", "OCVTAKEN", "ITEN", "CF0"], 0.0);
+    assert_eq!((rested.spoiled, rested.learned), (None, Learned::Qmax));
+    assert_eq!(read(7200.0, &["QEN", "VOK", "OCVTAKEN", "ITEN", "CF0"], -200.0).spoiled, None);
+    assert_eq!(read(7230.0, &["QEN", "RUP_DIS", "ITEN", "CF0"], -200.0).spoiled, Some(Spoiled::Reset));
+}
+
 /// A part with RAM shows what it has updated; a CEDV part what its discharge is worth.
 #[test]
 fn parts_that_learn_otherwise() {

@@ -417,7 +417,7 @@ fn a_golden_image_is_refused_during_a_learning_cycle() {
 #[test]
 fn a_write_during_a_learning_cycle_of_a_ram_gauge_is_refused() {
     for chip in ["bq27441-g1", "bq27426", "bq27427"] {
-        // [VOK] is forced, because the simulated gauges do not set it. Bit 7 of Update Status seals the gauge.
+        // [VOK] is forced, because the simulated RAM gauges do not set it. Bit 7 of Update Status seals the gauge.
         let mut rig = Rig::tampered(chip, |asked, at, read| {
             if (asked, at) == (0, 0) {
                 read[0] |= 0x02;
