@@ -32,7 +32,7 @@ impl Bench {
     }
 
     fn disabled(chip: &str) -> Self {
-        let mut rig = Rig::found(chip, ti_gauge::gauge::Seal::Unsealed);
+        let rig = Rig::found(chip, ti_gauge::gauge::Seal::Unsealed);
         rig.sim.keep_log(false);
         rig.sim.set("soc", "0").expect("a knob");
         rig.clock.sleep(Duration::from_secs(1));
