@@ -273,6 +273,8 @@ fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
         Type::H(_) | Type::S(_) => Some(0),
         _ if shown == stored || none(&shown) => Some(0),
         _ if shown == "degc" && stored == "0.1degc" => Some(1),
+        // The name of the unit only: a cell's voltage is shown in mV.
+        _ if stored.strip_suffix("percell") == Some(&shown) => Some(0),
         _ => None,
     }
 }
@@ -369,6 +371,11 @@ mod tests {
             let why = "shown in mOhm, stored in Num, and the file does not give the conversion; left out";
             assert_eq!(notes, [format!("line 5: CC Gain: {why}")]);
         }
+        let text = "* Field Order: Class name, Subclass name, Parameter name, Parameter Value, Units\n\
+                    Gas Gauging,CEDV Profile,Voltage 0% DOD,4173,mV\n";
+        let image = parse(text, Chip::by_name("bq34110")).expect("an image");
+        let row = &image.entries[0];
+        assert_eq!((row.text(), row.parameter.unit), ("4173".into(), "mV per cell"));
         let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
         let error = entries(text).expect_err("sections").to_string();
         assert!(error.starts_with("line 4: a .gg file in sections"), "{error}");
