@@ -18,7 +18,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
-    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, ScaleRegisters, Scheme,
+    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scale, Scaling, Scheme,
     Subclass, Subcommand,
 };
 use crate::value::Type::U;
@@ -44,7 +44,9 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    // A shipped product multiplies both capacities by it and leaves the current alone. For energies and powers it is
+    // the unit by the manuals of other parts (SLUSAT0E, SLUSBZ5D 7.3.6.5).
+    scaling: Scaling { charge: Scale::Flash(80, 81), energy: Scale::Flash(80, 81), ..Scaling::NONE },
     security: SECURITY,
     access: ACCESS,
     gate: None,
@@ -266,9 +268,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV"),
         // The section prints offset 78, which is the bq27441-G1's.
         P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s"),
-        // A product with two cells (github.com/usetrmnl/trmnl-firmware) writes 10 and multiplies the capacities by
-        // it; the BQ27426's images have 1. No range is known, and what else it changes.
-        P::any(81, U1, "Design Energy Scale", "Num").unproven(),
+        // One driver names it; its image for one cell has 1, and that for two has 10. Other parts have no other
+        // values (SLUSAT0E).
+        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use super::{Image, Raw, also_in, at_line, check_count, chip_of, parameter_name};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
+use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
@@ -437,7 +438,8 @@ impl Stream {
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
+        let place = Place { subclass: FLAT, offset: address };
+        Err(format!("{place} is undocumented for a {}", self.chip.model))
     }
 
     /// A byte as a line commits it. A parameter that an earlier line has committed is an error: a gauge would keep the
