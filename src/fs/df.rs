@@ -311,7 +311,7 @@ impl Supply {
                     format!("raw {place}: {old} -> {}\n", text::hex(bytes))
                 }
                 Some((subclass, parameter)) => {
-                    let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+                    let old = kept.map_or("-".into(), |kept| column(value_text(subclass, parameter, &kept)));
                     let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
                     format!("{}: {old} -> {new}\n", parameter.name)
                 }
@@ -334,7 +334,8 @@ impl Supply {
                 };
                 let [min, max, default] =
                     bounds(subclass, parameter, dm_code).map(|bound| bound.unwrap_or("-".into()));
-                let value = bytes.as_ref().map_or("-".into(), |bytes| value_text(subclass, parameter, bytes));
+                let value =
+                    bytes.as_ref().map_or("-".into(), |bytes| column(value_text(subclass, parameter, bytes)));
                 let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
                 let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
                 lines += &format!(
@@ -394,6 +395,11 @@ fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> Strin
     text::render(parameter.kind, &value)
 }
 
+/// A value where `-` means that there is none. Only a string can be a `-` itself.
+fn column(text: String) -> String {
+    if text == "-" { "%2d".into() } else { text }
+}
+
 /// Smallest and largest value, and the default of a part with that DM_CODE; keys show none of them.
 fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
     let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
@@ -405,7 +411,10 @@ fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [
         Range::Float { min, max, default } => {
             [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
         }
-        Range::Text { default } => [None, None, default.map(str::to_string)],
+        Range::Text { default } => {
+            let show = |text: &str| text::render(parameter.kind, &Value::Text(text.into()));
+            [None, None, default.map(show)]
+        }
     }
 }
 

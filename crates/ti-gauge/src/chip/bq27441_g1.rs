@@ -339,6 +339,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s"),
         P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV"),
     ] },
+    // Where a G1A (DM_CODE 0x48) and a G1B (0x58) have other defaults, none is shown; the numbers are the G1A's.
     Subclass { class: "Gas Gauging", name: "State", id: 82, length: 41, kind: Reset,
                parameters: &[
         P::int( 0, I2, "Qmax Cell 0",             0, 32767, 16384, "Num").safe(CAPACITY).learned(),

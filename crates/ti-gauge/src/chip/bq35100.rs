@@ -278,6 +278,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x400D, I1, "Int Temp Offset", "0.1°C"),
         P::any(0x400E, I1, "Ext Temp Offset", "0.1°C"),
         P::any(0x400F, I1, "Pack V Offset",   "mV"),
+        // Two drivers write it here; no source gives its size, its sign, or which values would make the voltage too
+        // low for any further write.
         P::any(0x4010, U2, "VIN Gain",        "").unproven(),
     ] },
     Subclass { class: "Calibration", name: "Temp Model", id: FLAT, length: 22, kind: Plain,
@@ -422,7 +424,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x41FE, I2, "Cell Design Capacity mAh", "mAh").safe(CAPACITY),
         P::any(0x4202, I2, "Cell Design Voltage",      "mV"),
         P::any(0x4204, I2, "Cell Terminate Voltage",   "mV"),
-        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS).unproven(),
+        // Two drivers write it: arithmetics.io's, and Orgatex's for Zephyr (2025).
+        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS),
         P::any(0x4207, I2, "Max Load",                 "mA").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "State", id: FLAT, length: 2, kind: Plain,

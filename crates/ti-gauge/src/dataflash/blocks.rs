@@ -5,9 +5,10 @@ use std::ops::Range;
 use super::schemes::sequence;
 use super::{Change, Place};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
-use crate::codec::WINDOW;
+use crate::codec::{self, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
+use crate::value::Type;
 
 /// A 32-byte piece of data flash, as the gauge shows it in its window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,10 +161,25 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
             block.written.insert(at);
             block.learned = block.learned.without(block.written);
         }
+        if is_same_string(change, &dirty) {
+            for (place, at) in change.windows() {
+                dirty
+                    .iter_mut()
+                    .filter(|block| block.place == place)
+                    .for_each(|block| block.new[at] = block.old[at]);
+            }
+        }
     }
     // In the order of the manual's table, which is that of the addresses.
     dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
+}
+
+/// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end
+/// and a length that is larger than the field: they are no part of the value.
+fn is_same_string(change: &Change, dirty: &[Dirty]) -> bool {
+    let Some((_, Parameter { kind: kind @ Type::S(_), .. })) = change.row else { return false };
+    codec::decode(*kind, &old_bytes(change, dirty)) == codec::decode(*kind, &change.bytes)
 }
 
 /// The bytes of a window that the gauge itself updates.
