@@ -21,9 +21,9 @@ rest, the temperature, the bits of CONTROL_STATUS (-VOK: it is clear), and since
 qualified or disqualified, and why.
 
 All of this comes from the polls of the mount. Only Quit Current and the other thresholds are read
-from data flash, once, if the gauge is unsealed; else the manual's defaults are used. LearnedStatus()
-is read with every tenth poll, so Update Status may be that late. What happened before the first
-poll that was watched is not known: start it before the cycle.
+from data flash, once, if the gauge is unsealed; else the manual's defaults are used.
+LearnedStatus() is read with every tenth poll, so Update Status may be that late. What happened
+before the first poll that was watched is not known: start it before the cycle.
 
 Exit code 0: learned. With --once, also 3: the cycle goes on, 4: it is disqualified.
 
