@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use sha1::{Digest, Sha1};
 
+use super::analog::{BOARD_COUNTS, CC_COUNTS};
 use super::device::{Device, Gauge};
 use super::envelope::{Early, First, Lost};
 use super::error::{Error, Kind, Result};
@@ -419,6 +420,7 @@ impl Block {
             Action::CcOffset => self.ram.offset_until = Some(now + device.timing.calibrating),
             Action::WriteCcOffset => {
                 self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes());
+                self.gauging.take_offsets(&device.flash);
             }
             Action::AnswerOffset if self.is(device, Status::Calibrating) => {
                 self.ram.answer = own.cc_offset.map_or(0, |(id, offset)| device.flash.u16(id, offset));
@@ -648,6 +650,7 @@ impl Wire for Block {
         device.pass(self, settle);
         if self.ram.board_until.take_if(|until| device.now >= *until).is_some() {
             self.store(device, self.part.own.board_offset, &[self.board_offset as u8]);
+            self.gauging.take_offsets(&device.flash);
         }
         self.ram.offset_until.take_if(|until| device.now >= *until);
         if self.gauges() {
@@ -701,6 +704,17 @@ impl Wire for Block {
             "cc_gain_inverted" => knob::CC_GAIN_INVERTED.show(device.flash.inverted),
             "sealed_writes" => knob::SEALED_WRITES.show(self.ignores_sealed),
             "auth_order" => knob::AUTH_ORDER.show(self.as_sent),
+            "cells" => knob::show_or_auto(self.gauging.battery().series),
+            "board_divider" => {
+                let fits = self.board == self.part.scale(&device.flash);
+                knob::show_or_auto(self.board.filter(|_| !fits).map(|board| board.divider.into()))
+            }
+            "shunt_error" => self.gauging.analog.shunt_error.to_string(),
+            "board_offset_ma" => knob::show_or_auto(self.gauging.analog.board_offset_ma),
+            "cc_offset_ma" => knob::show_or_auto(self.gauging.analog.cc_offset_ma),
+            "temperature_error" => self.gauging.analog.temperature.to_string(),
+            "noise_mv" => self.gauging.analog.noise_mv.to_string(),
+            "noise_ma" => self.gauging.analog.noise_ma.to_string(),
             _ => return None,
         })
     }
@@ -728,6 +742,44 @@ impl Wire for Block {
             }
             "sealed_writes" => {
                 self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?;
+                Ok(())
+            }
+            "cells" => {
+                self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?);
+                Ok(())
+            }
+            "board_divider" => {
+                let fits = self.part.scale(&device.flash);
+                if fits.is_none() {
+                    return Err(Error::new(name, Kind::NotPermitted, "the part has no external divider"));
+                }
+                let divider = knob::or_auto(name, text, 1.0, 65_535.0)?;
+                let board = divider.map(|divider| Scale { divider: divider as u16, external: true });
+                self.board = board.or(fits);
+                Ok(())
+            }
+            "board_offset_ma" => {
+                let offset = knob::or_auto(name, text, -31.0, 31.0)?;
+                self.gauging.analog.board_offset_ma = offset;
+                self.board_offset = offset.map_or(self.board_offset, |ma| (ma * BOARD_COUNTS).round() as i8);
+                Ok(())
+            }
+            "cc_offset_ma" => {
+                let offset = knob::or_auto(name, text, -15.0, 15.0)?;
+                self.gauging.analog.cc_offset_ma = offset;
+                self.cc_offset = offset.map_or(self.cc_offset, |ma| (ma * CC_COUNTS).round() as i16);
+                Ok(())
+            }
+            "shunt_error" | "temperature_error" | "noise_mv" | "noise_ma" => {
+                let (least, most) = if name.starts_with("noise") { (0.0, 1000.0) } else { (-500.0, 500.0) };
+                let number = knob::number(name, text, least, most)?;
+                let analog = &mut self.gauging.analog;
+                *match name {
+                    "shunt_error" => &mut analog.shunt_error,
+                    "temperature_error" => &mut analog.temperature,
+                    "noise_mv" => &mut analog.noise_mv,
+                    _ => &mut analog.noise_ma,
+                } = number;
                 Ok(())
             }
             _ => {

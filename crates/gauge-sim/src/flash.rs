@@ -116,6 +116,14 @@ impl Flash {
         i16::from_be_bytes(self.get(id, offset))
     }
 
+    /// Four bytes as TI's floating point: exponent, sign and 23 bits behind an implied 1 (SLUSBZ5D, F4).
+    pub(super) fn f4(&self, id: u16, offset: usize) -> f64 {
+        let [exponent, high, middle, low] = self.get::<4>(id, offset);
+        let mantissa = f64::from(u32::from_be_bytes([0, high | 0x80, middle, low]));
+        let sign = if high & 0x80 == 0 { 1.0 } else { -1.0 };
+        sign * libm::ldexp(mantissa, i32::from(exponent) - 128 - 24)
+    }
+
     /// Restores all areas from `image` except one, as RAM is filled from ROM.
     pub(super) fn reload(&mut self, image: Image, but: u16) {
         for &(id, bytes) in image.iter().filter(|(id, _)| *id != but) {

@@ -46,6 +46,7 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
 
+mod analog;
 mod battery;
 mod block;
 mod device;
