@@ -20,12 +20,14 @@ pub mod bq34z100_r2;
 pub mod bq35100;
 pub mod kernel;
 
+mod calibration;
 mod identity;
 mod names;
 mod parameter;
 mod preflight;
 mod recognise;
 
+pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
@@ -78,6 +80,8 @@ pub struct Chip {
     pub access: Access,
     /// The voltage that a data-flash write needs.
     pub gate: Option<Gate>,
+    /// How it is calibrated; `None` where no document has it whole.
+    pub calibration: Option<&'static Calibration>,
     /// SHA-1 authentication at AuthenticateData(); `None` where no source has the part's sequence.
     pub authentication: Option<Authentication>,
     /// Data flash, in the manual's order.

@@ -347,6 +347,13 @@ impl Gauge {
         self.write(CONTROL, &code.to_le_bytes()).map_err(|error| error.about(subject).at(Step::Control))
     }
 
+    /// Sends a subcommand whose effect must not happen twice.
+    pub fn command_once(&mut self, code: u16) -> Result<()> {
+        self.may_write()?;
+        let sent = self.write_once(CONTROL, &code.to_le_bytes());
+        sent.map_err(|bus| Error::new(self.subcommand_name(code), Cause::Bus(bus)).at(Step::Control))
+    }
+
     /// Sends a subcommand and reads the word that it answers with.
     pub fn ask(&mut self, code: u16) -> Result<u16> {
         self.command(code)?;

@@ -85,6 +85,7 @@ pub static CHIP: Chip = Chip {
     // SLUSCB7A 6.11.
     byte_writes_above_hz: Some(100_000),
     // One address lower, the high byte of each would be the low byte of the row before: a value out of range.
+    calibration: None,
     signature: &[
         Signature::new(FLAT, 0x91FD, I2, 0, 4600),
         Signature::new(FLAT, 0x9201, I2, 0, 1000),

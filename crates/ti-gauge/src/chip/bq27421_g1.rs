@@ -39,6 +39,7 @@ pub static CHIP: Chip = Chip {
     authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],

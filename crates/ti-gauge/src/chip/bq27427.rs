@@ -48,6 +48,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // The rule of the family, SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[Quirk {

@@ -46,6 +46,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],

@@ -48,6 +48,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // Chromium's driver allows no faster bus.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],

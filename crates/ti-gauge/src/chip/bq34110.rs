@@ -97,6 +97,7 @@ pub static CHIP: Chip = Chip {
     // From somewhere on an owner's part had all one address lower. Each row has a first byte that its second
     // one cannot stand in for: CC Delta's exponent, which a positive
     // mantissa is not; the voltage's high byte; a coefficient of the internal sensor that nobody changes.
+    calibration: None,
     signature: &[
         Signature { subclass: FLAT, offset: 0x4004, kind: H4, min: 0x8F00_0000, max: 0x977F_FFFF },
         Signature { subclass: FLAT, offset: 0x4157, kind: I2, min: 0, max: 5000 },

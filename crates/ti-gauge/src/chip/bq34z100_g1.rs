@@ -10,9 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, ScaleRegisters,
-    Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Access, Authentication, Bit, Calibration, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock,
+    KeyOrder, KeyStorage, Learning, Mode, Offset, Pack, Parameter as P, Preflight, Register, Role, Safe,
+    ScaleRegisters, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -106,6 +106,7 @@ pub static CHIP: Chip = Chip {
     }),
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
+    calibration: Some(&CALIBRATION),
     signature: &[],
     volatile: None,
     quirks: &[],
@@ -118,7 +119,7 @@ pub static CHIP: Chip = Chip {
                 Word::ControlStatus,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
-                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+                "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
             ),
             Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
             Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
@@ -136,6 +137,27 @@ pub static CHIP: Chip = Chip {
         }),
         voltage_mv: None,
     },
+};
+
+/// Table 7-2 has the subcommands and Table 7-3 their bits; TI's tool sends BOARD_OFFSET, waits for [BCA] and [CCA],
+/// and sends CC_OFFSET_SAVE. A pack that TI's tool has calibrated holds CC Delta = CC Gain x 1193046 (4 x 298261.6178,
+/// TI's usual constant), which differs from Table 7-12 by 0.2 %. 7.3.8 has the divider's formula.
+pub(super) static CALIBRATION: Calibration = Calibration {
+    enable: 0x002D,
+    enter: 0x0081,
+    exit: 0x0080,
+    enabled: (0x3A, 0x4000),
+    mode: 0x1000,
+    board_offset: Offset { start: 0x0009, running: 0x0C00, row: (104, 10) },
+    cc_offset: Offset { start: 0x000A, running: 0x0800, row: (104, 8) },
+    save: 0x000B,
+    divider: (104, 14),
+    gain: (104, 0),
+    delta: (104, 4),
+    ratio: 1_193_046.471_2,
+    internal: (104, 11),
+    external: (104, 12),
+    thermistor: (0x3A, 0x0001),
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The

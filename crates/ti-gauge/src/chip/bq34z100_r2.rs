@@ -10,8 +10,8 @@ use std::time::Duration;
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::bq34z100_g1::{
-    ALERT_CONFIG, CAPACITY, CELLS, CONTROL_STATUS, DIVIDER, FLAGS, FLAGS_B, GATE, KEEP_I2C, LEARNED_STATUS,
-    LED_COMM, PACK_CONFIG_B, PACK_CONFIG_C, SUBCOMMANDS,
+    ALERT_CONFIG, CALIBRATION, CAPACITY, CELLS, CONTROL_STATUS, DIVIDER, FLAGS, FLAGS_B, GATE, KEEP_I2C,
+    LEARNED_STATUS, LED_COMM, PACK_CONFIG_B, PACK_CONFIG_C, SUBCOMMANDS,
 };
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
@@ -104,6 +104,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     // The lengths of the three names, which are elsewhere in firmware 0.16: data flash is known from one image only.
+    calibration: Some(&CALIBRATION),
     signature: &[
         Signature::new(48, 33, U1, 0, 11),
         Signature::new(48, 45, U1, 0, 11),
@@ -119,7 +120,7 @@ pub static CHIP: Chip = Chip {
                 Word::ControlStatus,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
-                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+                "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
             ),
             Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
             Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),

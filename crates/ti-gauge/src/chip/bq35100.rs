@@ -113,6 +113,7 @@ pub static CHIP: Chip = Chip {
     // An owner's part had its keys, at least, one address lower (E2E 668766). Each row has a first byte that
     // its second one cannot stand in for: CC Delta's exponent, which a positive mantissa is not; then the
     // high bytes of numbers whose range leaves most of them out.
+    calibration: None,
     signature: &[
         Signature { subclass: FLAT, offset: 0x4004, kind: H4, min: 0x8F00_0000, max: 0x977F_FFFF },
         Signature { subclass: FLAT, offset: 0x41DB, kind: I2, min: 0, max: 5000 },

@@ -158,6 +158,7 @@ const fn gauge(
         authentication: None,
         subclasses: &[],
         byte_writes_above_hz: None,
+        calibration: None,
         signature: &[],
         volatile: None,
         quirks: &[],

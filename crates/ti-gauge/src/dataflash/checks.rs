@@ -324,15 +324,15 @@ fn remedy(gate: &Gate) -> String {
     let Some(divider) = gate.divider else { return String::new() };
     let (limit, divider) = (Place::from(gate.limit), Place::from(divider));
     let external = gate.external.as_ref().map_or("", |external| external.name);
-    let enabled = match gate.calibration {
+    let bring_up = match gate.calibration {
         Some(_) => {
-            ", or enable calibration with another tool (CAL_ENABLE, 0x002d), which opens flash until the next reset"
+            "run `gaugefs bringup`, which enables calibration (CAL_ENABLE, 0x002d) and so opens flash, or "
         }
         None => "",
     };
     format!(
-        "; if Voltage() is low because the divider is not set, raise the voltage at the gauge until {limit} is \
-         lowered{enabled}, and then write {divider}, {external} and {limit} in one transaction"
+        "; if Voltage() is low because the divider is not set, {bring_up}raise the voltage at the gauge until {limit} is \
+         lowered, and then write {divider}, {external} and {limit} in one transaction"
     )
 }
 

@@ -327,7 +327,7 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-pub(super) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
+pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     match word {
         Word::ControlStatus => Ok(gauge.control_status()?.1),
         Word::Answer(code) => gauge.ask(code),

@@ -281,6 +281,8 @@ impl DataFlash {
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
         let mut session = Session::new(goal, asked);
         (session.now, session.decided) = (None, decision.is_some());
+        // No write is begun in calibration mode, but one may have entered it.
+        session.calibrating = gauge.chip.calibration.filter(|_| self.in_calibration || entry.plan.is_some());
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
             && journal.exists()
@@ -298,6 +300,7 @@ impl DataFlash {
             }
         };
         let (outcome, left) = session.close(gauge, outcome);
+        self.in_calibration &= session.calibrating.is_some();
         match (&outcome, left) {
             (Ok(Verdict::Done(_)), None) => session.remove_journal(),
             (Ok(Verdict::Plausible(message)), None) => {
