@@ -13,6 +13,8 @@ use crate::error::Result;
 use crate::key_file;
 
 mod auth;
+mod bringup;
+mod calibrate;
 mod chips;
 mod completions;
 mod diff;
@@ -55,6 +57,8 @@ enum Command {
     Diff(diff::Diff),
     Lint(lint::Lint),
     Settle(settle::Settle),
+    Bringup(bringup::BringUp),
+    Calibrate(calibrate::Calibrate),
     Auth(auth::Auth),
     Keys(keys::Command),
     #[cfg(feature = "screen")]
@@ -93,6 +97,8 @@ impl Command {
             Self::Diff(command) => command.run(),
             Self::Lint(command) => command.run(),
             Self::Settle(command) => command.run(),
+            Self::Bringup(command) => command.run(),
+            Self::Calibrate(command) => command.run(),
             Self::Auth(command) => command.run(),
             Self::Keys(command) => command.run(),
             #[cfg(feature = "screen")]

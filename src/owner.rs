@@ -5,7 +5,7 @@
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
-//! says which failure is shown, `backup` saves a gauge's configuration before the first write, `arrival` identifies
+//! says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the first write, `arrival` identifies
 //! a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a failed access has left: a
 //! seal, or a write that is neither done nor undone.
 
@@ -31,6 +31,7 @@ use ti_gauge::registers::Registers;
 mod arrival;
 mod attempt;
 mod backup;
+mod calibrate;
 mod debt;
 mod handle;
 mod poll;

@@ -14,6 +14,7 @@ use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, 
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Answers, Attempt, Done, Request, Seal};
 use ti_gauge::authentication;
+use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
 use ti_gauge::keys;
@@ -62,6 +63,12 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
+    file("calibrate", Mode::Write, |gauge| can_calibrate(gauge).then(String::new)).written(
+        |gauge, data, done| gauge.submit(Attempt::Calibrate, job(gauge, data), done, Request::Calibrate),
+    ),
+    file("calibration", Mode::Read, |gauge| {
+        can_calibrate(gauge).then(|| gauge.published().calibration.to_string())
+    }),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
@@ -228,6 +235,10 @@ fn can_authenticate(gauge: &Supply) -> bool {
     gauge.chip().authentication.is_some() && gauge.has_own_table()
 }
 
+fn can_calibrate(gauge: &Supply) -> bool {
+    gauge.chip().calibration.is_some() && gauge.has_own_table()
+}
+
 fn control_status(gauge: &Supply) -> Option<String> {
     if !gauge.chip().has_table() {
         return None;
@@ -343,6 +354,37 @@ fn decision(data: &[u8]) -> Result<Option<Decision>> {
         "discard" => Ok(Some(Decision::Discard)),
         _ => Err(Error::new("settle", Cause::Invalid("write show, undo, finish or discard".into()))),
     }
+}
+
+/// What is to be calibrated. What a meter shows is divided by the scales, because registers and data flash are in the
+/// gauge's own steps.
+fn job(gauge: &Supply, data: &[u8]) -> Result<Job> {
+    let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \
+                 or leave";
+    let bad = || Error::new("calibrate", Cause::Invalid(usage.into()));
+    let number = |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(bad);
+    let step = |word: &str, kind: Kind| -> Result<f64> {
+        let snapshot = gauge.fresh();
+        let scale = gauge.reading(snapshot.as_deref()).scale(kind).filter(|scale| *scale > 0.0);
+        let why = "the scale of the gauge is not known yet; wait for a poll";
+        let scale = scale.ok_or_else(|| Error::new("calibrate", Cause::NotNow(why.into())))?;
+        Ok(number(word)? / scale)
+    };
+    let words: Vec<&str> = text(data).split_whitespace().collect();
+    Ok(match words[..] {
+        ["board-offset"] => Job::BoardOffset,
+        ["cc-offset"] => Job::CcOffset,
+        ["voltage", actual] => Job::Voltage(step(actual, Kind::Voltage)?),
+        ["current", actual] => Job::Current(step(actual, Kind::Current)?),
+        ["temperature", actual] => Job::Temperature(number(actual)?),
+        ["leave"] => Job::Leave,
+        ["bringup", cells, divider, ref voltage @ ..] if voltage.len() < 2 => Job::BringUp {
+            cells: cells.parse().map_err(|_| bad())?,
+            divider: divider.parse().map_err(|_| bad())?,
+            voltage_mv: voltage.first().map(|voltage| step(voltage, Kind::Voltage)).transpose()?,
+        },
+        _ => return Err(bad()),
+    })
 }
 
 fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {

@@ -40,6 +40,7 @@ impl Owner {
     /// What follows the first poll of a gauge.
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
+        self.report_calibration_mode();
         self.restore_after_power_loss();
         // Reading the bytes that show a quirk takes a key, unless the gauge is found unsealed.
         let published = self.shared.published();

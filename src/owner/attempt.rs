@@ -28,6 +28,8 @@ pub enum Attempt {
     Restore,
     /// To settle an interrupted write.
     Settle,
+    /// To calibrate it.
+    Calibrate,
     /// Something that no later success shows to be over.
     Other,
 }
@@ -44,7 +46,8 @@ impl Attempt {
             | Attempt::Key
             | Attempt::Authenticate
             | Attempt::Interval
-            | Attempt::Restore => 1,
+            | Attempt::Restore
+            | Attempt::Calibrate => 1,
             Attempt::Poll | Attempt::Read(_) | Attempt::Other => 0,
         }
     }

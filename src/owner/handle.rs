@@ -65,6 +65,8 @@ pub struct Published {
     pub owed_since: Timestamp,
     /// What is known of an interrupted write, since somebody last asked; empty until then.
     pub settling: Arc<str>,
+    /// The steps of the last calibration, and what it has reached; empty for none.
+    pub calibration: Arc<str>,
 }
 
 /// What the owner shares with its handles.
@@ -110,6 +112,7 @@ impl Shared {
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),
+            calibration: "".into(),
         };
         Self {
             chip: gauge.chip,

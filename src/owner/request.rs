@@ -7,6 +7,7 @@ use std::time::Duration;
 use super::{Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
+use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Parameter, Safe, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
@@ -35,6 +36,8 @@ pub enum Request {
     Authenticate(Message, Done<()>),
     /// Show what is known of an interrupted write, or settle it as somebody has decided.
     Settle(Option<Decision>, Done<()>),
+    /// Calibrate the gauge, without polls meanwhile.
+    Calibrate(Job, Done<()>),
     /// Poll now, and forget what was read of data flash.
     Refresh(Done<()>),
     /// Change the time between polls.
@@ -54,7 +57,8 @@ impl Request {
             | Request::Control(..)
             | Request::ChangeKey(..)
             | Request::Authenticate(..)
-            | Request::Settle(..) => true,
+            | Request::Settle(..)
+            | Request::Calibrate(..) => true,
             Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
         }
     }
@@ -69,6 +73,7 @@ impl Request {
             Request::ChangeKey(..) => Attempt::Key,
             Request::Authenticate(..) => Attempt::Authenticate,
             Request::Settle(..) => Attempt::Settle,
+            Request::Calibrate(..) => Attempt::Calibrate,
             Request::Interval(..) => Attempt::Interval,
             Request::Refresh(_) | Request::Look => Attempt::Poll,
         }
@@ -84,6 +89,7 @@ impl Request {
             Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
             Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
             Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
+            Request::Calibrate(job, done) => share(done, |done| Request::Calibrate(job, done)),
             Request::Refresh(done) => share(done, Request::Refresh),
             Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
             Request::Look => (Request::Look, Box::new(drop)),
@@ -100,6 +106,7 @@ impl Request {
             | Request::ChangeKey(_, done)
             | Request::Authenticate(_, done)
             | Request::Settle(_, done)
+            | Request::Calibrate(_, done)
             | Request::Refresh(done)
             | Request::Interval(_, done) => done(Err(error)),
             Request::Look => {}
@@ -229,6 +236,10 @@ impl Owner {
                 }));
             }
             Request::Settle(decision, done) => done(self.settle_as_decided(decision, waited)),
+            Request::Calibrate(job, done) => {
+                let outcome = self.calibrate(&job, waited);
+                done(self.logged(attempt, outcome));
+            }
             Request::Refresh(done) => done(self.refresh(submitted)),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);

@@ -17,6 +17,7 @@ use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use crate::scratch;
 
 #[cfg(feature = "screen")]
+mod calibrating;
 mod watching;
 
 pub(crate) const CHIP: &str = "bq34z100-g1";
@@ -127,6 +128,8 @@ fn help_texts() {
             "import --help",
             "diff --help",
             "lint --help",
+            "bringup --help",
+            "calibrate --help",
             "auth --help",
             "keys --help",
             "keys change --help",
