@@ -153,6 +153,8 @@ struct Owner {
     rare: Registers,
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
+    /// What attributes need of data flash has been read since then, or was tried.
+    looked: bool,
     control_status: u16,
     /// When the gauge was last asked what it is.
     identified: Duration,
@@ -196,6 +198,7 @@ impl Owner {
             debt: Debt::default(),
             rare: Registers::UNREAD,
             statics_are_current: false,
+            looked: false,
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
@@ -304,6 +307,7 @@ impl Owner {
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
     fn forget_dataflash(&mut self) {
         self.statics_are_current = false;
+        self.looked = false;
         self.shared.forget_all();
     }
 }

@@ -1,5 +1,6 @@
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -11,9 +12,11 @@ use super::{Attempt, Request, Settings};
 use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
-use ti_gauge::chip::{Chip, Limited, Register, Subclass};
+use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
+use ti_gauge::codec;
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
+use ti_gauge::value::{Type, Value};
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -190,12 +193,44 @@ impl Shared {
         valid.then(|| kept.bytes.clone())
     }
 
-    /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
-    pub(super) fn kept_byte(&self, (id, offset): (u8, u16)) -> Option<u8> {
+    /// A value of data flash, given by its subclass (or `FLAT`) and offset, if its bytes are kept and still valid.
+    pub(super) fn kept_value(&self, (id, offset): (u8, u16), kind: Type) -> Option<Value> {
+        let index = self.index((id, offset))?;
+        let row = &self.chip.subclasses[index];
+        let end = offset + kind.size() as u16;
+        let overlaps = |parameter: &Parameter| {
+            parameter.offset < end && offset < parameter.offset + parameter.kind.size() as u16
+        };
+        let bytes = match row.parameters.iter().any(|parameter| parameter.learned && overlaps(parameter)) {
+            true => self.kept(index)?,
+            // A poll does not put values out of date that the gauge does not rewrite.
+            false => lock(&self.kept)[index].as_ref()?.bytes.clone(),
+        };
+        let at = usize::from(offset - row.start());
+        Some(codec::decode(kind, bytes.get(at..at + kind.size())?))
+    }
+
+    /// A byte of data flash, likewise.
+    pub(super) fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
+        match self.kept_value(place, Type::U(1))? {
+            Value::Int(byte) => u8::try_from(byte).ok(),
+            Value::Float(_) | Value::Text(_) => None,
+        }
+    }
+
+    /// The index of the subclass that holds a byte of data flash.
+    fn index(&self, (id, offset): (u8, u16)) -> Option<usize> {
         let holds =
             |row: &Subclass| row.id == id && (row.start()..row.start() + row.length).contains(&offset);
-        let index = self.chip.subclasses.iter().position(holds)?;
-        self.kept(index)?.get(usize::from(offset - self.chip.subclasses[index].start())).copied()
+        self.chip.subclasses.iter().position(holds)
+    }
+
+    /// The subclasses, by their index in the table, with what attributes and messages need of data flash and what is
+    /// not kept.
+    pub(super) fn unread_places(&self) -> Vec<usize> {
+        let indices: BTreeSet<_> = self.chip.places().filter_map(|place| self.index(place)).collect();
+        let kept = lock(&self.kept);
+        indices.into_iter().filter(|&index| kept[index].is_none()).collect()
     }
 
     /// Keeps the bytes of a subclass, read after that poll.
@@ -211,6 +246,8 @@ impl Shared {
                 *kept = None;
             }
         }
+        // Attributes follow from them.
+        self.raise();
     }
 
     /// Forgets the bytes of all subclasses.
@@ -261,6 +298,11 @@ impl Handle {
     /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
     pub fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
         self.shared.kept_byte(place)
+    }
+
+    /// A value of data flash, likewise.
+    pub fn kept_value(&self, place: (u8, u16), kind: Type) -> Option<Value> {
+        self.shared.kept_value(place, kind)
     }
 
     /// Age of the published snapshot; `None` while the gauge is gone.

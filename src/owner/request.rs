@@ -4,7 +4,7 @@ use std::ptr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use super::{Attempt, Owner, Seal};
+use super::{Attempt, Loss, Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::chip::{Parameter, Safe, Subclass};
@@ -256,9 +256,42 @@ impl Owner {
 
     fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
-        let Some(first) = rows.first() else { return Ok(Vec::new()) };
+        if rows.is_empty() {
+            return Ok(Vec::new());
+        }
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        self.keep(wanted, read)
+    }
+
+    /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
+    pub(super) fn read_if_open(&mut self) {
+        let published = self.shared.published();
+        // What is about to be undone, sealed or restored describes nothing.
+        let is_settled = self.dataflash.owed().is_none() && !matches!(self.loss, Loss::Owed { .. });
+        if self.looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
+            return;
+        }
+        // A failure is in the log, and no reason to do without the gauge; the next look follows a change.
+        self.looked = true;
+        let wanted = self.shared.unread_places();
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        if rows.is_empty() {
+            return;
+        }
+        let read = self.dataflash.read_if_open(&mut self.gauge, &rows).transpose();
+        if let Some(read) = read {
+            let _ = self.keep(&wanted, read);
+        }
+    }
+
+    /// Keeps the bytes of subclasses, and what they show.
+    fn keep(
+        &mut self,
+        wanted: &[usize],
+        read: ti_gauge::error::Result<Vec<Vec<u8>>>,
+    ) -> Result<Vec<Arc<[u8]>>> {
         self.note_debt();
+        let first = &self.gauge.chip.subclasses[wanted[0]];
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
         let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
         let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
@@ -297,6 +330,7 @@ impl Owner {
                     None => change.place.subclass == row.id,
                 };
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
+                self.looked = false;
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
             Ok(Outcome::Written { reset: true, .. }) | Err(_) => {

@@ -137,7 +137,8 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds. Units are those before [`ScaleRegisters`] apply.
+/// The power_supply property that a register feeds, or a parameter of data flash. Units are those before
+/// [`ScaleRegisters`] apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -168,12 +169,33 @@ pub enum Role {
     EnergyNow,
     /// `power_avg`, mW.
     PowerAvg,
+    /// `charge_counter`, mAh; rises while charging.
+    ChargeCounter,
+    /// `voltage_min_design`, mV: the voltage of an empty cell or pack.
+    VoltageMinDesign,
+    /// `voltage_max_design`, mV: the voltage to which a cell or pack is charged at moderate temperatures.
+    VoltageMaxDesign,
+    /// The number of cells in series. Where a parameter has it, design voltages are a cell's, and no document says
+    /// whether [`Role::ChargeVoltage`] is a cell's or the pack's.
+    Cells,
+    /// `constant_charge_voltage`, mV.
+    ChargeVoltage,
+    /// `constant_charge_current`, mA.
+    ChargeCurrent,
+    /// `internal_resistance`, mΩ.
+    InternalResistance,
     /// `cycle_count`.
     CycleCount,
     /// `state_of_health`, %.
     StateOfHealth,
     /// The flags that `status`, `health` and `capacity_level` follow from.
     Flags,
+    /// `technology`: the short name of the chemistry as Smart Battery Data prints it, such as `LION`.
+    Technology,
+    /// `manufacture_year`, `manufacture_month` and `manufacture_day`: day + month * 32 + (year - 1980) * 512.
+    ManufactureDate,
+    /// `serial_number`.
+    SerialNumber,
 }
 
 /// A standard command.
@@ -251,6 +273,10 @@ pub struct Condition {
     pub overheat: u16,
     /// Under temperature.
     pub cold: u16,
+    /// The voltage is above the limit that the pack's maker has set; 0 where no flag shows that.
+    pub over_voltage: u16,
+    /// The voltage is below the limit that the pack's maker has set; 0 where no flag shows that.
+    pub under_voltage: u16,
     /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
@@ -276,6 +302,8 @@ pub struct Primary {
     pub mode_mask: u8,
     /// The modes in which the gauge computes StateOfHealth().
     pub health_modes: &'static [u8],
+    /// The modes in which the gauge measures the cell's resistance.
+    pub resistance_modes: &'static [u8],
 }
 
 /// The polled registers by whose values the host multiplies those of others; `None` where the part has none. A
@@ -601,6 +629,24 @@ impl Chip {
     /// The register that feeds a property.
     pub fn register(&self, role: Role) -> Option<&'static Register> {
         self.registers.iter().find(|register| register.role == Some(role))
+    }
+
+    /// The parameter that feeds a property, with its subclass.
+    pub fn stored(&self, role: Role) -> Option<(&'static Subclass, &'static Parameter)> {
+        let rows = |row: &'static Subclass| row.parameters.iter().map(move |parameter| (row, parameter));
+        self.subclasses.iter().flat_map(rows).find(|(_, parameter)| parameter.role == Some(role))
+    }
+
+    /// The places in data flash (subclass and offset) that say something about the pack or the gauge: what feeds
+    /// properties, what proves the addresses, and what defects show in.
+    pub fn places(&self) -> impl Iterator<Item = (u8, u16)> + '_ {
+        let rows = |row: &'static Subclass| row.parameters.iter().map(move |parameter| (row.id, parameter));
+        let stored = self.subclasses.iter().flat_map(rows).filter(|(_, parameter)| parameter.role.is_some());
+        let stored = stored.map(|(id, parameter)| (id, parameter.offset));
+        let primary = self.condition.primary.iter().flat_map(|primary| [primary.alerts, primary.mode]);
+        let signature = self.signature.iter().map(|row| (row.subclass, row.offset));
+        let quirks = self.quirks.iter().map(|quirk| (quirk.subclass, quirk.offset));
+        stored.chain(primary).chain(signature).chain(quirks)
     }
 
     /// The folder of a subclass in `df/by-name`: its name, preceded by the manual's class if two subclasses

@@ -10,7 +10,7 @@ use super::bq27441_g1::{
     ACCESS, CAPACITY, CONDITION, CONTROL_STATUS, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG, OP_CONFIG_B,
     REGISTERS, SECURITY, SUBCOMMANDS, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, ScaleRegisters, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, ScaleRegisters, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The bq27421-G1 as far as it is known.
@@ -130,7 +130,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(10, I2, "Design Capacity",         0,  8000,  1340, "mAh").safe(CAPACITY),
         P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh"),
         P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh").unproven(),
-        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(22, I2, "T Rise",                  0, 32767,    20, "Num").unproven(),
         P::int(24, I2, "T Time Constant",         0, 32767,  1000, "s").unproven(),
         P::int(26, U1, "SOCI Delta",              0,   100,     1, "%").unproven(),

@@ -16,7 +16,7 @@ use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, 
 use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, ScaleRegisters, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, ScaleRegisters, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The BQ27426 as far as it is known.
@@ -130,9 +130,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 2, H1, "Update Status",       0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",        0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",    0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY),
+        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY).role(Role::ChargeFullDesign),
         P::int( 8, I2, "Design Energy",          0, 32767,  4960, "mWh"),
-        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV"),
+        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(16, I2, "T Rise",                 0, 32767,    20, "Num"),
         P::int(18, I2, "T Time Constant",        0, 32767,  1000, "s"),
         P::int(20, U1, "SOCI Delta",             0,   100,     1, "%"),

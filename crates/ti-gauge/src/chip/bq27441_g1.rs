@@ -103,7 +103,9 @@ pub(super) const CONDITION: Condition = Condition {
     critical: 0x0002, // [SOCF]
     overheat: 0x8000, // [OT]
     cold: 0x4000,     // [UT]
-    present: 0x0008,  // [BAT_DET]
+    over_voltage: 0,
+    under_voltage: 0,
+    present: 0x0008, // [BAT_DET]
     uncertain: 0,
     complete: 0x0080, // [INITCOMP]
     primary: None,
@@ -353,7 +355,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh"),
         // bq27441-G1B: 5580.
         P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh"),
-        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(22, I2, "T Rise",                  0, 32767,    20, "Num"),
         P::int(24, I2, "T Time Constant",         0, 32767,  1000, "s"),
         P::int(26, U1, "SOCI Delta",              0,   100,     1, "%"),

@@ -48,6 +48,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x0002, // [SYSDOWN]
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0,
+        under_voltage: 0,
         present: 0x0008, // [BAT_DET]
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
@@ -152,7 +154,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x20, U2, "MaxLoadTimeToEmpty", "min", Slow),
     Register::new(0x22, U2, "AvailableEnergy", "mWh", Poll).role(Role::EnergyNow),
     Register::new(0x24, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
-    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll),
+    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll).role(Role::TimeToEmptyAvg),
     // One command of two bytes, a percentage and what stands behind it.
     Register::new(0x28, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x29, U1, "StateOfHealthStatus", "", Poll),
@@ -483,7 +485,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(31, I2, "Q Invalid MaxV", "mV").unproven(),
         P::any(33, I2, "Q Invalid MinV", "mV").unproven(),
         // The place is a shipped driver's for this part, limits and default are the ancestor's.
-        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE),
+        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE).role(Role::VoltageMinDesign),
     ] },
     Subclass { class: "Fuel Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

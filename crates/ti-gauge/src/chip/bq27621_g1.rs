@@ -258,7 +258,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 3, I2, "Design Capacity",         0,  8000,  1340, "mAh").safe(CAPACITY),
         P::int( 5, I2, "Design Energy",           0, 32767,  4960, "mWh"),
         P::within( 7, I2, "Default Design Cap",   0, 32767, "mAh"),
-        P::int( 9, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int( 9, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(19, U1, "SOCI Delta",              0,   100,     1, "%"),
         P::int(20, I2, "Taper Rate",              0,  2000,   100, "0.1 Hr rate"),
         P::int(22, I2, "Taper Voltage",           0,  5000,  4100, "mV"),

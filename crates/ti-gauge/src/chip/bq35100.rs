@@ -52,6 +52,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x08, // [EOS]
         overheat: 0x20, // [TEMPHIGH]
         cold: 0x40,     // [TEMPLOW]
+        over_voltage: 0,
+        under_voltage: 0x80, // [BATLOW]
         present: 0,
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
@@ -61,6 +63,7 @@ pub static CHIP: Chip = Chip {
             mode: (FLAT, 0x41B1),   // Operation Config A [GMSEL1], [GMSEL0]
             mode_mask: 0x03,
             health_modes: &[0b01, 0b10],
+            resistance_modes: &[0b10],
         }),
     },
     scale_registers: ScaleRegisters::NONE,
@@ -149,7 +152,7 @@ pub static CHIP: Chip = Chip {
 static REGISTERS: &[Register] = &[
     Register::new(0x00, U2, "Control", "", Window),
     // Counts down from 0 (pilotak/BQ35100). SLUUBH1C prints it signed with a range of 4.29E9.
-    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll),
+    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll).role(Role::ChargeCounter).step(1, 1000),
     // Unsigned, with a negative minimum; SLUSCM6E has it signed. Kelvin need no sign.
     Register::new(0x06, U2, "Temperature", "0.1K", Poll).role(Role::Temp),
     // Signed, with a maximum of 65535; SLUSCM6E has it unsigned.
@@ -159,7 +162,7 @@ static REGISTERS: &[Register] = &[
     // Of the last second, and only between GAUGE_START and GAUGE_STOP.
     Register::new(0x0C, I2, "Current", "mA", Poll).role(Role::CurrentNow),
     Register::new(0x16, U2, "ScaledR", "mΩ", Slow),
-    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow),
+    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow).role(Role::InternalResistance),
     Register::new(0x28, U2, "InternalTemperature", "0.1K", Slow),
     Register::new(0x2E, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),

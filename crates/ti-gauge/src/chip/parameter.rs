@@ -1,6 +1,6 @@
 //! Data flash as the manual lists it: subclasses and their parameters.
 
-use super::Bit;
+use super::{Bit, Role};
 use crate::codec::WINDOW;
 use crate::value::Type;
 
@@ -79,11 +79,24 @@ pub struct Parameter {
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
+    /// The property it feeds.
+    pub role: Option<Role>,
 }
 
 impl Parameter {
     const fn new(offset: u16, kind: Type, name: &'static str, range: Range, unit: &'static str) -> Self {
-        Self { offset, kind, name, range, unit, bits: &[], learned: false, safe: None, unproven: false }
+        Self {
+            offset,
+            kind,
+            name,
+            range,
+            unit,
+            bits: &[],
+            learned: false,
+            safe: None,
+            unproven: false,
+            role: None,
+        }
     }
 
     /// An integer row of a manual's table: offset, type, name, min, max, default, unit.
@@ -181,6 +194,13 @@ impl Parameter {
     #[must_use]
     pub const fn unproven(mut self) -> Self {
         self.unproven = true;
+        self
+    }
+
+    /// The property it feeds.
+    #[must_use]
+    pub const fn role(mut self, role: Role) -> Self {
+        self.role = Some(role);
         self
     }
 }
