@@ -5,7 +5,7 @@
 use jiff::civil::Date;
 
 use crate::owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Signature};
+use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
 use ti_gauge::value::Value;
 
 use super::Scales;
@@ -33,31 +33,32 @@ impl<'a> Reading<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Voltage,
-    /// Currents and charges.
     Current,
+    Charge,
     /// Energies and powers.
     Energy,
 }
 
 impl Kind {
-    pub(super) const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Energy];
+    pub(super) const ALL: [Self; 4] = [Self::Voltage, Self::Current, Self::Charge, Self::Energy];
 
     /// The option that scales them.
     pub(super) fn option(self) -> &'static str {
         match self {
             Kind::Voltage => "voltage-scale",
-            Kind::Current => "current-scale",
+            Kind::Current | Kind::Charge => "current-scale",
             Kind::Energy => "energy-scale",
         }
     }
 
-    /// The register that holds the gauge's own scale of them.
-    fn register(self, chip: &Chip) -> Option<u8> {
-        let registers = &chip.scale_registers;
+    /// Where the gauge has a scale of them.
+    fn scale(self, chip: &Chip) -> Scale {
+        let scaling = &chip.scaling;
         match self {
-            Kind::Voltage => registers.voltage,
-            Kind::Current => registers.current,
-            Kind::Energy => registers.energy,
+            Kind::Voltage => scaling.voltage,
+            Kind::Current => scaling.current,
+            Kind::Charge => scaling.charge,
+            Kind::Energy => scaling.energy,
         }
     }
 }
@@ -103,10 +104,10 @@ static ATTRIBUTES: &[Row] = &[
     number("voltage_max_design", |reading| reading.design_voltage(Role::VoltageMaxDesign)),
     number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
-    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Current)),
-    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Current)),
+    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Charge)),
+    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Charge)),
     number("charge_full_design", |reading| reading.charge_full_design()),
-    number("charge_counter", |reading| reading.micro(Role::ChargeCounter, Kind::Current)),
+    number("charge_counter", |reading| reading.micro(Role::ChargeCounter, Kind::Charge)),
     number("constant_charge_voltage", |reading| reading.charge_voltage()),
     number("constant_charge_current", |reading| reading.micro(Role::ChargeCurrent, Kind::Current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
@@ -244,8 +245,8 @@ impl Reading<'_> {
     /// From a register, or from data flash where the part has no such register.
     fn charge_full_design(&self) -> Option<i64> {
         match self.chip.register(Role::ChargeFullDesign) {
-            Some(_) => self.micro(Role::ChargeFullDesign, Kind::Current),
-            None => self.scaled(self.stored_number(Role::ChargeFullDesign)?, Kind::Current),
+            Some(_) => self.micro(Role::ChargeFullDesign, Kind::Charge),
+            None => self.scaled(self.stored_number(Role::ChargeFullDesign)?, Kind::Charge),
         }
     }
 
@@ -296,10 +297,22 @@ impl Reading<'_> {
 
     /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
     pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
-        let Some(code) = kind.register(self.chip) else { return Some(1) };
-        let register = self.chip.register_at(code)?;
+        let register = match kind.scale(self.chip) {
+            Scale::None => return Some(1),
+            Scale::Flash(subclass, offset) => return self.handle.flash_scale((subclass, offset)),
+            Scale::Register(code) => self.chip.register_at(code)?,
+        };
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
         snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
+    }
+
+    /// Whether the gauge says that its values are scaled by a factor that it does not have, and what says so; `None`
+    /// if the part never says that.
+    pub(super) fn is_scaled(&self) -> Option<(bool, String)> {
+        let (code, bit) = self.chip.scaling.scaled?;
+        let register = self.chip.register_at(code)?;
+        let word = self.snapshot?.value(register)?;
+        Some((word & i64::from(bit.mask) != 0, format!("[{}] of {}()", bit.name, register.name)))
     }
 
     /// The register that `current_now` shows. Parts with a single current register average it. Monitors

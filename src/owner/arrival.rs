@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{Answers, Attempt, Owner};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
-use ti_gauge::dataflash::Outcome;
+use ti_gauge::dataflash::{Outcome, Place};
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
 
@@ -147,6 +147,7 @@ impl Owner {
         self.forget_dataflash();
         if is_reported {
             self.dataflash.forget();
+            self.shared.forget_scales();
         }
         self.publish_seal();
         if self.restore.is_empty() {
@@ -200,7 +201,7 @@ impl Owner {
         for quirk in self.gauge.chip.quirks {
             let byte = self.shared.kept_byte((quirk.subclass, quirk.offset));
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
-                let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
+                let file = format!("df/{}", Place::from((quirk.subclass, quirk.offset)));
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);
                 self.shared.report(Attempt::Other, &Error::new(file, Cause::Protocol(why)));
             }

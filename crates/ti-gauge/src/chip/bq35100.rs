@@ -18,7 +18,7 @@ use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
-    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus,
+    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scaling, Scheme, SealStatus,
     Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -66,7 +66,7 @@ pub static CHIP: Chip = Chip {
             resistance_modes: &[0b10],
         }),
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         status: SealStatus::Field { register: None, shift: 13 },
         // Owners send them so; stored in this order at 0x41CC.
@@ -281,6 +281,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x400D, I1, "Int Temp Offset", "0.1°C"),
         P::any(0x400E, I1, "Ext Temp Offset", "0.1°C"),
         P::any(0x400F, I1, "Pack V Offset",   "mV"),
+        // Two drivers write it here; no source gives its size, its sign, or which values would make the voltage too
+        // low for any further write.
         P::any(0x4010, U2, "VIN Gain",        "").unproven(),
     ] },
     Subclass { class: "Calibration", name: "Temp Model", id: FLAT, length: 22, kind: Plain,
@@ -425,7 +427,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x41FE, I2, "Cell Design Capacity mAh", "mAh").safe(CAPACITY),
         P::any(0x4202, I2, "Cell Design Voltage",      "mV"),
         P::any(0x4204, I2, "Cell Terminate Voltage",   "mV"),
-        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS).unproven(),
+        // Two drivers write it: arithmetics.io's, and Orgatex's for Zephyr (2025).
+        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS),
         P::any(0x4207, I2, "Max Load",                 "mA").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "State", id: FLAT, length: 2, kind: Plain,
