@@ -780,14 +780,6 @@ fn a_bq27441_g1b_has_its_own_defaults() {
 
 /// LEADACID's driver and the CEDV profile: voltages of a cell.
 #[test]
-fn voltages_of_a_cell_of_the_bq34110_say_so() {
-    let chip = Chip::by_name("bq34110").unwrap();
-    let cells: Vec<_> = parameters(chip).filter(|(_, row, _)| row.unit == "mV/cell").collect();
-    assert_eq!(cells.len(), 17);
-    assert!(cells.iter().all(|(_, row, _)| row.name.contains("Voltage")));
-}
-
-#[test]
 fn bq27441_g1_matches_tables_4_3_to_6_9() {
     let chip = Chip::by_name("bq27441-g1").unwrap();
     let ids: Vec<u8> = chip.subclasses.iter().map(|subclass| subclass.id).collect();
@@ -803,11 +795,11 @@ Gas Gauging | IT Cfg | 80 22 U2 | Ra Filter | 0 1000 800 | Num
 Gas Gauging | IT Cfg | 80 78 U1 | TermV Valid t | 0 255 2 | s
 Gas Gauging | Current Thresholds | 81 4 I2 | Quit Current | 0 2000 250 | 0.1 Hr rate
 Gas Gauging | State | 82 0 I2 | Qmax Cell 0 | 0 32767 16384 | Num
-Gas Gauging | State | 82 10 I2 | Design Capacity | 0 8000 ? | mAh
+Gas Gauging | State | 82 10 I2 | Design Capacity | 0 8000 1340 | mAh
 Gas Gauging | State | 82 16 I2 | Terminate Voltage | 2500 3700 3200 | mV
 Gas Gauging | State | 82 27 I2 | Taper Rate | 0 2000 100 | 0.1 Hr rate
 Gas Gauging | State | 82 35 I2 | Avg I Last Run | -32768 -1 -50 | 0.1 Hr rate
-Ra Tables | R_a RAM | 89 28 I2 | R_a0 14 | 0 32767 ? | Num
+Ra Tables | R_a RAM | 89 28 I2 | R_a0 14 | 0 32767 588 | Num
 Calibration | CC Cal | 105 4 F4 | CC Gain | 0.1 40 0.672785 | Num
 Calibration | CC Cal | 105 8 F4 | CC Delta | 30000 3000000 799341.14 | Num
 Security | Codes | 112 0 H4 | Sealed to Unsealed | 0 4294967295 ? | hex
@@ -966,7 +958,7 @@ fn bq27427_and_bq27426_are_writable_where_the_images_of_both_agree() {
 
 #[test]
 fn voltages_of_a_bq34110_are_a_cells_where_the_drivers_say_so() {
-    let rows = parameters(Chip::by_name("bq34110").unwrap()).filter(|(_, row, _)| row.unit == "mV per cell");
+    let rows = parameters(Chip::by_name("bq34110").unwrap()).filter(|(_, row, _)| row.unit == "mV/cell");
     let offsets: Vec<u16> = rows.map(|(_, row, _)| row.offset).collect();
     let expected = [0x40C7, 0x40C9, 0x40CB, 0x4114, 0x4116, 0x4118].into_iter();
     assert_eq!(offsets, expected.chain((0..11).map(|step| 0x4263 + 2 * step)).collect::<Vec<_>>());
@@ -1029,10 +1021,7 @@ fn bq27426_has_the_layout_of_bq27427_and_its_chemistry() {
         };
         parameters(chip).map(place).collect::<Vec<_>>()
     };
-    // No image of this part shows a Design Energy Scale.
-    let sister = places(Chip::by_name("bq27427").unwrap());
-    let known: Vec<_> = sister.into_iter().filter(|&(_, _, _, name)| name != "Design Energy Scale").collect();
-    assert_eq!(places(chip), known);
+    assert_eq!(places(chip), places(Chip::by_name("bq27427").unwrap()));
     let known = |id| chip.subclass(id).map(|class| (class.name, class.length, class.stored()));
     assert_eq!(known(83), Some(("OCV Table 83", 43, 64)));
     assert_eq!(known(84), Some(("OCV Table 84", 42, 64)));
