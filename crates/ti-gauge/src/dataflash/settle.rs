@@ -349,7 +349,7 @@ pub(super) fn plan(
 }
 
 /// The register that distinguishes packs. A chemistry ID is no serial number.
-fn serial(chip: &Chip) -> Option<u8> {
+pub(super) fn serial(chip: &Chip) -> Option<u8> {
     let pack = chip.preflight.pack.as_ref()?;
     match pack.word {
         Word::Register(code) => Some(code),
