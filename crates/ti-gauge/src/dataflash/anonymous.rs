@@ -6,7 +6,6 @@
 use std::ops::Range;
 
 use super::blocks::{Window, holds_keys};
-use super::settle::serial;
 use crate::chip::{Chip, FLAT, Kind, Subclass};
 use crate::codec::WINDOW;
 use crate::value::Type;
@@ -115,7 +114,7 @@ pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
         None => true,
     });
     events.retain(|event| !private.iter().any(|block| alike(block, window(event))));
-    if let Some(serial) = serial(chip) {
+    if let Some(serial) = chip.serial_register() {
         events.iter_mut().for_each(|event| hide(serial..serial + 2, event));
     }
     events
