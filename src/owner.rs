@@ -307,6 +307,12 @@ impl Owner {
 
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
     fn forget_dataflash(&mut self) {
+        self.forget_values();
+        self.shared.doubt_scales();
+    }
+
+    /// The same for one and the same gauge, whose scales have not changed.
+    fn forget_values(&mut self) {
         self.statics_are_current = false;
         self.shared.forget_all();
     }

@@ -3,7 +3,7 @@
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
 use crate::owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Primary, Register, Role};
+use ti_gauge::chip::{Chip, Primary, Register, Role, Scale};
 
 use super::Scales;
 
@@ -30,31 +30,32 @@ impl<'a> Reading<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Voltage,
-    /// Currents and charges.
     Current,
+    Charge,
     /// Energies and powers.
     Energy,
 }
 
 impl Kind {
-    pub(super) const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Energy];
+    pub(super) const ALL: [Self; 4] = [Self::Voltage, Self::Current, Self::Charge, Self::Energy];
 
     /// The option that scales them.
     pub(super) fn option(self) -> &'static str {
         match self {
             Kind::Voltage => "voltage-scale",
-            Kind::Current => "current-scale",
+            Kind::Current | Kind::Charge => "current-scale",
             Kind::Energy => "energy-scale",
         }
     }
 
-    /// The register that holds the gauge's own scale of them.
-    fn register(self, chip: &Chip) -> Option<u8> {
-        let registers = &chip.scale_registers;
+    /// Where the gauge has a scale of them.
+    fn scale(self, chip: &Chip) -> Scale {
+        let scaling = &chip.scaling;
         match self {
-            Kind::Voltage => registers.voltage,
-            Kind::Current => registers.current,
-            Kind::Energy => registers.energy,
+            Kind::Voltage => scaling.voltage,
+            Kind::Current => scaling.current,
+            Kind::Charge => scaling.charge,
+            Kind::Energy => scaling.energy,
         }
     }
 }
@@ -92,9 +93,9 @@ static ATTRIBUTES: &[Row] = &[
     number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
     number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
-    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Current)),
-    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Current)),
-    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, Kind::Current)),
+    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Charge)),
+    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Charge)),
+    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, Kind::Charge)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
@@ -182,10 +183,22 @@ impl Reading<'_> {
 
     /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
     pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
-        let Some(code) = kind.register(self.chip) else { return Some(1) };
-        let register = self.chip.register_at(code)?;
+        let register = match kind.scale(self.chip) {
+            Scale::None => return Some(1),
+            Scale::Flash(subclass, offset) => return self.handle.flash_scale((subclass, offset)),
+            Scale::Register(code) => self.chip.register_at(code)?,
+        };
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
         snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
+    }
+
+    /// Whether the gauge says that its values are scaled by a factor that it does not have, and what says so; `None`
+    /// if the part never says that.
+    pub(super) fn is_scaled(&self) -> Option<(bool, String)> {
+        let (code, bit) = self.chip.scaling.scaled?;
+        let register = self.chip.register_at(code)?;
+        let word = self.snapshot?.value(register)?;
+        Some((word & i64::from(bit.mask) != 0, format!("[{}] of {}()", bit.name, register.name)))
     }
 
     /// The register that `current_now` shows. Parts with a single current register average it. Monitors

@@ -67,6 +67,7 @@ static FILES: &[File] = &[
         .written(|gauge, _, done| gauge.handle.submit(Request::Report(done))),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
+    file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
     file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())).written(
         |gauge, data, done| gauge.submit(Attempt::Interval, interval(data), done, Request::Interval),

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{Answers, Attempt, Owner, Seal};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
-use ti_gauge::dataflash::Outcome;
+use ti_gauge::dataflash::{Outcome, Place};
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
 
@@ -41,12 +41,13 @@ impl Owner {
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
         self.restore_after_power_loss();
-        // Reading the bytes that show a quirk takes a key, unless the gauge is found unsealed.
+        // Reading the bytes that show a quirk, or a scale, takes a key, unless the gauge is found unsealed.
         let published = self.shared.published();
         if published.seal != Seal::Sealed && published.limited.is_none() {
             let chip = self.gauge.chip;
-            let subclasses: Vec<_> =
-                chip.quirks.iter().filter_map(|quirk| index(chip, quirk.subclass)).collect();
+            let quirks = chip.quirks.iter().map(|quirk| quirk.subclass);
+            let ids = quirks.chain(chip.scaling.in_flash().map(|(subclass, _)| subclass));
+            let subclasses: Vec<_> = ids.filter_map(|id| index(chip, id)).collect();
             // A failure is in the log already, and no reason to do without the gauge.
             let _ = self.read(&subclasses, Duration::ZERO);
         }
@@ -154,6 +155,7 @@ impl Owner {
         self.forget_dataflash();
         if is_reported {
             self.dataflash.forget();
+            self.shared.forget_scales();
         }
         self.publish_seal();
         if self.restore.is_empty() {
@@ -207,7 +209,7 @@ impl Owner {
         for quirk in self.gauge.chip.quirks {
             let byte = self.shared.kept_byte((quirk.subclass, quirk.offset));
             if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
-                let file = format!("df/{}/{}", quirk.subclass, quirk.offset);
+                let file = format!("df/{}", Place::from((quirk.subclass, quirk.offset)));
                 let why = format!("{}; {}", quirk.effect, quirk.remedy);
                 self.shared.report(Attempt::Other, &Error::new(file, Cause::Protocol(why)));
             }

@@ -1,5 +1,6 @@
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -12,6 +13,7 @@ use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::chip::{Chip, Limited, Register, Subclass};
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
 
@@ -80,6 +82,8 @@ pub(super) struct Shared {
     published: Mutex<Arc<Published>>,
     /// Subclasses that have been read, by their index in the table.
     kept: Mutex<Vec<Option<Kept>>>,
+    /// The scales in data flash that have been read, by their places; 0 for one that may have changed since.
+    flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
     signal: Arc<Signal>,
     /// Something has been published since the FUSE side last asked.
     changed: AtomicBool,
@@ -130,6 +134,7 @@ impl Shared {
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
             kept: Mutex::new(gauge.chip.subclasses.iter().map(|_| None).collect()),
+            flash_scales: Mutex::default(),
             signal,
             changed: AtomicBool::new(true),
             prefix: if name.is_empty() { name } else { name + ": " },
@@ -211,8 +216,57 @@ impl Shared {
 
     /// Keeps the bytes of a subclass, read after that poll.
     pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
+        self.note_scales(self.chip.subclasses[subclass].id, self.chip.subclasses[subclass].start(), &bytes);
         lock(&self.kept)[subclass] = Some(Kept { bytes, poll });
         self.raise();
+    }
+
+    /// Notes the scales among the bytes of data flash from a place on.
+    pub(super) fn note_scales(&self, id: u8, start: u16, bytes: &[u8]) {
+        for (subclass, offset) in self.chip.scaling.in_flash().filter(|&(subclass, _)| subclass == id) {
+            let at = offset.checked_sub(start).map(usize::from);
+            let Some(&byte) = at.and_then(|at| bytes.get(at)) else { continue };
+            // Drivers take 0 for none.
+            let scale = byte.max(1);
+            let before = lock(&self.flash_scales).insert((subclass, offset), scale);
+            if before.unwrap_or(1) != scale {
+                let name = self.chip.parameter(subclass, offset).map_or("scale", |row| row.name);
+                let place = Place::from((subclass, offset));
+                log::info!("{}{name} ({place}) is {scale}, and applies to the attributes", self.prefix);
+            }
+        }
+    }
+
+    /// The scale at a place of data flash. Before it has been read it is the default, 1. `None` if another one has
+    /// been read and may have changed since.
+    fn flash_scale(&self, place: (u8, u16)) -> Option<u32> {
+        let scale = lock(&self.flash_scales).get(&place).copied().unwrap_or(1);
+        (scale > 0).then_some(scale.into())
+    }
+
+    /// The scales that a failed write was to change may be others now.
+    pub(super) fn doubt_scales_of(&self, changes: &[Change]) {
+        for (subclass, offset) in self.chip.scaling.in_flash() {
+            let holds = |change: &Change| {
+                let Place { subclass: id, offset: start } = change.place;
+                id == subclass && (start..).take(change.bytes.len()).any(|at| at == offset)
+            };
+            if changes.iter().any(holds) {
+                lock(&self.flash_scales).insert((subclass, offset), 0);
+            }
+        }
+    }
+
+    /// The scales in data flash may be others now.
+    pub(super) fn doubt_scales(&self) {
+        for scale in lock(&self.flash_scales).values_mut().filter(|scale| **scale != 1) {
+            *scale = 0;
+        }
+    }
+
+    /// Data memory has reverted to its defaults.
+    pub(super) fn forget_scales(&self) {
+        lock(&self.flash_scales).clear();
     }
 
     /// Forgets the bytes of some subclasses.
@@ -277,6 +331,11 @@ impl Handle {
     /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
     pub fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
         self.shared.kept_byte(place)
+    }
+
+    /// The scale at a place of data flash; `None` while it is in doubt.
+    pub fn flash_scale(&self, place: (u8, u16)) -> Option<u32> {
+        self.shared.flash_scale(place)
     }
 
     /// Age of the published snapshot; `None` while the gauge is gone.

@@ -305,8 +305,13 @@ impl Owner {
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
-            Ok(Outcome::Written { reset: true, .. }) | Err(_) => {
-                self.forget_dataflash();
+            Ok(Outcome::Written { reset: true, .. }) => {
+                self.forget_values();
+                self.schedule.hurry();
+            }
+            Err(_) => {
+                self.forget_values();
+                self.shared.doubt_scales_of(changes);
                 self.schedule.hurry();
             }
         }
@@ -317,6 +322,9 @@ impl Owner {
     /// Logs what each change of a write has replaced.
     pub(super) fn log_written(&self, changes: &[Change], outcome: &Outcome) {
         let prefix = &self.shared.prefix;
+        for change in changes {
+            self.shared.note_scales(change.place.subclass, change.place.offset, &change.bytes);
+        }
         match outcome {
             Outcome::Unchanged => {
                 for change in changes {
@@ -338,7 +346,7 @@ impl Owner {
     /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls
     /// it.
     fn refresh(&mut self, submitted: Duration) -> Result<()> {
-        self.forget_dataflash();
+        self.forget_values();
         self.dataflash.suspect(self.gauge.chip);
         // A look since then is as new as was asked for.
         if self.schedule.is_newer_than(submitted) && submitted < self.identified {

@@ -762,14 +762,14 @@ fn the_scales_that_are_applied_are_shown() {
         sim.set("power", "off").expect("a knob");
         sim.set("power", "on").expect("a knob");
     };
-    for (chip, expected) in [("bq34z100-r2", ["2", "10", "20"]), ("bq34110", ["1", "1", "1"])] {
+    for (chip, expected) in [("bq34z100-r2", ["2", "10", "10", "20"]), ("bq34110", ["1"; 4])] {
         let prepare = if chip == "bq34z100-r2" { prepare } else { |_: &Sim| {} };
         let Some(mount) =
             Mount::with(chip, Duration::from_secs(3600), Keys::default(), prepare, Vec::new(), open)
         else {
             return;
         };
-        let files = ["voltage_scale", "current_scale", "energy_scale"];
+        let files = ["voltage_scale", "current_scale", "charge_scale", "energy_scale"];
         assert_eq!(files.map(|file| mount.cat(&format!("gauge/{file}"))), expected, "{chip}");
     }
 }

@@ -70,8 +70,8 @@ pub struct Chip {
     pub control_status: &'static [Bit],
     /// What the flags mean to a power_supply.
     pub condition: Condition,
-    /// The registers that hold scales of measured values.
-    pub scale_registers: ScaleRegisters,
+    /// By what the host multiplies measured values.
+    pub scaling: Scaling,
     /// How the seal state is read and changed.
     pub security: Security,
     /// How data flash is read and written, with the delays.
@@ -178,7 +178,7 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds. Units are those before [`ScaleRegisters`] apply.
+/// The power_supply property that a register feeds. Units are those before [`Scaling`] apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -319,21 +319,56 @@ pub struct Primary {
     pub health_modes: &'static [u8],
 }
 
-/// The polled registers by whose values the host multiplies those of others; `None` where the part has none. A
-/// configured gauge has no 0 in them. Parameters of data flash are in the units of the registers.
+/// By what the host multiplies a part's values. Parameters of data flash are in the units of the registers.
 #[derive(Debug)]
-pub struct ScaleRegisters {
-    /// Of voltages.
-    pub voltage: Option<u8>,
-    /// Of currents and charges.
-    pub current: Option<u8>,
-    /// Of energies and powers.
-    pub energy: Option<u8>,
+pub struct Scaling {
+    /// Voltages.
+    pub voltage: Scale,
+    /// Currents.
+    pub current: Scale,
+    /// Charges.
+    pub charge: Scale,
+    /// Energies and powers.
+    pub energy: Scale,
+    /// Shows that the host has to multiply currents, charges and energies by a factor that the gauge does not have:
+    /// a register that is read when the gauge is opened, and its bit.
+    pub scaled: Option<(u8, Bit)>,
 }
 
-impl ScaleRegisters {
+/// Where a part has a scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Nowhere.
+    None,
+    /// In a polled register, which is not 0 in a configured gauge.
+    Register(u8),
+    /// In a byte of data flash, by subclass and offset. Its default is 1.
+    Flash(u8, u16),
+}
+
+impl Scaling {
     /// The part has none.
-    pub const NONE: Self = Self { voltage: None, current: None, energy: None };
+    pub const NONE: Self = Self {
+        voltage: Scale::None,
+        current: Scale::None,
+        charge: Scale::None,
+        energy: Scale::None,
+        scaled: None,
+    };
+
+    /// The bytes of data flash that hold scales.
+    pub fn in_flash(&self) -> impl Iterator<Item = (u8, u16)> + use<> {
+        let scales = [self.voltage, self.current, self.charge, self.energy];
+        let mut places: Vec<_> = scales
+            .into_iter()
+            .filter_map(|scale| match scale {
+                Scale::Flash(subclass, offset) => Some((subclass, offset)),
+                Scale::None | Scale::Register(_) => None,
+            })
+            .collect();
+        places.dedup();
+        places.into_iter()
+    }
 }
 
 /// Seal states and keys.

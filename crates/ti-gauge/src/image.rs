@@ -249,8 +249,9 @@ impl Image {
     pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
         let Raw { subclass, offset, line, .. } = *raw;
         if subclass == FLAT {
-            let why = "is undocumented; skip it with --exclude undocumented";
-            return Some(at_line(line, format!("address 0x{offset:04x} {why}")));
+            let place = Place { subclass, offset };
+            let why = format!("{place} is undocumented; skip it with --exclude undocumented");
+            return Some(at_line(line, why));
         }
         if allowed || self.chip.subclass(subclass).is_some() {
             return None;

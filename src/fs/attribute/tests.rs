@@ -382,13 +382,22 @@ fn with_scales(scales: [u8; 3]) -> Rig {
     rig
 }
 
+/// Which of the scales it has.
+fn byte(kind: Kind) -> usize {
+    match kind {
+        Kind::Voltage => 0,
+        Kind::Current | Kind::Charge => 1,
+        Kind::Energy => 2,
+    }
+}
+
 const SCALED: [(&str, Role, Kind); 8] = [
     ("voltage_now", Role::VoltageNow, Kind::Voltage),
     ("current_now", Role::CurrentNow, Kind::Current),
     ("current_avg", Role::CurrentAvg, Kind::Current),
-    ("charge_now", Role::ChargeNow, Kind::Current),
-    ("charge_full", Role::ChargeFull, Kind::Current),
-    ("charge_full_design", Role::ChargeFullDesign, Kind::Current),
+    ("charge_now", Role::ChargeNow, Kind::Charge),
+    ("charge_full", Role::ChargeFull, Kind::Charge),
+    ("charge_full_design", Role::ChargeFullDesign, Kind::Charge),
     ("energy_now", Role::EnergyNow, Kind::Energy),
     ("power_avg", Role::PowerAvg, Kind::Energy),
 ];
@@ -405,7 +414,7 @@ fn every_attribute_is_multiplied_by_the_scale_that_the_gauge_reports() {
             let sign = if role == Role::PowerAvg { -1 } else { 1 };
             // Energies are in cWh.
             let step = if kind == Kind::Energy { 10_000 } else { 1000 };
-            let scaled = sign * raw * step * i64::from(reported[kind as usize]);
+            let scaled = sign * raw * step * i64::from(reported[byte(kind)]);
             assert_eq!(show(&rig, name), Some(scaled.to_string()), "{name} {reported:?}");
             // The user's scale comes on top.
             let both = (scaled as f64 * given.of(kind)).round() as i64;
@@ -432,7 +441,7 @@ fn a_scale_applies_as_soon_as_the_gauge_reports_it() {
 fn a_scale_of_0_leaves_no_value_of_its_kind() {
     let rig = with_scales([1, 0, 1]);
     for (name, _, kind) in SCALED {
-        assert_eq!(show(&rig, name).is_some(), kind != Kind::Current, "{name}");
+        assert_eq!(show(&rig, name).is_some(), byte(kind) != 1, "{name}");
     }
     assert_shows(&rig, &[("status", Some("Unknown"))]);
 }
@@ -454,6 +463,132 @@ fn a_scale_that_may_be_given_twice_is_warned_of() {
     assert_eq!(warnings([5, 10, 20], &given).len(), 2);
     assert!(warnings([5, 10, 20], &Scales::default()).is_empty());
     assert!(warnings([1, 1, 1], &given).is_empty());
+}
+
+/// The attributes, and what a scale of 10 in data flash makes of each.
+fn assert_scaled(rig: &Rig, factors: &[(&str, Role, Option<i64>)]) {
+    let snapshot = rig.handle.published().snapshot.clone().expect("a poll");
+    for &(name, role, factor) in factors {
+        let register = rig.handle.chip().register(role).expect("a register");
+        let sign = if role == Role::PowerAvg && !register.signed { -1 } else { 1 };
+        let raw = sign * snapshot.value(register).expect("read");
+        assert_ne!(raw, 0, "{name}");
+        assert_eq!(show(rig, name), factor.map(|factor| (raw * 1000 * factor).to_string()), "{name}");
+    }
+}
+
+/// A discharging gauge whose Design Energy Scale is 10, and where that is.
+fn with_energy_scale(chip: &str) -> (Rig, u8, u8) {
+    let (id, offset): (u8, u8) = if chip == "bq27427" { (80, 81) } else { (48, 30) };
+    let mut rig = Rig::of(chip, Settings { allow_unproven: true, ..Settings::default() }, Startup::default());
+    rig.start().expect("it answers");
+    rig.sim.set_flash(id.into(), offset.into(), &[10]);
+    turn(&rig, "load_ma", "500");
+    turn(&rig, "speed", "20");
+    for _ in 0..20 {
+        rig.poll_after(Duration::from_secs(2));
+    }
+    (rig, id, offset)
+}
+
+/// It is known once its subclass has been read, and stays so from then on.
+#[test]
+fn a_scale_in_data_flash_applies_once_it_is_known() {
+    for chip in ["bq27427", "bq34z100-g1"] {
+        let (mut rig, id, _) = with_energy_scale(chip);
+        let factors = |energy: i64| -> Vec<(&str, Role, Option<i64>)> {
+            let charge = if chip == "bq27427" { energy } else { 1 };
+            let both = [
+                ("current_avg", Role::CurrentAvg, Some(1)),
+                ("charge_now", Role::ChargeNow, Some(charge)),
+                ("charge_full", Role::ChargeFull, Some(charge)),
+                ("power_avg", Role::PowerAvg, Some(energy)),
+            ];
+            both.to_vec()
+        };
+        assert_scaled(&rig, &factors(1));
+        let index = rig.index(id);
+        rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        assert_scaled(&rig, &factors(10));
+        rig.poll_after(INTERVAL);
+        rig.ask(Request::Refresh).expect("it answers");
+        assert_scaled(&rig, &factors(10));
+    }
+}
+
+/// Once a poll has failed, it may be another gauge, and its scale another one.
+#[test]
+fn a_scale_in_doubt_leaves_no_value_of_its_kind() {
+    let (mut rig, id, _) = with_energy_scale("bq34z100-g1");
+    let index = rig.index(id);
+    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    turn(&rig, "power", "off");
+    rig.poll_after(INTERVAL);
+    turn(&rig, "power", "on");
+    for _ in 0..20 {
+        rig.poll_after(Duration::from_secs(2));
+    }
+    let charge = ("charge_now", Role::ChargeNow, Some(1));
+    assert_scaled(&rig, &[charge, ("power_avg", Role::PowerAvg, None)]);
+    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    assert_scaled(&rig, &[charge, ("power_avg", Role::PowerAvg, Some(10))]);
+}
+
+/// A write tells as well.
+#[test]
+fn a_scale_that_is_written_applies() {
+    let (mut rig, id, offset) = with_energy_scale("bq34z100-g1");
+    for scale in ["1", "10"] {
+        let row = rig.handle.chip().row(&id.to_string(), &offset.to_string()).expect("a row");
+        let value = ti_gauge::text::parse(row.1, scale.as_bytes()).expect("a value");
+        let change = ti_gauge::dataflash::Change::of_value(row, &value).expect("it fits");
+        rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+        for _ in 0..20 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        let factor = scale.parse().expect("a number");
+        assert_scaled(&rig, &[("power_avg", Role::PowerAvg, Some(factor))]);
+    }
+}
+
+/// Data memory is RAM, and reverts to 1 with a loss of power.
+#[test]
+fn a_scale_in_ram_is_lost_with_the_power() {
+    let (mut rig, id, _) = with_energy_scale("bq27427");
+    let index = rig.index(id);
+    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    for _ in 0..20 {
+        rig.poll_after(Duration::from_secs(2));
+    }
+    assert_scaled(&rig, &[("charge_now", Role::ChargeNow, Some(1))]);
+}
+
+/// SLUSBZ5D 7.3.7.1: the gauge does not have the factor.
+#[test]
+fn a_scale_that_only_the_user_knows_is_asked_for() {
+    let warnings = |is_scaled, given: &Scales| {
+        let mut rig = Rig::of("bq34z100-g1", Settings::default(), Startup::default());
+        let word: u16 = if is_scaled { 0x2161 } else { 0x0161 };
+        rig.sim.set_flash(64, 0, &word.to_be_bytes());
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.clock.sleep(Duration::from_secs(5));
+        rig.start().expect("it answers");
+        let (handle, scales) = (rig.handle.clone(), given.clone());
+        crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+    };
+    let (none, both) = (Scales::default(), Scales { current: 10.0, energy: 10.0, ..Scales::default() });
+    let with_energy = Scales { energy_shown: true, ..Scales::default() };
+    let set = "BAT0: [SCALED] of PackConfiguration() is set, so currents, charges and energies are a fraction of the \
+               real ones, and the gauge does not have the factor; give ";
+    assert_eq!(warnings(true, &none), [format!("{set}current-scale")]);
+    assert_eq!(warnings(true, &with_energy), [format!("{set}current-scale and energy-scale")]);
+    assert!(warnings(true, &both).is_empty() && warnings(false, &none).is_empty());
+    let given = "BAT0: current-scale given, but [SCALED] of PackConfiguration() is clear, so the gauge reports real \
+                 values; leave out current-scale, or set the bit";
+    assert_eq!(warnings(false, &both), [given]);
 }
 
 #[test]

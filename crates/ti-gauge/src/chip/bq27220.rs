@@ -22,8 +22,7 @@ use super::Kind::Reset;
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, FLAT, Identity, KeyStorage, Mode, Parameter as P, Preflight,
-    Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
-    Word,
+    Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
@@ -53,7 +52,7 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         // 4.2: OperationStatus() [SEC1], [SEC0].
         status: SealStatus::Field { register: Some(0x3A), shift: 1 },

@@ -10,7 +10,7 @@ use super::bq27441_g1::{
     ACCESS, CAPACITY, CONDITION, CONTROL_STATUS, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG, OP_CONFIG_B,
     REGISTERS, SECURITY, SUBCOMMANDS, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, ScaleRegisters, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Scaling, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The bq27421-G1 as far as it is known.
@@ -32,7 +32,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     access: ACCESS,
     gate: None,

@@ -16,7 +16,7 @@ use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, 
 use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, ScaleRegisters, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Scaling, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The BQ27426 as far as it is known.
@@ -38,7 +38,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     // The images wait as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
     access: ACCESS,

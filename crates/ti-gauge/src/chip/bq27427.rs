@@ -14,7 +14,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
-    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, ScaleRegisters, Scheme,
+    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scale, Scaling, Scheme,
     Subclass, Subcommand,
 };
 use crate::value::Type::U;
@@ -40,7 +40,9 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    // A shipped product multiplies both capacities by it and leaves the current alone. For energies and powers it is
+    // the unit by the manuals of other parts (SLUSAT0E, SLUSBZ5D 7.3.6.5).
+    scaling: Scaling { charge: Scale::Flash(80, 81), energy: Scale::Flash(80, 81), ..Scaling::NONE },
     security: SECURITY,
     access: ACCESS,
     gate: None,
@@ -239,7 +241,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(5, I2, "Hibernate I", 0, 8000,    3, "mA").unproven(),
         P::int(7, I2, "Hibernate V", 0, 5000, 2200, "mV").unproven(),
     ] },
-    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 75, kind: Reset,
+    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 82, kind: Reset,
                parameters: &[
         P::int(18, U2, "Ra Filter",                        0,  1000, 800, "Num").unproven(),
         P::int(33, U1, "Fast Qmax Start DOD %",            0,   100,  92, "%").unproven(),
@@ -262,6 +264,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV").unproven(),
         // The section prints offset 78, which is the bq27441-G1's.
         P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s").unproven(),
+        // One driver names it; its image for one cell has 1, and that for two has 10. Other parts have no other
+        // values (SLUSAT0E).
+        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

@@ -17,7 +17,7 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
-    Parameter as P, Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature,
+    Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
     Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -53,7 +53,7 @@ pub static CHIP: Chip = Chip {
         complete: 0x0080, // [INITCOMP]
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // SLUS914A, Table 4-7; drivers for this part send the same. Products do change it.

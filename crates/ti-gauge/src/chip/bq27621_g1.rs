@@ -14,8 +14,8 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::bq27427::ACCESS;
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, LOAD_SELECT, OP_CONFIG_B, SECURITY};
 use super::{
-    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, ScaleRegisters,
-    Subclass, Subcommand, Word,
+    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Subclass,
+    Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -39,7 +39,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     // TI's image waits as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
     access: ACCESS,

@@ -19,8 +19,8 @@ use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
-    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature, Subclass,
-    Subcommand, Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -52,7 +52,7 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         // OperationStatus() bits 2 and 1, as the underwater vehicle's driver reads them.
         status: SealStatus::Field { register: Some(0x3A), shift: 1 },
@@ -346,9 +346,9 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Gas Gauging", name: "State", id: FLAT, length: 13, kind: Plain,
                parameters: &[
         P::within(0x40C0, I2, "Learned Full Charge Capacity", 0, 32767, "mAh").learned(),
-        P::any(0x40C7, I2, "Last Charge Voltage T1-T2",    "mV").learned().unproven(),
-        P::any(0x40C9, I2, "Last Charge Voltage T2-T3",    "mV").learned().unproven(),
-        P::any(0x40CB, I2, "Last Charge Voltage T3-T4",    "mV").learned().unproven(),
+        P::any(0x40C7, I2, "Last Charge Voltage T1-T2",    "mV/cell").learned().unproven(),
+        P::any(0x40C9, I2, "Last Charge Voltage T2-T3",    "mV/cell").learned().unproven(),
+        P::any(0x40CB, I2, "Last Charge Voltage T3-T4",    "mV/cell").learned().unproven(),
     ] },
     Subclass { class: "Settings", name: "Manufacturing", id: FLAT, length: 2, kind: Reset,
                parameters: &[
@@ -360,9 +360,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x410E, I2, "Charging Current T1-T2", "mA").unproven(),
         P::any(0x4110, I2, "Charging Current T2-T3", "mA").unproven(),
         P::any(0x4112, I2, "Charging Current T3-T4", "mA").unproven(),
-        P::any(0x4114, I2, "Charging Voltage T1-T2", "mV").unproven(),
-        P::any(0x4116, I2, "Charging Voltage T2-T3", "mV").unproven(),
-        P::any(0x4118, I2, "Charging Voltage T3-T4", "mV").unproven(),
+        P::any(0x4114, I2, "Charging Voltage T1-T2", "mV/cell").unproven(),
+        P::any(0x4116, I2, "Charging Voltage T2-T3", "mV/cell").unproven(),
+        P::any(0x4118, I2, "Charging Voltage T3-T4", "mV/cell").unproven(),
     ] },
     Subclass { class: "Charge", name: "Termination", id: FLAT, length: 9, kind: Plain,
                parameters: &[
@@ -464,17 +464,17 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x425F, U1, "EDV 1 Hold Time",            "s").unproven(),
         P::within(0x4260, I2, "Fixed EDV 2",                0, 32767, "mV"),
         P::any(0x4262, U1, "EDV 2 Hold Time",            "s").unproven(),
-        P::any(0x4263, I2, "Voltage 0% DOD",             "mV"),
-        P::any(0x4265, I2, "Voltage 10% DOD",            "mV"),
-        P::any(0x4267, I2, "Voltage 20% DOD",            "mV"),
-        P::any(0x4269, I2, "Voltage 30% DOD",            "mV"),
-        P::any(0x426B, I2, "Voltage 40% DOD",            "mV"),
-        P::any(0x426D, I2, "Voltage 50% DOD",            "mV"),
-        P::any(0x426F, I2, "Voltage 60% DOD",            "mV"),
-        P::any(0x4271, I2, "Voltage 70% DOD",            "mV"),
-        P::any(0x4273, I2, "Voltage 80% DOD",            "mV"),
-        P::any(0x4275, I2, "Voltage 90% DOD",            "mV"),
-        P::any(0x4277, I2, "Voltage 100% DOD",           "mV"),
+        P::any(0x4263, I2, "Voltage 0% DOD",             "mV/cell"),
+        P::any(0x4265, I2, "Voltage 10% DOD",            "mV/cell"),
+        P::any(0x4267, I2, "Voltage 20% DOD",            "mV/cell"),
+        P::any(0x4269, I2, "Voltage 30% DOD",            "mV/cell"),
+        P::any(0x426B, I2, "Voltage 40% DOD",            "mV/cell"),
+        P::any(0x426D, I2, "Voltage 50% DOD",            "mV/cell"),
+        P::any(0x426F, I2, "Voltage 60% DOD",            "mV/cell"),
+        P::any(0x4271, I2, "Voltage 70% DOD",            "mV/cell"),
+        P::any(0x4273, I2, "Voltage 80% DOD",            "mV/cell"),
+        P::any(0x4275, I2, "Voltage 90% DOD",            "mV/cell"),
+        P::any(0x4277, I2, "Voltage 100% DOD",           "mV/cell"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Config", id: FLAT, length: 7, kind: Plain,
                parameters: &[

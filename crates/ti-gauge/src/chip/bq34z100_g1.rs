@@ -11,7 +11,7 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, ScaleRegisters,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scale, Scaling,
     Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -51,7 +51,8 @@ pub static CHIP: Chip = Chip {
         complete: 0,
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    // 7.3.7.1: the factor that [SCALED] announces is not in the gauge. 7.3.6.5: Design Energy Scale.
+    scaling: Scaling { energy: Scale::Flash(48, 30), scaled: Some((0x3A, SCALED)), ..Scaling::NONE },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // 7.3.3.1; stored the other way round, as 36 72 04 14 (Table 7-11).
@@ -167,7 +168,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x30, U2, "ChargeVoltage", "mV", Slow),
     Register::new(0x32, U2, "ChargeCurrent", "mA", Slow),
-    Register::new(0x3A, U2, "PackConfiguration", "", Slow).bits(PACK_CONFIG),
+    Register::new(0x3A, U2, "PackConfiguration", "", Static).bits(PACK_CONFIG),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U1, "DataFlashClass", "", Window),
     Register::new(0x3F, U1, "DataFlashBlock", "", Window),
@@ -271,11 +272,13 @@ pub(super) static FLAGS_B: &[Bit] = &[
 pub(super) static LEARNED_STATUS: &[Bit] =
     &[Bit::new(0x08, "Qmax"), Bit::new(0x04, "ITEN"), Bit::new(0x02, "CF1"), Bit::new(0x01, "CF0")];
 
+const SCALED: Bit = Bit::new(0x2000, "SCALED");
+
 /// Table 7-17.
 static PACK_CONFIG: &[Bit] = &[
     Bit::new(0x8000, "RESCAP"),
     Bit::new(0x4000, "CAL_EN"),
-    Bit::new(0x2000, "SCALED"),
+    SCALED,
     Bit::new(0x0800, "VOLTSEL"),
     Bit::new(0x0400, "IWAKE"),
     Bit::new(0x0200, "RSNS1"),

@@ -15,7 +15,7 @@ use super::bq34z100_g1::{
 };
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, ScaleRegisters, Scheme,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Scale, Scaling, Scheme,
     SealStatus, Security, Signature, Subclass, Word,
 };
 use crate::value::Type::U;
@@ -54,7 +54,13 @@ pub static CHIP: Chip = Chip {
         primary: None,
     },
     // 2.2.5 to 2.2.9: energies are in cWh and powers in cW before the scale.
-    scale_registers: ScaleRegisters { voltage: Some(0x20), current: Some(0x21), energy: Some(0x22) },
+    scaling: Scaling {
+        voltage: Scale::Register(0x20),
+        current: Scale::Register(0x21),
+        charge: Scale::Register(0x21),
+        energy: Scale::Register(0x22),
+        scaled: None,
+    },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // Those of the bq34z100-G1; the image has them as 36 72 04 14.

@@ -18,7 +18,7 @@ use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
-    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus,
+    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scaling, Scheme, SealStatus,
     Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -63,7 +63,7 @@ pub static CHIP: Chip = Chip {
             health_modes: &[0b01, 0b10],
         }),
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         status: SealStatus::Field { register: None, shift: 13 },
         // Owners send them so; stored in this order at 0x41CC.

@@ -14,8 +14,7 @@
 //! - bq27000 and bq27010: a step of charge is 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, ScaleRegisters, Security,
-    Tier,
+    Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, Scaling, Security, Tier,
 };
 use crate::value::Type::{self, I, U};
 
@@ -151,7 +150,7 @@ const fn gauge(
         subcommands: &[],
         control_status: &[],
         condition: flavour.condition(),
-        scale_registers: ScaleRegisters::NONE,
+        scaling: Scaling::NONE,
         security: Security::NONE,
         access: Access::NONE,
         gate: None,

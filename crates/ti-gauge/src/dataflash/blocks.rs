@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::Change;
 use super::schemes::sequence;
+use super::{Change, Place};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
 use crate::codec::WINDOW;
 use crate::error::Result;
@@ -119,7 +119,7 @@ impl Window {
     pub(super) fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
         match self.subclass {
-            FLAT => format!("address 0x{offset:04x}"),
+            FLAT => Place { subclass: FLAT, offset: offset as u16 }.to_string(),
             subclass => format!("subclass {subclass} offset {offset}"),
         }
     }
@@ -202,4 +202,15 @@ pub(super) fn blocks(changes: &[Change]) -> usize {
 pub(super) fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
     let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
     change.windows().filter_map(byte).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_is_named_as_its_file() {
+        assert_eq!(Window { subclass: FLAT, base: 0x41a0 }.name(0x16), "flash/0x41b6");
+        assert_eq!(Window { subclass: 80, base: 32 }.name(21), "subclass 80 offset 53");
+    }
 }

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use super::{Image, Raw, at_line, check_count, chip_of};
 use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
+use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
@@ -437,7 +438,8 @@ impl Stream {
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
+        let place = Place { subclass: FLAT, offset: address };
+        Err(format!("{place} is undocumented for a {}", self.chip.model))
     }
 
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {

@@ -71,8 +71,9 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
         Type::S(_) => ("S", "s".to_string()),
     };
     let (default, min, max) = match &parameter.range {
-        Range::Int { min, max, default } => {
-            (default.map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
+        // An image does not have the DM_CODE.
+        Range::Int { min, max, .. } => {
+            (parameter.int_default(None).map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
         }
         Range::Float { min, max, default } => {
             (default.map(Value::Float), Some(Value::Float(*min)), Some(Value::Float(*max)))
@@ -243,6 +244,8 @@ fn decimals(format: &str) -> usize {
 /// another quantity than the stored one, such as a resistance for a gain.
 fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
+    // A cell's voltage is one, with or without the word.
+    let plain = |unit: &str| plain(unit).replace("percell", "/cell").trim_end_matches("/cell").to_string();
     let (shown, stored) = (plain(unit), plain(parameter.unit));
     let none = |unit: &str| matches!(unit, "" | "-" | "num" | "number" | "counts" | "hex" | "flg" | "flags");
     match parameter.kind {
@@ -348,6 +351,19 @@ mod tests {
         let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
         let error = entries(text).expect_err("sections").to_string();
         assert!(error.starts_with("line 4: a .gg file in sections"), "{error}");
+    }
+
+    /// Whether a file says that a voltage is a cell's or not, the number is the same.
+    #[test]
+    fn a_voltage_per_cell_is_read_in_either_unit() {
+        let chip = Chip::by_name("bq34110").expect("a chip");
+        for unit in ["mV", "mV/cell", "mV per cell"] {
+            let order = "* Field Order: Class name, SubClass name, Parameter name, Parameter Value, Units";
+            let text = format!("{order}\nGas Gauging,CEDV Profile,Voltage 0% DOD,4173,{unit}\n");
+            let image = parse(&text, Some(chip)).expect("an image");
+            let values: Vec<_> = image.entries.iter().map(|entry| entry.text()).collect();
+            assert_eq!((values, image.left_out.len()), (vec!["4173".to_string()], 0), "{unit}");
+        }
     }
 
     #[test]
