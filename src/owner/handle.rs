@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::{Attempt, Request, Settings};
+use super::{Attempt, Origin, Report, Request, Settings};
 use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
@@ -69,6 +69,8 @@ pub struct Published {
     pub owed_since: Timestamp,
     /// What is known of an interrupted write, since somebody last asked; empty until then.
     pub settling: Arc<str>,
+    /// The last report that somebody has asked for.
+    pub report: Option<Arc<Report>>,
 }
 
 /// What the owner shares with its handles.
@@ -76,6 +78,7 @@ pub(super) struct Shared {
     pub(super) chip: &'static Chip,
     pub(super) allow_unproven: bool,
     pub(super) auth_order: Order,
+    pub(super) origin: Origin,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
@@ -103,7 +106,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    pub(super) fn new(gauge: &Gauge, settings: &Settings, name: String, signal: Arc<Signal>) -> Self {
+    pub(super) fn new(
+        gauge: &Gauge,
+        settings: &Settings,
+        name: String,
+        origin: Origin,
+        signal: Arc<Signal>,
+    ) -> Self {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
@@ -116,11 +125,13 @@ impl Shared {
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),
+            report: None,
         };
         Self {
             chip: gauge.chip,
             allow_unproven: settings.allow_unproven,
             auth_order: settings.auth_order,
+            origin,
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
@@ -326,6 +337,11 @@ impl Handle {
     /// The gauge's table.
     pub fn chip(&self) -> &'static Chip {
         self.shared.chip
+    }
+
+    /// Where the gauge is.
+    pub fn origin(&self) -> &Origin {
+        &self.shared.origin
     }
 
     /// Whether parameters may be written whose address or range is not certain.

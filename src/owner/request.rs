@@ -35,6 +35,8 @@ pub enum Request {
     Authenticate(Message, Done<()>),
     /// Show what is known of an interrupted write, or settle it as somebody has decided.
     Settle(Option<Decision>, Done<()>),
+    /// Publish a report of the gauge.
+    Report(Done<()>),
     /// Poll now, and forget what was read of data flash.
     Refresh(Done<()>),
     /// Change the time between polls.
@@ -55,7 +57,7 @@ impl Request {
             | Request::ChangeKey(..)
             | Request::Authenticate(..)
             | Request::Settle(..) => true,
-            Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+            Request::Report(_) | Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
         }
     }
 
@@ -70,6 +72,7 @@ impl Request {
             Request::Authenticate(..) => Attempt::Authenticate,
             Request::Settle(..) => Attempt::Settle,
             Request::Interval(..) => Attempt::Interval,
+            Request::Report(_) => Attempt::Report,
             Request::Refresh(_) | Request::Look => Attempt::Poll,
         }
     }
@@ -84,6 +87,7 @@ impl Request {
             Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
             Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
             Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
+            Request::Report(done) => share(done, Request::Report),
             Request::Refresh(done) => share(done, Request::Refresh),
             Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
             Request::Look => (Request::Look, Box::new(drop)),
@@ -100,6 +104,7 @@ impl Request {
             | Request::ChangeKey(_, done)
             | Request::Authenticate(_, done)
             | Request::Settle(_, done)
+            | Request::Report(done)
             | Request::Refresh(done)
             | Request::Interval(_, done) => done(Err(error)),
             Request::Look => {}
@@ -229,6 +234,7 @@ impl Owner {
                 }));
             }
             Request::Settle(decision, done) => done(self.settle_as_decided(decision, waited)),
+            Request::Report(done) => done(self.make_report(waited)),
             Request::Refresh(done) => done(self.refresh(submitted)),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
@@ -254,7 +260,7 @@ impl Owner {
         Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
     }
 
-    fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+    pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
         if rows.is_empty() {
             return Ok(Vec::new());

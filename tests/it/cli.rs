@@ -123,6 +123,7 @@ fn help_texts() {
             "umount --help",
             "probe --help",
             "chips --help",
+            "report --help",
             "export --help",
             "import --help",
             "diff --help",
@@ -141,7 +142,7 @@ fn help_texts() {
 
 #[test]
 fn chips_are_listed() {
-    golden("chips", &["chips", "chips --json"]);
+    golden("chips", &["chips", "chips --json", "chips bq34z100-g1", "chips bq27000", "chips --json BQ34110"]);
 }
 
 #[test]
@@ -171,6 +172,11 @@ fn misuse_has_exit_code_2() {
             "mount --sim bq34z100-g1 --check /tmp/x",
             "umount",
             "probe",
+            "chips bq99",
+            "report",
+            "report /tmp/x --bus /dev/i2c-1",
+            "report /tmp/x --key-file /tmp/y",
+            "report --sim bq34z100-g1 --address 0x55",
             "export",
             "import /tmp/x",
             "import /tmp/x /tmp/y --exclude secrets",
@@ -1156,8 +1162,8 @@ fn the_byte_order_is_chosen_with_the_mount() {
 }
 
 /// Every file of a gauge's folder that does not depend on this test's own accesses.
-fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
+pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
         for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
@@ -1228,7 +1234,7 @@ fn a_file_that_is_not_a_recording_is_refused() {
     let replay = || gaugefs(&["mount", "--replay", &file, &at]);
     replay().failed(&["trace: cannot read it"]);
     fs::write(&file, "W: AA 00 01 00\n").expect("a file");
-    replay().failed(&["line 1", "only a file that --trace wrote"]);
+    replay().failed(&["line 1", "only a file that --trace or `gaugefs report` wrote"]);
     fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
     replay().failed(&["unknown chip `bq99`"]);
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");

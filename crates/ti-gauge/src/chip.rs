@@ -56,8 +56,8 @@ pub struct Chip {
     pub model: &'static str,
     /// The documents behind the table, with revision.
     pub documents: &'static [&'static str],
-    /// How far the table has been checked.
-    pub evidence: Evidence,
+    /// What the table has been checked with.
+    pub evidence: &'static [Evidence],
     /// The answers that identify the part.
     pub identity: Identity,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
@@ -96,15 +96,56 @@ pub struct Chip {
     pub preflight: Preflight,
 }
 
-/// How far a table or a row has been checked.
+/// Something that a table was written from, or has been checked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// Printed in TI's manual for this part.
+    /// TI's documents for this part print what is not marked as unproven.
     Manual,
-    /// Also seen in byte-level transcripts of this part.
+    /// Documents of a sibling were taken where those of this part are not public.
+    Sibling,
+    /// Drivers that were written for this part.
+    Drivers,
+    /// Byte-level transcripts: TI's worked transfers, or traces of parts that their owners have published.
     Transcript,
-    /// Inferred from a sibling or from one driver only: read-only unless the user insists.
-    Unproven,
+    /// Images of configurations, of packs or of TI, fit the table.
+    Image,
+    /// The kernel's driver, in a virtual machine, shows the same values of the simulated gauge.
+    Kernel,
+    /// A report of real hardware replays, and is one of the tests.
+    RealPart,
+}
+
+impl Evidence {
+    /// A word or two for it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Evidence::Manual => "manual",
+            Evidence::Sibling => "siblings",
+            Evidence::Drivers => "drivers",
+            Evidence::Transcript => "transcripts",
+            Evidence::Image => "images",
+            Evidence::Kernel => "kernel's driver",
+            Evidence::RealPart => "real part",
+        }
+    }
+
+    /// The same for many, with commas.
+    pub fn list(all: &[Evidence]) -> String {
+        all.iter().map(|one| one.as_str()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// What it proves.
+    pub fn meaning(self) -> &'static str {
+        match self {
+            Evidence::Manual => "TI's documents for this part print what is not marked as uncertain",
+            Evidence::Sibling => "documents of a sibling, where those of this part are not public",
+            Evidence::Drivers => "drivers that were written for this part",
+            Evidence::Transcript => "TI's worked transfers, or published traces of parts, byte for byte",
+            Evidence::Image => "images of packs or of TI's tools fit the table",
+            Evidence::Kernel => "the kernel's driver shows the same values of the simulated gauge",
+            Evidence::RealPart => "seen on a real part: its report is one of the tests",
+        }
+    }
 }
 
 /// A defect of some parts that a byte of data flash reveals.
@@ -654,6 +695,14 @@ impl Chip {
     /// gauge, not even a subcommand: there may be another register at the address of Control().
     pub fn has_table(&self) -> bool {
         self.access.scheme != Scheme::None
+    }
+
+    /// The register that distinguishes packs. A chemistry ID is no serial number.
+    pub fn serial_register(&self) -> Option<u8> {
+        match self.preflight.pack.as_ref()?.word {
+            Word::Register(code) => Some(code),
+            Word::ControlStatus | Word::Answer(_) => None,
+        }
     }
 
     /// The register at an address.

@@ -24,6 +24,7 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal};
 use crate::value::Value;
 
+mod anonymous;
 mod blocks;
 mod checks;
 mod io;
@@ -35,6 +36,7 @@ mod session;
 mod settle;
 mod wear;
 
+pub use anonymous::{anonymous, sample};
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;

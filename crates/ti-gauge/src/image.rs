@@ -73,10 +73,9 @@ pub enum Group {
 
 impl Group {
     fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
-        let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
         match self {
             Group::Calibration => subclass.class == "Calibration",
-            Group::Serial => of_one_pack.contains(&parameter.name),
+            Group::Serial => parameter.names_pack(),
             Group::Learned => parameter.learned,
             Group::Undocumented | Group::Keys => false,
         }

@@ -32,7 +32,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27220",
     model: "BQ27220",
     documents: &["SLUUBD4A (November 2022)", "SLUSCB7A (April 2016)"],
-    evidence: Evidence::Manual,
+    evidence: &[Evidence::Manual, Evidence::Drivers],
     // Every driver asks for this type. No source gives a firmware or hardware version.
     identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     technology: "Li-ion",

@@ -18,7 +18,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27421-g1",
     model: "bq27421-G1",
     documents: &["SLUUAC9A (May 2015), of the bq27441-G1"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Kernel],
     // Its DM_CODE is printed nowhere that we found: any code that is not another part's.
     identity: Identity {
         device_type: 0x0421,

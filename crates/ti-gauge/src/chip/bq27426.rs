@@ -26,7 +26,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27426",
     model: "BQ27426",
     documents: &["SLUUCD5 (January 2023), of the BQ27427"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Image, Evidence::Kernel],
     // The firmware is what all images expect.
     identity: Identity {
         device_type: 0x0426,

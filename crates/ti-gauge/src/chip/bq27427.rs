@@ -30,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "BQ27427",
     documents: &["SLUUCD5 (January 2023)", "SLUUCD5A", "SLUSEB5B (September 2025)"],
     // Traces of parts: identity, CONFIG UPDATE and the State block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The firmware is what parts answer.
     identity: Identity {
         device_type: 0x0427,

@@ -25,7 +25,7 @@ pub static CHIP: Chip = Chip {
     model: "bq27441-G1",
     documents: &["SLUUAC9A (May 2015)", "SLUSBH1C", "SLUA801"],
     // SLUUAC9A 3.1's worked transfers and a tablet's shipped image, block for block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The bq27421-G1 and the bq27411-G1 have the same type (4.1.2) and firmware; the codes of the two
     // flavours are printed in SLUSBH1C's device comparison.
     identity: Identity {

@@ -29,7 +29,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27520-g3",
     model: "bq27520-G3",
     documents: &["SLUSAP0", "SLUSAB7A, of the bq27520-G2", "SLUS914A (December 2009), of the bq27500-V130"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Kernel],
     // All generations have one type; the firmware, which can be exchanged in the field, tells them apart.
     identity: Identity {
         device_type: 0x0520,

@@ -25,7 +25,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27621-g1",
     model: "bq27621-G1",
     documents: &["SLUUAD4C (August 2014), as drivers quote it", "SLUSBB3E (January 2016)"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Image, Evidence::Kernel],
     // The firmware is what TI's image expects.
     identity: Identity {
         device_type: 0x0621,

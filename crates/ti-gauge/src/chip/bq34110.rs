@@ -31,7 +31,7 @@ pub static CHIP: Chip = Chip {
     model: "bq34110",
     documents: &["SLUSCI1B", "SLUA790"],
     // Bytes of real parts are known for the identity, the keys and CC Gain; the rest is the drivers'.
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Drivers, Evidence::Transcript],
     // All drivers; nobody tells a firmware or hardware version.
     identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     technology: "Unknown",

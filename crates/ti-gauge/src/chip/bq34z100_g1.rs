@@ -23,7 +23,7 @@ pub static CHIP: Chip = Chip {
     model: "bq34z100-G1",
     documents: &["SLUSBZ5D (April 2021)", "SLUA790"],
     // SLUA790's worked transfers; none of it from our own hardware.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Kernel],
     // DEVICE_TYPE is printed in SLUA790, 2.3; the versions are those that owners read from parts. The
     // bq35100 has the same type and hardware 0x00A8, the bq34z100-R2 firmware 0x0202.
     identity: Identity {

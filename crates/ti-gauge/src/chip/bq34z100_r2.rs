@@ -26,7 +26,7 @@ pub static CHIP: Chip = Chip {
     name: "bq34z100-r2",
     model: "bq34z100-R2",
     documents: &["SLUUCO5A (August 2023)", "SLUSBZ5D (April 2021), of the bq34z100-G1"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Manual, Evidence::Sibling, Evidence::Image],
     // Only the firmware distinguishes it from the bq34z100-G1, and TI lets it be loaded into all bq34z100 parts, so it
     // runs on any of their hardware. The bq35100 has the same type and hardware 0x00A8.
     identity: Identity {

@@ -30,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "bq35100",
     documents: &["SLUUBH1C (March 2018)", "SLUSCM6E (April 2019)", "SLUA790", "SLUAAL7"],
     // SLUA790's and 12.1's worked transfers, and those of owners; none of it from our own hardware.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Drivers, Evidence::Transcript],
     // Table 11-2; SLUSCM6E prints 0x40 for the type. pilotak/BQ35100 knows a part by the hardware version,
     // and only that tells it from a bq34z100-G1. Nobody tells a firmware version.
     identity: Identity {

@@ -155,7 +155,7 @@ const fn gauge(
         name,
         model,
         documents: &["Linux 6.12, bq27xxx_battery.c"],
-        evidence: Evidence::Unproven,
+        evidence: &[Evidence::Drivers, Evidence::Kernel],
         identity: Identity::NONE,
         technology: "Li-ion",
         registers,

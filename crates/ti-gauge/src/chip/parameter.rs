@@ -150,6 +150,11 @@ impl Parameter {
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
     }
 
+    /// Whether it is there to distinguish packs: serial number, date and lots.
+    pub fn names_pack(&self) -> bool {
+        ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"].contains(&self.name)
+    }
+
     /// Sources disagree about the default, or none is known.
     #[must_use]
     pub const fn no_default(mut self) -> Self {
