@@ -295,7 +295,7 @@ mod tests {
             let found = format!("unproven: firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: ");
             assert!(says.starts_with(&found), "{says}");
             assert!(says.contains("only for firmware 0x0016, hardware 0x0008, so only standard"), "{says}");
-            assert!(says.contains("gaugefs probe"), "{says}");
+            assert!(says.contains("gaugefs report"), "{says}");
         }
     }
 

@@ -475,7 +475,7 @@ mod tests {
         assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
         assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");
         assert_eq!(of("58", "3", &[0x00], &[0x5a]), "0x00 -> 0x5a");
-        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old_ -> new");
+        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old%0a -> new");
         let row = None;
         let place = ti_gauge::dataflash::Place { subclass: 48, offset: 200 };
         let raw = Change { place, bytes: vec![0xab, 0xcd], row, saved: false };

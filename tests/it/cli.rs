@@ -362,6 +362,14 @@ fn a_string_survives_export_and_import_in_every_format() {
     if !can_mount() {
         return;
     }
+    std::thread::scope(|scope| {
+        for format in ["toml", "gg.csv", "flashstream"] {
+            scope.spawn(move || check_strings(format));
+        }
+    });
+}
+
+fn check_strings(format: &str) {
     let folder = Folder::new();
     let (one, other) = (folder.file("m"), folder.file("n"));
     for at in [&one, &other] {
@@ -370,25 +378,20 @@ fn a_string_survives_export_and_import_in_every_format() {
     let (from, to) = (format!("{one}/BAT0"), format!("{other}/BAT0"));
     let path = |gauge: &str| Path::new(gauge).join("df/48/31");
     let bytes = |gauge: &str| fs::read(Path::new(gauge).join("df/48/raw")).expect("bytes")[31..43].to_vec();
-    let strings = ["AT&T (4S)", "", "%20a,'\"\\%2541%00%ff%20"];
-    for string in strings {
+    let (file, again) = (folder.file("file"), folder.file("again"));
+    let mut before = fs::read_to_string(path(&to)).expect("its text");
+    for string in ["AT&T (4S)", "", "%20a,\"\\%2541%00%ff%20"] {
         fs::write(path(&from), format!("{string}\n")).expect("a string");
         let shown = fs::read_to_string(path(&from)).expect("its text");
-        for format in ["toml", "gg.csv", "flashstream"] {
-            fs::write(path(&to), "other\n").expect("a string");
-            let file = folder.file(format);
-            gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
-            let imported = gaugefs(&["import", &to, &file]).done();
-            assert_eq!(imported, format!("configuration-data/device-name: other -> {shown}"), "{format}");
-            assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
-            let again = folder.file("again");
-            gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
-            assert_eq!(
-                fs::read(&again).expect("a file"),
-                fs::read(&file).expect("a file"),
-                "{format} {shown}"
-            );
-        }
+        gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
+        let imported = gaugefs(&["import", &to, &file]).done();
+        let old = before.trim_end_matches('\n');
+        assert_eq!(imported, format!("configuration-data/device-name: {old} -> {shown}"), "{format}");
+        assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
+        gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
+        let read = |file: &str| fs::read(file).expect("a file");
+        assert_eq!(read(&again), read(&file), "{format} {shown}");
+        before = shown;
     }
     for at in [&one, &other] {
         gaugefs(&["umount", at]).done();

@@ -812,7 +812,7 @@ fn an_unknown_firmware_shows_standard_commands_and_says_why() {
     let why = mount.cat("gauge/last_error");
     assert!(why.contains("Z: bq34z100-G1: firmware 0x0017, hardware 0x0008: "), "{why}");
     assert!(why.contains("proven only for firmware 0x0016, hardware 0x0008"), "{why}");
-    assert!(why.contains("gaugefs probe"), "{why}");
+    assert!(why.contains("gaugefs report"), "{why}");
     assert_eq!(mount.cat("model_name"), "bq34z100-G1");
     assert_eq!(mount.cat("gauge/firmware_version"), "0x0017");
     assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
