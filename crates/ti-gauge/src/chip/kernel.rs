@@ -161,6 +161,7 @@ const fn gauge(
         signature: &[],
         volatile: None,
         quirks: &[],
+        rom_image: None,
         preflight: Preflight::NONE,
     }
 }
