@@ -14,6 +14,7 @@ mod over;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
+mod romimage;
 mod scratch;
 mod semantics;
 mod service;
