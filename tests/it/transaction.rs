@@ -215,7 +215,7 @@ fn reserved_bits_are_refused_when_they_are_staged() {
     let tree = tree("bq34z100-g1");
     assert_eq!(tree.stage("begin\n80/53 3100\n64/0 0x1161\n"), Err(Errno::ERANGE));
     let why = tree.read("gauge/last_error").expect("the reason");
-    assert!(why.contains("line 3: Pack Configuration (64/0): bits 0x1000 must not change"), "{why}");
+    assert!(why.contains("line 3: Pack Configuration (64/0): check: bits 0x1000 must not change"), "{why}");
     assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"), "nothing of it is staged");
     assert_eq!(tree.stage("begin\n64/0 0x0121\n"), Ok(()));
     assert_eq!(tree.stage("64/0 0x1121\n"), Err(Errno::ERANGE), "one that is kept");

@@ -11,7 +11,7 @@ use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
-const GAUGE: u8 = 0xaa;
+pub(super) const GAUGE: u8 = 0xaa;
 /// The address of a gauge in ROM mode, likewise.
 pub(super) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.

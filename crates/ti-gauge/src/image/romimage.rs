@@ -4,7 +4,7 @@
 //! gauge's firmware; interrupted, they leave a gauge that answers at another address only. So the file is interpreted
 //! here, and never sent: its rows of data flash become parameters, which are written like any others.
 
-use super::flashstream::{Command, DEVICE_TYPE, FW_VERSION, ROM, ROM_MODE, identity};
+use super::flashstream::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
 use super::{Group, Image, LeftOut, Raw, at_line, cut_short};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
 use crate::codec::{self, WINDOW};
@@ -97,7 +97,15 @@ struct Rom {
 impl Rom {
     fn take(&mut self, line: usize, command: &Command) -> Result<(), String> {
         match command {
-            Command::Wait | Command::Read { .. } => Ok(()),
+            Command::Wait => Ok(()),
+            Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address }
+                if ![GAUGE, ROM].contains(address) =>
+            {
+                Err(format!(
+                    "address 0x{address:02x} is neither the gauge's, which is AA, nor that of ROM mode"
+                ))
+            }
+            Command::Read { .. } => Ok(()),
             Command::Write { address: ROM, .. } if self.has_left => Err("ROM mode has been left".into()),
             Command::Write { address: ROM, register: EXECUTE, bytes } => self.execute(line, bytes),
             Command::Write { address: ROM, register, bytes } => self.fill(line, *register, bytes),
@@ -463,7 +471,7 @@ mod tests {
             let told: Vec<_> = image.left_out.iter().map(|left| left.text.as_str()).collect();
             let groups: Vec<_> = image.left_out.iter().map(|left| left.group).collect();
             let expected =
-                [Group::Learned, Group::Learned, Group::Keys, Group::Undocumented, Group::Undocumented];
+                [Group::Keys, Group::Learned, Group::Learned, Group::Undocumented, Group::Undocumented];
             assert_eq!(groups, expected.map(Some), "{told:?}");
             assert!(told[3].contains("of the chemistry"), "{told:?}");
             let shown = format!("{:?}{told:?}", image.notes);
@@ -557,6 +565,7 @@ mod tests {
             ("W: 16 00 03 00 00\nW: 16 64 03 00", "W: 16 00 07 00 00\nW: 16 64 07 00", "no known command"),
             ("W: 16 00 0C 00 00 00 83 DE\nW: 16 64 6D 01", "", "not erased before"),
             ("W: AA 00 00 0F", "W: AA 3E 44 00", "also writes in normal mode"),
+            ("W: AA 00 14 04", "W: AC 00 14 04", "address 0xac is neither the gauge's"),
             ("C: 16 66 00", "C: 16 66 04", "is not one of ROM mode"),
             ("W: 16 64 03 00", "", "is not executed by a sum"),
         ] {
