@@ -279,7 +279,8 @@ impl Image {
     /// write them.
     fn is_chemistry(&self, raw: &Raw) -> bool {
         let is_for_part = self.names_chip && self.firmware.is_some();
-        is_for_part && self.chip.subclass(raw.subclass).is_some_and(|subclass| subclass.class == "Chemistry")
+        let is_named = |row: &Subclass| row.class == "Chemistry" || row.name == "Chem Data";
+        is_for_part && self.chip.subclass(raw.subclass).is_some_and(is_named)
     }
 
     /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.

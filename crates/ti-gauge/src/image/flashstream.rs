@@ -699,6 +699,16 @@ mod tests {
             line(27, "undocumented bytes of subclass 104"),
         ];
         assert_eq!(image.undocumented(), lines.concat());
+        // A file that names part and firmware was made to write the chemistry.
+        let identity = "W: AA 00 01 00\nC: AA 00 26 04\nW: AA 00 02 00\nC: AA 00 02 02\n";
+        let image =
+            parse(&(identity.to_string() + &block("53", "0") + &block("6D", "0") + &block("68", "1")), None);
+        let told = image.expect("an image").undocumented();
+        let outcomes: Vec<_> =
+            told.lines().map(|line| line.rsplit("; ").next().expect("an outcome")).collect();
+        let (written, refused) =
+            ("written if the gauge has other values", "refused if the gauge has other values");
+        assert_eq!(outcomes, [written, written, refused], "{told}");
         let beyond =
             parse(&block("55", "1"), Chip::by_name("bq27426")).expect_err("beyond the end").to_string();
         assert_eq!(beyond, "line 3: block 1 of subclass 85, whose last block is 0");
