@@ -539,11 +539,7 @@ mod tests {
         other[300] = 1;
         let other = file(&other, 0x0016, 2);
         let total = |text: &str| {
-            text.lines()
-                .filter(|line| line.starts_with("C: 16 04"))
-                .next_back()
-                .map(str::to_string)
-                .expect("a sum")
+            text.lines().rfind(|line| line.starts_with("C: 16 04")).map(str::to_string).expect("a sum")
         };
         let why = error(&other.replace(&total(&other), &total(&text)));
         assert!(why.contains("of data flash is expected, but its rows give"), "{why}");
