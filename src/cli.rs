@@ -24,6 +24,7 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod report;
 mod settle;
 mod umount;
 
@@ -50,6 +51,7 @@ enum Command {
     Umount(umount::Umount),
     Probe(probe::Probe),
     Chips(chips::Chips),
+    Report(report::Report),
     Export(export::Export),
     Import(import::Import),
     Diff(diff::Diff),
@@ -88,6 +90,7 @@ impl Command {
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
             Self::Chips(command) => command.run(),
+            Self::Report(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),

@@ -13,6 +13,7 @@ use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Answers, Attempt, Done, Request, Seal};
+use crate::report;
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
@@ -62,8 +63,11 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
+    file("report", Mode::ReadWrite, report)
+        .written(|gauge, _, done| gauge.handle.submit(Request::Report(done))),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
+    file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
     file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())).written(
         |gauge, data, done| gauge.submit(Attempt::Interval, interval(data), done, Request::Interval),
@@ -222,6 +226,12 @@ fn set_bits(bits: &[Bit], word: i64) -> Option<String> {
 /// What the gauge answered when it was identified; `None` if it has not answered yet.
 fn identified(gauge: &Supply) -> Option<Answers> {
     Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
+}
+
+/// The last report that was asked for.
+fn report(gauge: &Supply) -> Option<String> {
+    let report = gauge.published().report.clone();
+    Some(report.map_or_else(String::new, |report| report::text(gauge.chip(), gauge.handle.origin(), &report)))
 }
 
 fn can_authenticate(gauge: &Supply) -> bool {

@@ -123,6 +123,7 @@ fn help_texts() {
             "umount --help",
             "probe --help",
             "chips --help",
+            "report --help",
             "export --help",
             "import --help",
             "diff --help",
@@ -141,7 +142,7 @@ fn help_texts() {
 
 #[test]
 fn chips_are_listed() {
-    golden("chips", &["chips", "chips --json"]);
+    golden("chips", &["chips", "chips --json", "chips bq34z100-g1", "chips bq27000", "chips --json BQ34110"]);
 }
 
 #[test]
@@ -171,6 +172,11 @@ fn misuse_has_exit_code_2() {
             "mount --sim bq34z100-g1 --check /tmp/x",
             "umount",
             "probe",
+            "chips bq99",
+            "report",
+            "report /tmp/x --bus /dev/i2c-1",
+            "report /tmp/x --key-file /tmp/y",
+            "report --sim bq34z100-g1 --address 0x55",
             "export",
             "import /tmp/x",
             "import /tmp/x /tmp/y --exclude secrets",
@@ -348,6 +354,45 @@ fn an_import_makes_one_gauge_equal_to_another() {
             scope.spawn(move || check_imports(name));
         }
     });
+}
+
+/// Through the file of each format, from one gauge to another.
+#[test]
+fn a_string_survives_export_and_import_in_every_format() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (one, other) = (folder.file("m"), folder.file("n"));
+    for at in [&one, &other] {
+        gaugefs(&["mount", "--sim", "bq34z100-g1", at]).done();
+    }
+    let (from, to) = (format!("{one}/BAT0"), format!("{other}/BAT0"));
+    let path = |gauge: &str| Path::new(gauge).join("df/48/31");
+    let bytes = |gauge: &str| fs::read(Path::new(gauge).join("df/48/raw")).expect("bytes")[31..43].to_vec();
+    let strings = ["AT&T (4S)", "", "%20a,'\"\\%2541%00%ff%20"];
+    for string in strings {
+        fs::write(path(&from), format!("{string}\n")).expect("a string");
+        let shown = fs::read_to_string(path(&from)).expect("its text");
+        for format in ["toml", "gg.csv", "flashstream"] {
+            fs::write(path(&to), "other\n").expect("a string");
+            let file = folder.file(format);
+            gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
+            let imported = gaugefs(&["import", &to, &file]).done();
+            assert_eq!(imported, format!("configuration-data/device-name: other -> {shown}"), "{format}");
+            assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
+            let again = folder.file("again");
+            gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
+            assert_eq!(
+                fs::read(&again).expect("a file"),
+                fs::read(&file).expect("a file"),
+                "{format} {shown}"
+            );
+        }
+    }
+    for at in [&one, &other] {
+        gaugefs(&["umount", at]).done();
+    }
 }
 
 fn check_imports(name: &str) {
@@ -1126,8 +1171,8 @@ fn the_byte_order_is_chosen_with_the_mount() {
 }
 
 /// Every file of a gauge's folder that does not depend on this test's own accesses.
-fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
+pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
         for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
@@ -1198,7 +1243,7 @@ fn a_file_that_is_not_a_recording_is_refused() {
     let replay = || gaugefs(&["mount", "--replay", &file, &at]);
     replay().failed(&["trace: cannot read it"]);
     fs::write(&file, "W: AA 00 01 00\n").expect("a file");
-    replay().failed(&["line 1", "only a file that --trace wrote"]);
+    replay().failed(&["line 1", "only a file that --trace or `gaugefs report` wrote"]);
     fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
     replay().failed(&["unknown chip `bq99`"]);
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");

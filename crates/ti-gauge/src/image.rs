@@ -85,10 +85,9 @@ pub enum Group {
 
 impl Group {
     fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
-        let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
         match self {
             Group::Calibration => subclass.class == "Calibration",
-            Group::Serial => of_one_pack.contains(&parameter.name),
+            Group::Serial => parameter.names_pack(),
             Group::Learned => parameter.learned,
             Group::Undocumented | Group::Keys => false,
         }
@@ -264,8 +263,9 @@ impl Image {
     pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
         let Raw { subclass, offset, line, .. } = *raw;
         if subclass == FLAT {
-            let why = "is undocumented; skip it with --exclude undocumented";
-            return Some(at_line(line, format!("address 0x{offset:04x} {why}")));
+            let place = Place { subclass, offset };
+            let why = format!("{place} is undocumented; skip it with --exclude undocumented");
+            return Some(at_line(line, why));
         }
         if allowed || self.chip.subclass(subclass).is_some() {
             return None;
@@ -525,7 +525,11 @@ fn parameter_name(chip: &Chip, subclass: &Subclass, parameter: &Parameter) -> St
 
 /// An error about a parameter that a file has twice.
 fn twice(name: &str, first: usize, second: usize) -> Error {
-    at_line(second, format!("{name} is also in line {first}; remove one of the two"))
+    at_line(second, also_in(name, first))
+}
+
+fn also_in(name: &str, first: usize) -> String {
+    format!("{name} is also in line {first}; remove one of the two")
 }
 
 /// Whether these bytes are no text in any encoding that tools write, as those of a .dfi. UTF-16 begins with a mark.
@@ -613,6 +617,7 @@ fn chip_of(
 mod tests {
     use super::*;
     use crate::chip::Range;
+    use crate::value::Type;
     use proptest::prelude::*;
     use proptest::sample::Index;
 
@@ -673,6 +678,204 @@ mod tests {
                 let may_lack = format == Format::FlashStream && chip.access.scheme.is_flat();
                 assert!(compared.only_first.is_empty() || may_lack, "{} {format:?}", chip.name);
                 assert!(compared.only_second.is_empty());
+            }
+        }
+    }
+
+    /// Every string parameter of every chip.
+    fn string_rows() -> Vec<(&'static Chip, &'static Subclass, &'static Parameter)> {
+        let rows =
+            CHIPS.iter().flat_map(|&chip| chip.subclasses.iter().map(move |subclass| (chip, subclass)));
+        let rows = rows
+            .flat_map(|(chip, subclass)| subclass.parameters.iter().map(move |row| (chip, subclass, row)));
+        rows.filter(|(_, _, row)| matches!(row.kind, Type::S(_))).collect()
+    }
+
+    /// Exports a string in a format, reads the file, and exports that again.
+    fn assert_survives(
+        (chip, subclass, parameter): (&'static Chip, &'static Subclass, &'static Parameter),
+        string: &[u8],
+        format: Format,
+    ) {
+        let mut image = defaults(chip);
+        // A FlashStream has whole blocks.
+        image.entries.retain(|entry| std::ptr::eq(entry.subclass, subclass));
+        let is_it = |entry: &&mut Entry| entry.parameter.offset == parameter.offset;
+        image.entries.iter_mut().find(is_it).expect("it has a default").value = Value::Text(string.into());
+        let text = written(&image, format);
+        let at = format!("{} {format:?} {:?} in\n{text}", parameter.name, string.escape_ascii().to_string());
+        let again = Image::parse(&text, None).unwrap_or_else(|error| panic!("{error}: {at}"));
+        let found = again.entries.iter().find(|entry| entry.parameter.offset == parameter.offset);
+        let entry = found.unwrap_or_else(|| panic!("it is lost: {at}"));
+        assert_eq!(entry.value, Value::Text(string.into()), "{at}");
+        assert_eq!(written(&again, format), text, "{at}");
+        // What an import writes to `df/transaction`, and a diff shows.
+        let shown = entry.text();
+        assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{at}");
+        assert_eq!(text::parse(parameter, shown.as_bytes()), Ok(entry.value.clone()), "{shown}: {at}");
+    }
+
+    #[test]
+    fn a_string_comes_back_as_it_went() {
+        let strings: [&[u8]; 29] = [
+            b"AT&T (4S)",
+            b"",
+            b" ",
+            b"   ",
+            b" a ",
+            b"a  b",
+            b"-",
+            b"_",
+            b"#",
+            b"*",
+            b"'",
+            b"\"",
+            b"\"\"\"",
+            b"\\",
+            b"\\n",
+            b"\\u0041",
+            b"a,b",
+            b",",
+            b"a;b",
+            b"\t",
+            b"\r\n",
+            b"\n",
+            b"\0",
+            b"\x7f",
+            b"%",
+            b"%41",
+            b"%%41",
+            b"0x41",
+            b"\xff\xfe\xc3\xa9",
+        ];
+        for row in string_rows() {
+            for format in FORMATS {
+                if row.2.unproven && format == Format::FlashStream {
+                    continue;
+                }
+                for string in strings {
+                    // The chemistry has room for four characters.
+                    let string = &string[..string.len().min(row.2.kind.size() - 1)];
+                    assert_survives(row, string, format);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_string_of_any_byte_and_length_comes_back_as_it_went() {
+        let rows = string_rows();
+        let row = *rows.iter().find(|(_, _, row)| row.kind == Type::S(12)).expect("a Device Name");
+        for format in FORMATS {
+            for length in [1, 2, 11] {
+                for byte in 0..=u8::MAX {
+                    assert_survives(row, &vec![byte; length], format);
+                }
+            }
+        }
+        let config = ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() };
+        proptest!(config, |(string in prop::collection::vec(any::<u8>(), 0..=11), format in prop::sample::select(FORMATS.to_vec()))| {
+            assert_survives(row, &string, format);
+        });
+    }
+
+    /// An edited value counts, and not the bytes that the file had for it.
+    #[test]
+    fn a_string_that_was_edited_in_a_gg_csv_has_its_new_value() {
+        let (chip, subclass, row) = string_rows()[0];
+        let mut image = Image::new(chip, None);
+        image.add(subclass, row, Value::Text(b"AT&T \x01".into()), 0);
+        let text = written(&image, Format::GgCsv);
+        let value = |text: &str| Image::parse(text, None).map(|image| image.entries[0].value.clone());
+        for (new, bytes) in
+            [("AT&T _", &b"AT&T \x01"[..]), ("AT_T _", b"AT_T _"), ("", b""), ("AT&T", b"AT&T")]
+        {
+            let edited = text.replace("AT&T _", new);
+            assert_eq!(value(&edited), Ok(Value::Text(bytes.into())), "{edited}");
+        }
+        let error = value(&text.replace("AT&T _", "more than eleven")).expect_err("too long").to_string();
+        assert!(error.contains(": 16 characters, but only 11 fit"), "{error}");
+        let error = value(&text.replace("AT&T _", "caf\u{e9}")).expect_err("not ASCII").to_string();
+        assert!(error.contains("Data Flash Raw Value"), "{error}");
+    }
+
+    #[test]
+    fn an_empty_string_in_a_gg_csv_is_a_value_and_an_empty_number_is_none() {
+        for order in ["Parameter Value", "Parameter Value, Units"] {
+            let end = if order.ends_with("Units") { ",-" } else { "" };
+            let text = format!(
+                "* Field Order: Class name, Subclass name, Parameter name, {order}\n\
+                 Configuration,Data,Device Name,{end}\nGas Gauging,IT Cfg,Cell Terminate Voltage,{end}\n"
+            );
+            let image = Image::parse(&text, Some(CHIPS[0])).expect("an image");
+            let values: Vec<_> =
+                image.entries.iter().map(|entry| (image.name(entry), &entry.value)).collect();
+            assert_eq!(values, [("configuration-data/device-name".into(), &Value::Text(Vec::new()))]);
+        }
+    }
+
+    /// Which end of its range every parameter has.
+    #[derive(Clone, Copy, Debug)]
+    enum Limit {
+        Least,
+        Default,
+        Most,
+    }
+
+    fn at_limit(chip: &'static Chip, limit: Limit) -> Image {
+        let mut image = defaults(chip);
+        for entry in &mut image.entries {
+            entry.value = match (&entry.parameter.range, limit) {
+                (_, Limit::Default) => continue,
+                (Range::Int { min, .. }, Limit::Least) => Value::Int(*min),
+                (Range::Int { max, .. }, Limit::Most) => Value::Int(*max),
+                (Range::Float { min, .. }, Limit::Least) => Value::Float(*min),
+                (Range::Float { max, .. }, Limit::Most) => Value::Float(*max),
+                (Range::Text { .. }, Limit::Least) => Value::Text(Vec::new()),
+                (Range::Text { .. }, Limit::Most) => Value::Text(vec![0xff; entry.parameter.kind.size() - 1]),
+            };
+        }
+        image
+    }
+
+    #[test]
+    fn an_export_of_what_was_imported_is_the_same_file() {
+        for chip in CHIPS {
+            for limit in [Limit::Least, Limit::Default, Limit::Most] {
+                for format in FORMATS {
+                    let image = at_limit(chip, limit);
+                    let text = written(&image, format);
+                    let again = Image::parse(&text, None);
+                    let again =
+                        again.unwrap_or_else(|error| panic!("{} {limit:?} {format:?}: {error}", chip.name));
+                    let second = written(&again, format);
+                    let differ = text.lines().zip(second.lines()).find(|(one, other)| one != other);
+                    assert_eq!(differ, None, "{} {limit:?} {format:?}", chip.name);
+                    assert_eq!(text.len(), second.len(), "{} {limit:?} {format:?}", chip.name);
+                    for entry in &again.entries {
+                        assert!(entry.not_imported().is_ok(), "{} {limit:?}: {}", chip.name, entry.text());
+                    }
+                }
+            }
+        }
+    }
+
+    /// A whole file twice, without the lines that count its parameters.
+    #[test]
+    fn a_parameter_that_is_there_twice_is_refused_in_every_format() {
+        for chip in CHIPS {
+            for format in FORMATS {
+                let counts = ["parameters = ", "* gaugefs parameters", "; gaugefs commands"];
+                let text = written(&defaults(chip), format);
+                let is_count = |line: &str| counts.iter().any(|count| line.starts_with(count));
+                let lines: Vec<&str> = text.lines().filter(|line| !is_count(line)).collect();
+                // TOML does not allow a key outside of a table twice either.
+                let start = if format == Format::Toml { 4 } else { 0 };
+                let twice = [&lines[..], &lines[start..]].concat().join("\n") + "\n";
+                let error = Image::parse(&twice, Some(chip)).map(drop).expect_err("twice").to_string();
+                let (first, second) = error.split_once(" is also in line ").unwrap_or_default();
+                let is_line = first.starts_with("line ") && second.ends_with("; remove one of the two");
+                assert!(is_line, "{} {format:?}: {error}", chip.name);
             }
         }
     }

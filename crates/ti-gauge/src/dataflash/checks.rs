@@ -22,7 +22,7 @@ impl DataFlash {
             let (place, at) = locate(row.subclass, row.offset);
             let window = sequence(gauge).load(gauge, place)?;
             let Value::Int(found) = codec::decode(row.kind, &window[at..at + size]) else { continue };
-            if !(row.min..=row.max).contains(&found) {
+            if !row.holds(found) {
                 let why = format!(
                     "{} holds {found}, which cannot be: this firmware keeps its data flash elsewhere, and nothing \
                      is written to it",

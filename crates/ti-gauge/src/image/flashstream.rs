@@ -5,9 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use super::{Group, Image, Raw, at_line, check_count, chip_of, romimage};
-use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
+use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, parameter_name, romimage};
+use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
+use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
@@ -404,7 +405,7 @@ impl Stream {
         }
         let start = u16::from(self.block) * WINDOW as u16;
         for (at, byte) in window {
-            self.stored.insert((class, start + u16::from(at)), (byte, line));
+            self.store(class, start + u16::from(at), byte, line)?;
         }
         Ok(())
     }
@@ -439,13 +440,28 @@ impl Stream {
                     self.left_out.push(keys);
                 }
             } else {
-                self.stored.insert((FLAT, address), (byte, line));
+                self.store(FLAT, address, byte, line)?;
             }
         }
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
+        let place = Place { subclass: FLAT, offset: address };
+        Err(format!("{place} is undocumented for a {}", self.chip.model))
+    }
+
+    /// A byte as a line commits it. A parameter that an earlier line has committed is an error: a gauge would keep the
+    /// later value, but nothing shows which of the two is meant.
+    fn store(&mut self, subclass: u8, offset: u16, byte: u8, line: usize) -> Result<(), String> {
+        let before = self.stored.insert((subclass, offset), (byte, line));
+        let Some((_, first)) = before.filter(|(_, first)| *first != line) else { return Ok(()) };
+        let of_id = self.chip.subclasses.iter().filter(|row| row.id == subclass);
+        let mut rows = of_id.flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+        let holds = |row: &Parameter| (row.offset..).take(row.kind.size()).any(|at| at == offset);
+        match rows.find(|(_, row)| holds(row)) {
+            Some((class, row)) => Err(also_in(&parameter_name(self.chip, class, row), first)),
+            None => Ok(()),
+        }
     }
 
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
@@ -809,6 +825,20 @@ mod tests {
         let error =
             read("bq27441-g1", &STREAM.replace("C: AA 00 09 01", "C: AA 00 10 01")).expect_err("firmware");
         assert!(error.to_string().contains("firmware 0x0110, which a bq27441-G1 is not"), "{error}");
+    }
+
+    #[test]
+    fn a_parameter_that_is_committed_twice_is_refused() {
+        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
+        let error = read("bq34z100-g1", &format!("{text};\n{text}")).expect_err("twice").to_string();
+        assert_eq!(error, "line 7: it-cfg/cell-terminate-voltage is also in line 3; remove one of the two");
+        let text = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
+        let error = read("bq34110", &text.repeat(2)).expect_err("twice").to_string();
+        assert_eq!(error, "line 4: calibration-data/cc-offset is also in line 2; remove one of the two");
+        // Another parameter of the same block.
+        let other = "W: AA 3E 50 01\nW: AA 57 00 01\nW: AA 60 7A\n";
+        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
+        assert!(read("bq34z100-g1", &format!("{text}{other}")).is_ok());
     }
 
     #[test]
