@@ -286,7 +286,8 @@ impl Owner {
         self.debt = Debt::default();
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
-            (published.snapshot, published.digest) = (None, None);
+            published.snapshot = None;
+            (published.digest, published.control) = (None, None);
             (published.owed, published.settling) = ("".into(), "".into());
         });
         self.shared.report(attempt, &error);

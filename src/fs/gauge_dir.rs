@@ -52,7 +52,7 @@ static FILES: &[File] = &[
     file("itpor", Mode::Public, itpor),
     file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
         .written(|gauge, data, done| gauge.submit(Attempt::Seal, seal(data), done, Request::Seal)),
-    file("control", Mode::Write, |_| empty()).written(|gauge, data, done| {
+    file("control", Mode::ReadWrite, answered).written(|gauge, data, done| {
         gauge.submit(Attempt::Control, subcommand(gauge.chip(), data), done, Request::Control);
     }),
     file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
@@ -255,6 +255,14 @@ fn itpor(gauge: &Supply) -> Option<String> {
 /// What the attributes of a kind are multiplied by.
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
+}
+
+/// The last subcommand that was asked for, and the gauge's answer.
+fn answered(gauge: &Supply) -> Option<String> {
+    match gauge.published().control {
+        Some((code, answer)) => line(format_args!("0x{code:04x} 0x{answer:04x}")),
+        None => empty(),
+    }
 }
 
 fn digest(gauge: &Supply) -> Option<String> {

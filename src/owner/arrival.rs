@@ -86,7 +86,8 @@ impl Owner {
             log::warn!("{}: {why}", self.shared.name());
         }
         self.shared.publish(|published| {
-            (published.answers, published.limited, published.digest) = (answers, limited, None);
+            (published.answers, published.limited) = (answers, limited);
+            (published.digest, published.control) = (None, None);
         });
         match self.limitation() {
             None => self.settle(),

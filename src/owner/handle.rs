@@ -57,6 +57,8 @@ pub struct Published {
     pub seal: Seal,
     /// The answer to the last challenge; `None` while there is none.
     pub digest: Option<Message>,
+    /// The last subcommand that was asked for, and the answer; `None` while there is none.
+    pub control: Option<(u16, u16)>,
     /// Time between polls.
     pub interval: Duration,
     /// The last failure, one line; empty for none.
@@ -119,6 +121,7 @@ impl Shared {
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,
             digest: None,
+            control: None,
             interval: settings.interval,
             last_error: "".into(),
             failed: None,

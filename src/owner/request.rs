@@ -205,13 +205,15 @@ impl Owner {
                 done(self.logged(attempt, outcome));
             }
             Request::Control(code, done) => {
+                // The last answer is none to this subcommand, even if it fails.
+                self.shared.publish(|published| published.control = None);
                 let outcome = self.gauge.ask(code);
                 self.publish_seal();
-                let answer = self.logged(attempt, outcome);
                 let prefix = &self.shared.prefix;
-                done(
-                    answer.map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
-                );
+                done(self.logged(attempt, outcome).map(|answer| {
+                    self.shared.publish(|published| published.control = Some((code, answer)));
+                    log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}");
+                }));
             }
             Request::ChangeKey(change, done) => {
                 let order = self.shared.auth_order;

@@ -696,7 +696,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
 
 /// A chemistry file as TI's tools write it for a BQ27426, with its classes and the second block of class 104.
 #[test]
-fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
+fn a_chemistry_file_is_named_by_lint_and_applied() {
     if !can_mount() {
         return;
     }
@@ -714,7 +714,7 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
         format!("{select}W: AA 40{data}\nW: AA 60 {sum:02X}\nX: 10\n{select}C: AA 60 {sum:02X}\n")
     };
     let text = identity.to_string() + &blocks.map(block).concat() + "W: AA 00 42 00\nX: 2000\n";
-    fs::write(&file, text).expect("a file");
+    fs::write(&file, &text).expect("a file");
     let lint = gaugefs(&["lint", &file]).done();
     for name in ["83, OCV Table 83", "84, OCV Table 84", "85, Chemistry 85", "108, Chemistry 108"] {
         assert!(lint.contains(&format!(" bytes of subclass {name};")), "{name}: {lint}");
@@ -722,9 +722,18 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
     assert!(lint.contains(" undocumented bytes of subclass 104;"), "{lint}");
     gaugefs(&["mount", "--sim", "bq27426", &at]).done();
     let gauge = format!("{at}/BAT0");
-    gaugefs(&["import", &gauge, &file]).failed(&["line 9: raw 83/0: 5353", "write them with --raw"]);
+    // Class 104 is calibration.
+    gaugefs(&["import", &gauge, &file]).failed(&["raw 104/32: ", "write them with --raw"]);
+    // Without the part or the firmware nothing shows that the chemistry is meant for this gauge.
+    let other = folder.file("other.gm.fs");
+    fs::write(&other, text.replace("W: AA 00 02 00\nC: AA 00 02 02\n", "")).expect("a file");
+    gaugefs(&["import", &gauge, &other]).failed(&["line 7: raw 83/0: 5353", "write them with --raw"]);
+    // The chemistry alone, as in TI's files for it.
+    fs::write(&other, text.replace(&block(blocks[6]), "")).expect("a file");
+    let written = gaugefs(&["import", &gauge, &other]).done();
+    assert_eq!(written.lines().count(), blocks.len() - 1, "{written}");
     let written = gaugefs(&["import", "--raw", &gauge, &file]).done();
-    assert_eq!(written.lines().count(), blocks.len(), "{written}");
+    assert_eq!(written.lines().count(), 1, "{written}");
     for (class, start, length) in [(83, 0, 43), (84, 0, 42), (85, 0, 17), (108, 0, 17), (104, 32, 26)] {
         let raw = fs::read(format!("{gauge}/df/{class}/raw")).expect("bytes");
         let (new, after) = raw[start..].split_at(length);

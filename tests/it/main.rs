@@ -15,6 +15,7 @@ mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
+mod romimage;
 mod scratch;
 mod semantics;
 mod service;

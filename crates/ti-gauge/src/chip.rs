@@ -92,6 +92,8 @@ pub struct Chip {
     pub volatile: Option<u16>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
+    /// Where images for ROM mode hold its data flash; `None` where no source has the layout.
+    pub rom_image: Option<RomImage>,
     /// What is checked before a write.
     pub preflight: Preflight,
 }
@@ -146,6 +148,19 @@ impl Evidence {
             Evidence::RealPart => "seen on a real part: its report is one of the tests",
         }
     }
+}
+
+/// The layout of data flash in images that are written in ROM mode: 32 rows of 32 bytes, in which subclasses
+/// follow each other without regard to the blocks of normal mode.
+#[derive(Debug)]
+pub struct RomImage {
+    /// The subclasses whose place is known, by id, and the index of their first byte. All of their length is there.
+    pub subclasses: &'static [(u8, u16)],
+    /// The data of the chemistry and private data around them: the first byte, and one behind the last.
+    pub chemistry: (u16, u16),
+    /// The index of the word, most significant byte first, that is the checksum of the chemistry's data. It is inferred
+    /// from values; so it may prove that two chemistries are the same, and never that they differ.
+    pub chemistry_sum: u16,
 }
 
 /// A defect of some parts that a byte of data flash reveals.

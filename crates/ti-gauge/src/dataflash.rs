@@ -537,6 +537,20 @@ impl Change {
         }
     }
 
+    /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.
+    pub fn check_reserved(&self, stored: &[u8]) -> Result<()> {
+        let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
+            return Ok(());
+        };
+        let old = integer(parameter, stored);
+        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
+        if differ == 0 {
+            return Ok(());
+        }
+        let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
+        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+    }
+
     /// Name for the log: the parameter's name, or the place of undocumented bytes.
     pub fn name(&self) -> String {
         match self.row {

@@ -95,6 +95,7 @@ pub static CHIP: Chip = Chip {
     // they want there.
     volatile: Some(0),
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         // It has neither a serial number nor a chemistry that could be asked for.
         pack: None,

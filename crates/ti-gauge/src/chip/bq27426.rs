@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };

@@ -64,6 +64,7 @@ pub static CHIP: Chip = Chip {
         effect: "CC Gain is negative, as many parts have it in ROM: current has the wrong sign",
         remedy: "write CC Gain (105/4) again without its minus, and after each loss of power once more",
     }],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };

@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: preflight(&[]),
 };
 

@@ -105,6 +105,7 @@ pub static CHIP: Chip = Chip {
     signature: SIGNATURE,
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],

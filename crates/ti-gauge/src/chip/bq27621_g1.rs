@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[(82, 36)] }),
         // Without a sense resistor there is no calibration of the current, and no serial number is known.

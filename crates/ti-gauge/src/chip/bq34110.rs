@@ -106,6 +106,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         // No driver knows a serial number or a chemistry of it that could be asked while SEALED.
         pack: None,

@@ -11,8 +11,8 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scale, Scaling,
-    Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, RomImage, Safe, Scale,
+    Scaling, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -112,6 +112,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: None,
     quirks: &[],
+    rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
         pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
@@ -139,6 +140,21 @@ pub static CHIP: Chip = Chip {
         }),
         voltage_mv: None,
     },
+};
+
+/// Found by laying Table 7-11 over an image of firmware 0.16 (github.com/tibms/kernel-4.4,
+/// drivers/power/bq34z100/bq34z100_dffs.h): all 198 rows are in their ranges there. The places of 56 and 107 are not
+/// known.
+#[rustfmt::skip]
+const ROM_IMAGE: RomImage = RomImage {
+    subclasses: &[
+        (104, 0), (82, 68), (80, 85), (32, 400), (34, 406), (36, 420), (64, 447), (68, 459),
+        (81, 471), (112, 482), (67, 506), (59, 507), (60, 519), (66, 521), (2, 571), (48, 602),
+        (49, 662), (58, 684), (88, 768), (89, 832),
+    ],
+    chemistry: (178, 400),
+    // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
+    chemistry_sum: 600,
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The

@@ -15,8 +15,8 @@ use super::bq34z100_g1::{
 };
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Scale, Scaling, Scheme,
-    SealStatus, Security, Signature, Subclass, Word,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, RomImage, Scale, Scaling,
+    Scheme, SealStatus, Security, Signature, Subclass, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -119,6 +119,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
         pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
@@ -143,6 +144,20 @@ pub static CHIP: Chip = Chip {
         }),
         voltage_mv: None,
     },
+};
+
+/// Found by laying this table over an image of firmware 2.02 (github.com/DmitrijSarychev/Handy_Files,
+/// BQ34Z100_DFI.c): 197 of 198 rows are in their ranges there. The places of 56 and 107 are not known.
+#[rustfmt::skip]
+const ROM_IMAGE: RomImage = RomImage {
+    subclasses: &[
+        (104, 0), (82, 68), (80, 85), (32, 405), (34, 411), (36, 425), (64, 452), (68, 464),
+        (81, 476), (112, 487), (67, 511), (59, 512), (60, 524), (66, 526), (2, 576), (48, 607),
+        (49, 669), (58, 691), (88, 768), (89, 832),
+    ],
+    chemistry: (178, 405),
+    // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
+    chemistry_sum: 605,
 };
 
 /// Standard commands and extended ones (SLUUCO5A 2.1 and 2.2); types and signs are those of the bq34z100-G1. The

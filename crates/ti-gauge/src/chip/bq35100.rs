@@ -124,6 +124,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],

@@ -172,6 +172,7 @@ const fn gauge(
         signature: &[],
         volatile: None,
         quirks: &[],
+        rom_image: None,
         preflight: Preflight::NONE,
     }
 }
