@@ -616,7 +616,7 @@ fn file_modes_restrict_other_users() {
     let mode = |name: &str| fs::metadata(mount.path(name)).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode("df/80/53"), 0o600);
     assert_eq!(mode("df/80/raw"), 0o400);
-    assert_eq!(mode("gauge/control"), 0o200);
+    assert_eq!(mode("gauge/control"), 0o600);
     assert_eq!(mode("gauge/seal"), 0o600);
     assert_eq!(mode("gauge/age_ms"), 0o444);
     assert_eq!(mode("sim/load_ma"), 0o600);
