@@ -24,6 +24,7 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod rescue;
 mod settle;
 mod umount;
 
@@ -49,6 +50,7 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     Probe(probe::Probe),
+    Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Export(export::Export),
     Import(import::Import),
@@ -87,6 +89,7 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),

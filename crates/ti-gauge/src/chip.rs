@@ -60,6 +60,9 @@ pub struct Chip {
     pub evidence: Evidence,
     /// The answers that identify the part.
     pub identity: Identity,
+    /// How a firmware file of the part is recognised, for a gauge that is left in ROM mode; `None` where no source shows
+    /// a whole one.
+    pub rom: Option<Rom>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
     /// Standard commands, by address.
@@ -105,6 +108,16 @@ pub enum Evidence {
     Transcript,
     /// Inferred from a sibling or from one driver only: read-only unless the user insists.
     Unproven,
+}
+
+/// The Device Name in the data flash of a firmware file. Only that and the version of the firmware show which part a
+/// file is for.
+#[derive(Debug)]
+pub struct Rom {
+    /// Index of its length byte in the 32 rows.
+    pub name: usize,
+    /// What TI's files have there. A user may have changed it.
+    pub names: &'static [&'static str],
 }
 
 /// A defect of some parts that a byte of data flash reveals.

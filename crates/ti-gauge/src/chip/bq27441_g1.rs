@@ -33,6 +33,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[0x48, 0x58],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

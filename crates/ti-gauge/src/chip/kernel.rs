@@ -146,6 +146,7 @@ const fn gauge(
         documents: &["Linux 6.12, bq27xxx_battery.c"],
         evidence: Evidence::Unproven,
         identity: Identity::NONE,
+        rom: None,
         technology: "Li-ion",
         registers,
         subcommands: &[],

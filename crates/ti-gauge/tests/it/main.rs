@@ -11,6 +11,7 @@ mod power;
 mod preflight;
 mod probe;
 mod recovery;
+mod rescue;
 mod rig;
 mod rules;
 mod rules_gauge;
