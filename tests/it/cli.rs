@@ -200,7 +200,8 @@ fn misuse_has_exit_code_2() {
 fn failures_say_what_to_do() {
     gaugefs(&["probe", "--bus", "/dev/i2c-999"]).failed(&["/dev/i2c-999: no such bus"]);
     gaugefs(&["probe", "--bus", "/dev/null"]).failed(&["/dev/null: not an I2C bus"]);
-    gaugefs(&["mount", "--bus", "/dev/i2c-999", "/tmp/x"]).failed(&["no such bus"]);
+    let at = Folder::new().file("m");
+    gaugefs(&["mount", "--bus", "/dev/i2c-999", &at]).failed(&["no such bus"]);
     gaugefs(&["umount", "/proc"]).failed(&["/proc: proc", "not gaugefs"]);
     gaugefs(&["umount", "/etc"]).failed(&["/etc: no gaugefs is mounted there"]);
     let mount = |at| gaugefs(&["mount", "--sim", CHIP, at]);

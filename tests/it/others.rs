@@ -233,6 +233,8 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
             within(LIMIT, command(&arguments)).failed(&[path, why]);
         }
     }
+    let arguments = ["mount", "--foreground", "--sim", CHIP, "--sim-state", &fifo, &at];
+    within(LIMIT, command(&arguments)).failed(&[&fifo, "not a regular file"]);
     let journal = folder.file(&format!("{}.journal", gaugefs::lock::key_of_state(Path::new(&state))));
     mkfifo(&journal);
     let arguments =
@@ -254,7 +256,7 @@ mount -t fusectl none /sys/fs/fuse/connections
 user() { exec setpriv --reuid 65534 --regid 65534 --clear-groups -- env XDG_RUNTIME_DIR="$1" "${@:2}"; }
 chown 65534:65534 "$1"
 (user "$1" "$1/gaugefs" mount --foreground --sim bq34z100-g1 "$1/m") & daemon=$!
-until grep -q " $1/m " /proc/self/mountinfo; do kill -0 $daemon; sleep 0.05; done
+until (user "$1" cat "$1/m/BAT0/present") 2>&-; do kill -0 $daemon; sleep 0.05; done
 kill -STOP $daemon
 (user "$1" cat "$1/m/BAT0/gauge/seal") & reader=$!
 sleep 0.5
@@ -281,7 +283,9 @@ fn a_user_removes_a_stopped_mount_too() {
     // The program may be in a folder that other users cannot enter.
     fs::copy(env!("CARGO_BIN_EXE_gaugefs"), folder.file("gaugefs")).expect("a copy");
     let mut script = Command::new("unshare");
-    script.args(["--mount", "--propagation", "private", "bash", "-euc", AS_A_USER, "bash"]).arg(&folder.0);
+    // With its own namespace of processes, none of them outlives the script.
+    script.args(["--mount", "--propagation", "private", "--pid", "--fork", "--kill-child", "--mount-proc"]);
+    script.args(["bash", "-euc", AS_A_USER, "bash"]).arg(&folder.0);
     let ran = within(Duration::from_secs(60), script);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(ran.out.ends_with("done\n"), "{}{}", ran.out, ran.err);

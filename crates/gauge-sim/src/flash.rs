@@ -173,6 +173,10 @@ impl Store {
     /// Fills `flash` from the file. Returns `false` if there is none yet.
     pub(super) fn load(&self, flash: &mut Flash) -> Result<bool> {
         let Some(path) = &self.path else { return Ok(false) };
+        // The open of a FIFO would wait for its other end.
+        if fs::metadata(path).is_ok_and(|status| !status.is_file()) {
+            return Err(self.refuse("it is not a regular file"));
+        }
         let text = match fs::read(path) {
             Ok(bytes) => String::from_utf8(bytes).map_err(|_| self.refuse("it is not text"))?,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
