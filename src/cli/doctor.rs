@@ -25,9 +25,10 @@ mod service;
 use host::Host;
 
 const DOCTOR: &str = "\
-It reads files and asks adapters for their capabilities; it sends nothing on a bus. With --bus it reads
-a byte at 0x55 and at 0x0b of that bus, where a gauge in ROM mode answers. A problem prevents some use
-of gaugefs, a warning is worth knowing. Exit code 0: no problem, 1: at least one.";
+It reads files and asks adapters for their capabilities; it sends nothing on a bus. With --bus it
+reads a byte at 0x55 and at 0x0b of that bus, where a gauge in ROM mode answers. A problem
+prevents some use of gaugefs, a warning is worth knowing. Exit code 0: no problem, 1: at least
+one.";
 
 /// Check this machine for problems, and show how to fix them
 #[derive(Args, Debug)]

@@ -25,14 +25,14 @@ use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
 use ti_gauge::rom::{self, Firmware};
 
 const RESCUE: &str = "\
-A gauge whose firmware update was interrupted answers at 0x0b only, also after a loss of power. It takes
-the whole firmware file (.bq.fs) of the same part and version, as bqStudio exports it; a .df.fs is not
-enough. The file replaces firmware and data flash: calibration, keys and what the gauge has learned
-become those of the file.
+A gauge whose firmware update was interrupted answers at 0x0b only, also after a loss of power.
+It takes the whole firmware file (.bq.fs) of the same part and version, as bqStudio exports it; a
+.df.fs is not enough. The file replaces firmware and data flash: calibration, keys and what the
+gauge has learned become those of the file.
 
-The file is checked as a whole before anything is sent. A gauge in ROM mode does not tell which part it
-is: name it with --chip, and be sure. First switch its power off and on: a gauge with whole firmware
-then starts by itself. Charge the pack and keep the power on.
+The file is checked as a whole before anything is sent. A gauge in ROM mode does not tell which
+part it is: name it with --chip, and be sure. First switch its power off and on: a gauge with
+whole firmware then starts by itself. Charge the pack and keep the power on.
 
 It can be interrupted at any time: run it again, and it begins with the first row.
 
