@@ -111,7 +111,7 @@ impl Rescue {
         });
         written.map_err(|error| {
             eprintln!(
-                "gaugefs: the gauge stays in ROM mode. Leave its power on, and run the same command again: it begins \
+                "gaugefs: not finished. Leave the power on, and run the same command again: it begins \
                  with the first row."
             );
             Error::from(error).within(&name)
