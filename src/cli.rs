@@ -24,6 +24,7 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod report;
 mod rescue;
 mod settle;
 mod umount;
@@ -52,6 +53,7 @@ enum Command {
     Probe(probe::Probe),
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
+    Report(report::Report),
     Export(export::Export),
     Import(import::Import),
     Diff(diff::Diff),
@@ -91,6 +93,7 @@ impl Command {
             Self::Probe(command) => command.run(),
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
+            Self::Report(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),

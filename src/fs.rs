@@ -89,7 +89,7 @@ impl Scales {
     fn of(&self, kind: Kind) -> f64 {
         match kind {
             Kind::Voltage => self.voltage,
-            Kind::Current => self.current,
+            Kind::Current | Kind::Charge => self.current,
             Kind::Energy => self.energy,
         }
     }
@@ -109,22 +109,47 @@ pub struct MountedGauge {
 
 impl MountedGauge {
     /// What to warn of: scales of the user's that multiply a scale which the gauge reports, and may be meant to be
-    /// the same one.
+    /// the same one; and scales that are missing or given although the gauge says the contrary.
     pub fn warnings(&self) -> Vec<String> {
         let published = self.handle.published();
         let reading = Reading::new(&self.handle, published.snapshot.as_deref(), &self.scales);
-        let twice = Kind::ALL.into_iter().filter_map(|kind| {
-            let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
-            (reported != 1 && given != 1.0).then(|| {
-                let (option, all) = (kind.option(), f64::from(reported) * given);
-                format!(
-                    "{}: the gauge reports a scale of {reported}, and {option} {given} comes on top: values are \
-                     multiplied by {all}; leave out {option} if it is the same scale",
-                    self.name
-                )
-            })
-        });
-        twice.collect()
+        // One warning for each option.
+        let kinds = Kind::ALL.chunk_by(|one, other| one.option() == other.option());
+        let twice = kinds.filter_map(|kinds| kinds.iter().find_map(|&kind| self.given_twice(&reading, kind)));
+        let scaled = reading.is_scaled().and_then(|(is_scaled, what)| self.contradiction(is_scaled, &what));
+        twice.chain(scaled).map(|warning| format!("{}: {warning}", self.name)).collect()
+    }
+
+    fn given_twice(&self, reading: &Reading<'_>, kind: Kind) -> Option<String> {
+        let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
+        (reported != 1 && given != 1.0).then(|| {
+            let (option, all) = (kind.option(), f64::from(reported) * given);
+            format!(
+                "the gauge reports a scale of {reported}, and {option} {given} comes on top: values are multiplied by \
+                 {all}; leave out {option} if it is the same scale"
+            )
+        })
+    }
+
+    /// What a bit says of scales that the gauge does not have, against the options.
+    fn contradiction(&self, is_scaled: bool, what: &str) -> Option<String> {
+        let scales = &self.scales;
+        let kinds = [(Kind::Current, true), (Kind::Energy, scales.energy_shown)];
+        let wrong = |&(kind, is_shown): &(Kind, bool)| is_shown && (scales.of(kind) == 1.0) == is_scaled;
+        let options: Vec<_> =
+            kinds.iter().filter(|kind| wrong(kind)).map(|(kind, _)| kind.option()).collect();
+        let options = options.join(" and ");
+        match is_scaled {
+            _ if options.is_empty() => None,
+            true => Some(format!(
+                "{what} is set, so currents, charges and energies are a fraction of the real ones, and the gauge does \
+                 not have the factor; give {options}"
+            )),
+            false => Some(format!(
+                "{options} given, but {what} is clear, so the gauge reports real values; leave out {options}, or set \
+                 the bit"
+            )),
+        }
     }
 }
 

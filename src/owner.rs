@@ -6,8 +6,8 @@
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
 //! says which failure is shown, `backup` saves a gauge's configuration before the first write, `arrival` identifies
-//! a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a failed access has left: a
-//! seal, or a write that is neither done nor undone.
+//! a gauge that comes or comes back, `poll` reads its registers, `report` records all of that for a bug report, and
+//! `debt` pays what a failed access has left: a seal, or a write that is neither done nor undone.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -34,6 +34,7 @@ mod backup;
 mod debt;
 mod handle;
 mod poll;
+mod report;
 mod request;
 #[cfg(test)]
 pub(crate) mod rig;
@@ -45,6 +46,7 @@ use debt::Debt;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
+pub use report::{Origin, Report};
 pub use request::{Done, Request};
 
 /// How a gauge is run.
@@ -101,6 +103,8 @@ pub struct Startup {
     pub unverified: bool,
     /// Why the gauge cannot be reached yet.
     pub missing: Option<Error>,
+    /// Where it is.
+    pub origin: Origin,
 }
 
 /// Starts the owner of a gauge, and waits until it has identified and polled the gauge.
@@ -153,6 +157,8 @@ struct Owner {
     rare: Registers,
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
+    /// What attributes need of data flash has been read since then, or was tried.
+    looked: bool,
     control_status: u16,
     /// When the gauge was last asked what it is.
     identified: Duration,
@@ -187,7 +193,7 @@ impl Owner {
         if let Some(file) = settings.key_file.take() {
             gauge.key_file = file;
         }
-        let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, signal));
+        let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, startup.origin, signal));
         let owner = Self {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
@@ -196,6 +202,7 @@ impl Owner {
             debt: Debt::default(),
             rare: Registers::UNREAD,
             statics_are_current: false,
+            looked: false,
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
@@ -279,7 +286,8 @@ impl Owner {
         self.debt = Debt::default();
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
-            (published.snapshot, published.digest) = (None, None);
+            published.snapshot = None;
+            (published.digest, published.control) = (None, None);
             (published.owed, published.settling) = ("".into(), "".into());
         });
         self.shared.report(attempt, &error);
@@ -303,7 +311,14 @@ impl Owner {
 
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
     fn forget_dataflash(&mut self) {
+        self.forget_values();
+        self.shared.doubt_scales();
+    }
+
+    /// The same for one and the same gauge, whose scales have not changed.
+    fn forget_values(&mut self) {
         self.statics_are_current = false;
+        self.looked = false;
         self.shared.forget_all();
     }
 }

@@ -213,15 +213,15 @@ impl Operations for Of<'_, DfItem> {
                 supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
             }
             DfItem::Transaction => {
-                let staged = supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data);
-                if staged.is_ok() {
-                    handle.succeeded(&Attempt::Stage);
+                // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
+                // commit compares them.
+                let mut unread: Vec<usize> = transaction::compared(chip, data).into_iter().collect();
+                unread.retain(|&at| handle.kept(at).is_none());
+                if unread.is_empty() {
+                    return supply.stage(data, done);
                 }
-                match staged {
-                    Ok(None) => done(Ok(())),
-                    Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-                    Err(error) => supply.refuse(Attempt::Stage, error, done),
-                }
+                let (supply, data) = (Arc::clone(supply), data.to_vec());
+                handle.submit(Request::Read(unread, Box::new(move |_| supply.stage(&data, done))));
             }
             _ => done(Err(super::not_writable())),
         }
@@ -239,7 +239,8 @@ impl Operations for Of<'_, DfItem> {
     fn xattrs(&self) -> Vec<(&'static str, String)> {
         let DfItem::Parameter(at, row) = self.item else { return Vec::new() };
         let (subclass, parameter) = self.supply.row(at, row);
-        let [min, max, default] = bounds(subclass, parameter);
+        let dm_code = self.supply.published().answers.dm_code;
+        let [min, max, default] = bounds(subclass, parameter, dm_code);
         let list = [
             ("user.gauge.name", Some(parameter.name.to_string())),
             ("user.gauge.type", Some(parameter.kind.to_string())),
@@ -277,6 +278,26 @@ impl Supply {
         }
     }
 
+    /// Takes the lines of one write(2) to `df/transaction`.
+    fn stage(&self, data: &[u8], done: Done<()>) {
+        let handle = &self.handle;
+        let stored = |at| handle.kept(at);
+        let rules = transaction::Rules {
+            chip: self.chip(),
+            allow_unproven: handle.allows_unproven(),
+            stored: &stored,
+        };
+        let staged = self.transaction.write(&rules, handle.now(), data);
+        if staged.is_ok() {
+            handle.succeeded(&Attempt::Stage);
+        }
+        match staged {
+            Ok(None) => done(Ok(())),
+            Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
+            Err(error) => self.refuse(Attempt::Stage, error, done),
+        }
+    }
+
     /// The changes of the open transaction.
     fn staged(&self) -> Option<Arc<Staged>> {
         self.transaction.staged(self.handle.now())
@@ -310,7 +331,7 @@ impl Supply {
                     format!("raw {place}: {old} -> {}\n", text::hex(bytes))
                 }
                 Some((subclass, parameter)) => {
-                    let old = kept.map_or("-".into(), |kept| value_text(subclass, parameter, &kept));
+                    let old = kept.map_or("-".into(), |kept| column(value_text(subclass, parameter, &kept)));
                     let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
                     format!("{}: {old} -> {new}\n", parameter.name)
                 }
@@ -321,6 +342,7 @@ impl Supply {
 
     /// `df/index`: a line for each parameter of the table.
     fn index(&self) -> Vec<u8> {
+        let dm_code = self.published().answers.dm_code;
         let mut lines = String::from("subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n");
         for (at, subclass) in self.chip().subclasses.iter().enumerate() {
             let is_secret = subclass.kind == Kind::Security;
@@ -331,8 +353,9 @@ impl Supply {
                     id => (id.to_string(), parameter.offset.to_string()),
                 };
                 let [min, max, default] =
-                    bounds(subclass, parameter).map(|bound| bound.unwrap_or("-".into()));
-                let value = bytes.as_ref().map_or("-".into(), |bytes| value_text(subclass, parameter, bytes));
+                    bounds(subclass, parameter, dm_code).map(|bound| bound.unwrap_or("-".into()));
+                let value =
+                    bytes.as_ref().map_or("-".into(), |bytes| column(value_text(subclass, parameter, bytes)));
                 let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
                 let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
                 lines += &format!(
@@ -392,16 +415,26 @@ fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> Strin
     text::render(parameter.kind, &value)
 }
 
-/// Smallest and largest value and default; keys show none of them.
-fn bounds(subclass: &Subclass, parameter: &Parameter) -> [Option<String>; 3] {
+/// A value where `-` means that there is none. Only a string can be a `-` itself.
+fn column(text: String) -> String {
+    if text == "-" { "%2d".into() } else { text }
+}
+
+/// Smallest and largest value, and the default of a part with that DM_CODE; keys show none of them.
+fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
     let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
     match &parameter.range {
         _ if subclass.kind == Kind::Security => [None, None, None],
-        Range::Int { min, max, default } => [Some(show(*min)), Some(show(*max)), default.map(show)],
+        Range::Int { min, max, .. } => {
+            [Some(show(*min)), Some(show(*max)), parameter.int_default(dm_code).map(show)]
+        }
         Range::Float { min, max, default } => {
             [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
         }
-        Range::Text { default } => [None, None, default.map(str::to_string)],
+        Range::Text { default } => {
+            let show = |text: &str| text::render(parameter.kind, &Value::Text(text.into()));
+            [None, None, default.map(show)]
+        }
     }
 }
 
@@ -420,6 +453,16 @@ fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_default_is_that_of_the_flavour() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let (subclass, parameter) = chip.row("82", "10").expect("Design Capacity");
+        let default = |dm_code| bounds(subclass, parameter, dm_code)[2].clone();
+        assert_eq!(default(Some(0x48)).as_deref(), Some("1340"));
+        assert_eq!(default(Some(0x58)).as_deref(), Some("1000"));
+        assert_eq!(default(None), None, "not identified yet");
+    }
 
     #[test]
     fn an_unknown_parameter_is_reported_with_the_nearest_one() {

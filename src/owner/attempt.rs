@@ -28,6 +28,8 @@ pub enum Attempt {
     Restore,
     /// To settle an interrupted write.
     Settle,
+    /// To make a report.
+    Report,
     /// Something that no later success shows to be over.
     Other,
 }
@@ -45,7 +47,7 @@ impl Attempt {
             | Attempt::Authenticate
             | Attempt::Interval
             | Attempt::Restore => 1,
-            Attempt::Poll | Attempt::Read(_) | Attempt::Other => 0,
+            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Other => 0,
         }
     }
 

@@ -124,6 +124,7 @@ fn help_texts() {
             "probe --help",
             "rescue --help",
             "chips --help",
+            "report --help",
             "export --help",
             "import --help",
             "diff --help",
@@ -142,7 +143,7 @@ fn help_texts() {
 
 #[test]
 fn chips_are_listed() {
-    golden("chips", &["chips", "chips --json"]);
+    golden("chips", &["chips", "chips --json", "chips bq34z100-g1", "chips bq27000", "chips --json BQ34110"]);
 }
 
 #[test]
@@ -172,6 +173,11 @@ fn misuse_has_exit_code_2() {
             "mount --sim bq34z100-g1 --check /tmp/x",
             "umount",
             "probe",
+            "chips bq99",
+            "report",
+            "report /tmp/x --bus /dev/i2c-1",
+            "report /tmp/x --key-file /tmp/y",
+            "report --sim bq34z100-g1 --address 0x55",
             "export",
             "import /tmp/x",
             "import /tmp/x /tmp/y --exclude secrets",
@@ -349,6 +355,48 @@ fn an_import_makes_one_gauge_equal_to_another() {
             scope.spawn(move || check_imports(name));
         }
     });
+}
+
+/// Through the file of each format, from one gauge to another.
+#[test]
+fn a_string_survives_export_and_import_in_every_format() {
+    if !can_mount() {
+        return;
+    }
+    std::thread::scope(|scope| {
+        for format in ["toml", "gg.csv", "flashstream"] {
+            scope.spawn(move || check_strings(format));
+        }
+    });
+}
+
+fn check_strings(format: &str) {
+    let folder = Folder::new();
+    let (one, other) = (folder.file("m"), folder.file("n"));
+    for at in [&one, &other] {
+        gaugefs(&["mount", "--sim", "bq34z100-g1", at]).done();
+    }
+    let (from, to) = (format!("{one}/BAT0"), format!("{other}/BAT0"));
+    let path = |gauge: &str| Path::new(gauge).join("df/48/31");
+    let bytes = |gauge: &str| fs::read(Path::new(gauge).join("df/48/raw")).expect("bytes")[31..43].to_vec();
+    let (file, again) = (folder.file("file"), folder.file("again"));
+    let mut before = fs::read_to_string(path(&to)).expect("its text");
+    for string in ["AT&T (4S)", "", "%20a,\"\\%2541%00%ff%20"] {
+        fs::write(path(&from), format!("{string}\n")).expect("a string");
+        let shown = fs::read_to_string(path(&from)).expect("its text");
+        gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
+        let imported = gaugefs(&["import", &to, &file]).done();
+        let old = before.trim_end_matches('\n');
+        assert_eq!(imported, format!("configuration-data/device-name: {old} -> {shown}"), "{format}");
+        assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
+        gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
+        let read = |file: &str| fs::read(file).expect("a file");
+        assert_eq!(read(&again), read(&file), "{format} {shown}");
+        before = shown;
+    }
+    for at in [&one, &other] {
+        gaugefs(&["umount", at]).done();
+    }
 }
 
 fn check_imports(name: &str) {
@@ -649,7 +697,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
 
 /// A chemistry file as TI's tools write it for a BQ27426, with its classes and the second block of class 104.
 #[test]
-fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
+fn a_chemistry_file_is_named_by_lint_and_applied() {
     if !can_mount() {
         return;
     }
@@ -667,7 +715,7 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
         format!("{select}W: AA 40{data}\nW: AA 60 {sum:02X}\nX: 10\n{select}C: AA 60 {sum:02X}\n")
     };
     let text = identity.to_string() + &blocks.map(block).concat() + "W: AA 00 42 00\nX: 2000\n";
-    fs::write(&file, text).expect("a file");
+    fs::write(&file, &text).expect("a file");
     let lint = gaugefs(&["lint", &file]).done();
     for name in ["83, OCV Table 83", "84, OCV Table 84", "85, Chemistry 85", "108, Chemistry 108"] {
         assert!(lint.contains(&format!(" bytes of subclass {name};")), "{name}: {lint}");
@@ -675,9 +723,18 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
     assert!(lint.contains(" undocumented bytes of subclass 104;"), "{lint}");
     gaugefs(&["mount", "--sim", "bq27426", &at]).done();
     let gauge = format!("{at}/BAT0");
-    gaugefs(&["import", &gauge, &file]).failed(&["line 9: raw 83/0: 5353", "write them with --raw"]);
+    // Class 104 is calibration.
+    gaugefs(&["import", &gauge, &file]).failed(&["raw 104/32: ", "write them with --raw"]);
+    // Without the part or the firmware nothing shows that the chemistry is meant for this gauge.
+    let other = folder.file("other.gm.fs");
+    fs::write(&other, text.replace("W: AA 00 02 00\nC: AA 00 02 02\n", "")).expect("a file");
+    gaugefs(&["import", &gauge, &other]).failed(&["line 7: raw 83/0: 5353", "write them with --raw"]);
+    // The chemistry alone, as in TI's files for it.
+    fs::write(&other, text.replace(&block(blocks[6]), "")).expect("a file");
+    let written = gaugefs(&["import", &gauge, &other]).done();
+    assert_eq!(written.lines().count(), blocks.len() - 1, "{written}");
     let written = gaugefs(&["import", "--raw", &gauge, &file]).done();
-    assert_eq!(written.lines().count(), blocks.len(), "{written}");
+    assert_eq!(written.lines().count(), 1, "{written}");
     for (class, start, length) in [(83, 0, 43), (84, 0, 42), (85, 0, 17), (108, 0, 17), (104, 32, 26)] {
         let raw = fs::read(format!("{gauge}/df/{class}/raw")).expect("bytes");
         let (new, after) = raw[start..].split_at(length);
@@ -1118,8 +1175,8 @@ fn the_byte_order_is_chosen_with_the_mount() {
 }
 
 /// Every file of a gauge's folder that does not depend on this test's own accesses.
-fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
+pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
         for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
@@ -1190,7 +1247,7 @@ fn a_file_that_is_not_a_recording_is_refused() {
     let replay = || gaugefs(&["mount", "--replay", &file, &at]);
     replay().failed(&["trace: cannot read it"]);
     fs::write(&file, "W: AA 00 01 00\n").expect("a file");
-    replay().failed(&["line 1", "only a file that --trace wrote"]);
+    replay().failed(&["line 1", "only a file that --trace or `gaugefs report` wrote"]);
     fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
     replay().failed(&["unknown chip `bq99`"]);
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");

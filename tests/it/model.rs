@@ -151,6 +151,7 @@ enum Class {
     Settle,
     Interval,
     Refresh,
+    Report,
     Knob,
     Reading,
     Missing,
@@ -168,6 +169,7 @@ impl Class {
             | Class::Transaction
             | Class::Seal
             | Class::Authenticate
+            | Class::Report
             | Class::Settle
             | Class::Interval
             | Class::Knob => 0o660,
@@ -371,6 +373,7 @@ impl Model {
             ("gauge/settle", Class::Settle),
             ("gauge/poll_interval", Class::Interval),
             ("gauge/refresh", Class::Refresh),
+            ("gauge/report", Class::Report),
             ("sim/load_ma", Class::Knob),
             ("sim/transfers", Class::Reading),
             ("nothing", Class::Missing),
@@ -742,7 +745,7 @@ impl Model {
                 1 => (random.pick(&["soon", " ", "NaN s"]).into(), fails(Errno::EINVAL)),
                 _ => (random.pick(&["30\n", "600", "3600"]).into(), Expected::success()),
             },
-            Class::Refresh => ("1\n".into(), Expected::success()),
+            Class::Refresh | Class::Report => ("1\n".into(), Expected::success()),
             Class::Knob => match random.below(3) {
                 0 => ("much\n".into(), fails(Errno::EINVAL)),
                 _ => ("0\n".into(), Expected::success()),
@@ -1246,6 +1249,7 @@ impl Model {
                         | Class::Keys
                         | Class::Refresh
                         | Class::Authenticate
+                        | Class::Report
                         | Class::Steady
                         | Class::Transaction
                 ) {

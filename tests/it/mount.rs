@@ -249,6 +249,49 @@ fn data_flash_reads_and_writes() {
     until("the new design capacity", || mount.shows("charge_full_design", "2000000"));
 }
 
+/// The text of a string is what a write of the same string takes, whatever its bytes are.
+#[test]
+fn a_string_is_written_back_as_it_was_read() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let stored = || fs::read(mount.path("df/48/raw")).expect("bytes")[31..43].to_vec();
+    let in_index = || {
+        let index = mount.cat("df/index");
+        let line = index.lines().find(|line| line.starts_with("48\t31\t")).expect("a line of its own");
+        line.rsplit_once('\t').expect("fields").1.to_string()
+    };
+    for (written, shown, bytes) in [
+        ("AT&T (4S)", "AT%26T %284S%29", &b"\x09AT&T (4S)\0\0"[..]),
+        ("%00%ff%0a%09%1b", "%00%ff%0a%09%1b", b"\x05\0\xff\n\t\x1b\0\0\0\0\0\0"),
+        ("%20 %20", "%20 %20", b"\x03   \0\0\0\0\0\0\0\0"),
+        ("'%2541\"", "%27%2541%22", b"\x05'%41\"\0\0\0\0\0\0"),
+        ("12345678901", "12345678901", b"\x0b12345678901"),
+        ("-", "-", b"\x01-\0\0\0\0\0\0\0\0\0\0"),
+        ("", "", b"\0\0\0\0\0\0\0\0\0\0\0\0"),
+    ] {
+        assert_eq!(mount.echo("other", "df/48/31"), Ok(()));
+        assert_eq!(mount.echo(written, "df/48/31"), Ok(()), "{written}");
+        assert_eq!((mount.cat("df/48/31").as_str(), stored().as_slice()), (shown, bytes));
+        assert_eq!(in_index(), if shown == "-" { "%2d" } else { shown });
+        let programmed = mount.sim.get("programmed");
+        assert_eq!(mount.echo(shown, "df/48/31"), Ok(()), "{shown}");
+        assert_eq!(mount.sim.get("programmed"), programmed, "{shown}: the same value is not written again");
+        assert_eq!(mount.echo("other", "df/48/31"), Ok(()));
+        assert_eq!(mount.echo(&format!("begin\n48/31 {shown}\ncommit"), "df/transaction"), Ok(()));
+        assert_eq!(stored(), bytes, "{shown}");
+    }
+    for refused in ["caf\u{e9}", "a\tb", "123456789012"] {
+        assert_eq!(mount.echo(refused, "df/48/31"), Err(Errno::EINVAL), "{refused}");
+    }
+    // A length that is larger than the field counts as the field's.
+    let junk = b"\xffLION\x01\x02\x03AT&T";
+    mount.sim.set_flash(48, 31, &junk[..12]);
+    assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+    let shown = mount.cat("df/48/31");
+    assert_eq!(shown, "LION%01%02%03AT%26T");
+    assert_eq!(mount.echo(&shown, "df/48/31"), Ok(()));
+    assert_eq!(stored(), junk[..12]);
+}
+
 #[test]
 fn refused_writes_return_their_errno_and_change_nothing() {
     let Some(mount) = quiet("bq34z100-g1") else { return };
@@ -501,6 +544,34 @@ fn files_appear_and_disappear_with_their_values() {
 }
 
 /// A bus on which the gauge's owner panics during a write.
+/// Their absence is in the kernel's caches when the values become known.
+#[test]
+fn files_of_data_flash_appear_when_it_is_read() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let name = "voltage_max_design";
+    let listed = || {
+        let entries = fs::read_dir(mount.path("")).expect("a folder");
+        entries.map(|entry| entry.expect("an entry").file_name()).any(|entry| entry == name)
+    };
+    assert!(!mount.path(name).exists() && !listed());
+    assert_eq!(mount.cat("technology"), "Unknown");
+    let transfers = mount.transfers();
+    assert!(!mount.cat("uevent").contains("VOLTAGE_MAX_DESIGN"));
+    assert_eq!(mount.transfers(), transfers, "nothing is read for them");
+    mount.cat("df/48/19");
+    until("the technology", || mount.shows("technology", "Li-ion"));
+    assert!(!mount.path(name).exists(), "the number of cells is not known");
+    mount.cat("df/64/7");
+    until("a voltage", || mount.shows(name, "4200000") && listed());
+    assert!(mount.cat("uevent").contains("POWER_SUPPLY_VOLTAGE_MAX_DESIGN=4200000\n"));
+    // A write ends with a reset, after which nothing is believed that was read before.
+    mount.echo("4100", "df/48/19").expect("the default key");
+    until("no voltage", || !mount.path(name).exists() && !listed());
+    mount.cat("df/48/19");
+    mount.cat("df/64/7");
+    until("the new voltage", || mount.shows(name, "4100000") && listed());
+}
+
 struct Panics(gauge_sim::SimBus, Arc<AtomicBool>);
 
 impl Bus for Panics {
@@ -741,7 +812,7 @@ fn an_unknown_firmware_shows_standard_commands_and_says_why() {
     let why = mount.cat("gauge/last_error");
     assert!(why.contains("Z: bq34z100-G1: firmware 0x0017, hardware 0x0008: "), "{why}");
     assert!(why.contains("proven only for firmware 0x0016, hardware 0x0008"), "{why}");
-    assert!(why.contains("gaugefs probe"), "{why}");
+    assert!(why.contains("gaugefs report"), "{why}");
     assert_eq!(mount.cat("model_name"), "bq34z100-G1");
     assert_eq!(mount.cat("gauge/firmware_version"), "0x0017");
     assert!(mount.cat("voltage_now").parse::<i64>().is_ok());
@@ -762,14 +833,14 @@ fn the_scales_that_are_applied_are_shown() {
         sim.set("power", "off").expect("a knob");
         sim.set("power", "on").expect("a knob");
     };
-    for (chip, expected) in [("bq34z100-r2", ["2", "10", "20"]), ("bq34110", ["1", "1", "1"])] {
+    for (chip, expected) in [("bq34z100-r2", ["2", "10", "10", "20"]), ("bq34110", ["1"; 4])] {
         let prepare = if chip == "bq34z100-r2" { prepare } else { |_: &Sim| {} };
         let Some(mount) =
             Mount::with(chip, Duration::from_secs(3600), Keys::default(), prepare, Vec::new(), open)
         else {
             return;
         };
-        let files = ["voltage_scale", "current_scale", "energy_scale"];
+        let files = ["voltage_scale", "current_scale", "charge_scale", "energy_scale"];
         assert_eq!(files.map(|file| mount.cat(&format!("gauge/{file}"))), expected, "{chip}");
     }
 }

@@ -189,6 +189,11 @@ impl Sim {
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
+    /// Whether there is such a gauge to simulate.
+    pub fn knows(chip: &str) -> bool {
+        parts::all().any(|part| part.name == chip)
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

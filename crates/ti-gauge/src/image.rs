@@ -15,6 +15,7 @@ use crate::value::Value;
 
 pub mod flashstream;
 pub mod ggcsv;
+mod romimage;
 pub mod toml;
 
 /// The formats of an image.
@@ -45,6 +46,10 @@ pub struct Image {
     pub left_out: Vec<LeftOut>,
     /// Whether the file names the chip that it is for, or its device type.
     pub names_chip: bool,
+    /// The checksum of the chemistry's data, of an image for ROM mode.
+    pub chemistry_sum: Option<u16>,
+    /// The first line that writes the gauge's firmware as a whole; `None` for an image of data flash only.
+    pub firmware_line: Option<usize>,
 }
 
 /// Something that is not part of an image although its file or its gauge has it.
@@ -52,8 +57,15 @@ pub struct Image {
 pub struct LeftOut {
     /// What it is, where it is from, and why it is left out.
     pub text: String,
-    /// It is a key.
-    pub is_key: bool,
+    /// The group that it belongs to; an import that excludes that group does not ask for it.
+    pub group: Option<Group>,
+}
+
+impl LeftOut {
+    /// Whether a comparison or an import without these groups asks for it.
+    pub fn counts(&self, exclude: &[Group]) -> bool {
+        !self.group.is_some_and(|group| exclude.contains(&group))
+    }
 }
 
 /// Parameters that an import can leave as they are.
@@ -73,10 +85,9 @@ pub enum Group {
 
 impl Group {
     fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
-        let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
         match self {
             Group::Calibration => subclass.class == "Calibration",
-            Group::Serial => of_one_pack.contains(&parameter.name),
+            Group::Serial => parameter.names_pack(),
             Group::Learned => parameter.learned,
             Group::Undocumented | Group::Keys => false,
         }
@@ -180,11 +191,11 @@ impl Entry {
         text::render(self.parameter.kind, &self.value)
     }
 
-    /// Why an import does not write it: its address is uncertain, or it is a learned value outside the range. Any
+    /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
     /// other value outside its range is an error, with line and parameter.
-    pub fn not_imported(&self) -> Result<Option<&'static str>> {
+    pub fn not_imported(&self, allow_unproven: bool) -> Result<Option<&'static str>> {
         match text::parse(self.parameter, self.text().as_bytes()) {
-            _ if self.parameter.unproven => Ok(Some("its address or range is unproven")),
+            _ if self.parameter.unproven && !allow_unproven => Ok(Some("its address or range is unproven")),
             Ok(_) => Ok(None),
             Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
             Err(error) => Err(error.within(&format!("line {}", self.line))),
@@ -242,6 +253,8 @@ impl Image {
             notes: Vec::new(),
             left_out: Vec::new(),
             names_chip: false,
+            chemistry_sum: None,
+            firmware_line: None,
         }
     }
 
@@ -250,8 +263,9 @@ impl Image {
     pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
         let Raw { subclass, offset, line, .. } = *raw;
         if subclass == FLAT {
-            let why = "is undocumented; skip it with --exclude undocumented";
-            return Some(at_line(line, format!("address 0x{offset:04x} {why}")));
+            let place = Place { subclass, offset };
+            let why = format!("{place} is undocumented; skip it with --exclude undocumented");
+            return Some(at_line(line, why));
         }
         if allowed || self.chip.subclass(subclass).is_some() {
             return None;
@@ -259,6 +273,14 @@ impl Image {
         let model = self.chip.model;
         let why = format!("subclass {subclass} of a {model} is undocumented; write its bytes with --raw");
         Some(at_line(line, why))
+    }
+
+    /// Whether these are bytes of the chemistry, in a file that is for this part and firmware: it was made to
+    /// write them.
+    fn is_chemistry(&self, raw: &Raw) -> bool {
+        let is_for_part = self.names_chip && self.firmware.is_some();
+        let is_named = |row: &Subclass| row.class == "Chemistry" || row.name == "Chem Data";
+        is_for_part && self.chip.subclass(raw.subclass).is_some_and(is_named)
     }
 
     /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
@@ -274,13 +296,17 @@ impl Image {
                 }
                 _ => format!("{count} undocumented {bytes} of subclass {id}"),
             };
-            format!("line {number}: {what}; refused if the gauge has other values\n")
+            let outcome = match self.is_chemistry(line[0]) {
+                true => "written if the gauge has other values",
+                false => "refused if the gauge has other values",
+            };
+            format!("line {number}: {what}; {outcome}\n")
         });
         told.collect()
     }
 
     /// What the undocumented bytes of a file would change on a gauge. `stored` returns a whole subclass of it, by
-    /// id. Unless `allowed`, the first such change is an error.
+    /// id. Unless `allowed`, or of the chemistry of this part and firmware, the first such change is an error.
     pub fn raw_changes(
         &self,
         stored: impl Fn(u8) -> Result<Vec<u8>>,
@@ -301,6 +327,7 @@ impl Image {
                 let why = format!("subclass {} ends with offset {}", subclass.id, stored.len() - 1);
                 return Err(at_line(raw.line, why));
             };
+            let allowed = allowed || self.is_chemistry(raw);
             let differs = |at: &usize| stored[*at] != raw.bytes[*at];
             let range = 0..raw.bytes.len();
             let (Some(from), Some(to)) = (range.clone().find(differs), range.clone().rfind(differs)) else {
@@ -318,10 +345,28 @@ impl Image {
         Ok(changes)
     }
 
+    /// Refuses an image that holds the gauge's firmware as well, unless only its data flash is asked for.
+    pub fn check_firmware(&self, data_flash_only: bool) -> Result<()> {
+        match self.firmware_line {
+            Some(line) if !data_flash_only => {
+                let why = "it also holds the gauge's firmware, which gaugefs never writes; take only its data \
+                           flash with --data-flash";
+                Err(at_line(line, why))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Reads a file of any format. `chip` is the chip that it is for, if the file does not name one.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        let is_dfi = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
+        if is_dfi || is_binary(&bytes) {
+            let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
+                       with them, or a .df.fs for a bq34z100";
+            return Err(Error::new(name, Cause::Invalid(why.into())));
+        }
         // Tools use other encodings in comments and units, which are not needed here.
         let text = String::from_utf8_lossy(&bytes);
         Self::parse(&text, chip).map_err(|error| error.within(&name))
@@ -363,7 +408,12 @@ impl Image {
 
     /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
     /// passed over. A value that may not be written is an error.
-    pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Changes<'a>> {
+    pub fn changes<'a>(
+        &'a self,
+        file: &'a Image,
+        exclude: &[Group],
+        allow_unproven: bool,
+    ) -> Result<Changes<'a>> {
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
         {
@@ -371,16 +421,15 @@ impl Image {
             return Err(Error::new("", Cause::Invalid(why)));
         }
         let Comparison { differences, only_second, .. } = self.compare(file, exclude)?;
-        let counts = |left: &&LeftOut| !(left.is_key && exclude.contains(&Group::Keys));
-        let mut passed_over: Vec<_> =
-            file.left_out.iter().filter(counts).map(|left| left.text.clone()).collect();
+        let asked_for = file.left_out.iter().filter(|left| left.counts(exclude));
+        let mut passed_over: Vec<_> = asked_for.map(|left| left.text.clone()).collect();
         for entry in only_second {
             let (line, name) = (entry.line, file.name(entry));
             passed_over.push(format!("line {line}: {name}: the gauge does not show its value"));
         }
         let mut changes = Vec::new();
         for difference in differences {
-            match difference.new.not_imported()? {
+            match difference.new.not_imported(allow_unproven)? {
                 None => changes.push(difference),
                 Some(why) => passed_over.push(format!("line {}: {difference}: {why}", difference.new.line)),
             }
@@ -435,8 +484,8 @@ impl Image {
         self.entries.push(Entry { subclass, parameter, value, line });
     }
 
-    fn leave_out(&mut self, line: usize, why: impl fmt::Display, is_key: bool) {
-        self.left_out.push(LeftOut { text: format!("line {line}: {why}"), is_key });
+    fn leave_out(&mut self, line: usize, why: impl fmt::Display, group: Option<Group>) {
+        self.left_out.push(LeftOut { text: format!("line {line}: {why}"), group });
     }
 
     /// The name of a parameter as `df/by-name` has it.
@@ -476,7 +525,17 @@ fn parameter_name(chip: &Chip, subclass: &Subclass, parameter: &Parameter) -> St
 
 /// An error about a parameter that a file has twice.
 fn twice(name: &str, first: usize, second: usize) -> Error {
-    at_line(second, format!("{name} is also in line {first}; remove one of the two"))
+    at_line(second, also_in(name, first))
+}
+
+fn also_in(name: &str, first: usize) -> String {
+    format!("{name} is also in line {first}; remove one of the two")
+}
+
+/// Whether these bytes are no text in any encoding that tools write, as those of a .dfi. UTF-16 begins with a mark.
+fn is_binary(bytes: &[u8]) -> bool {
+    let is_utf16 = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
+    !is_utf16 && bytes.contains(&0)
 }
 
 /// The format of a text, by its first line that is not blank.
@@ -558,6 +617,7 @@ fn chip_of(
 mod tests {
     use super::*;
     use crate::chip::Range;
+    use crate::value::Type;
     use proptest::prelude::*;
     use proptest::sample::Index;
 
@@ -618,6 +678,209 @@ mod tests {
                 let may_lack = format == Format::FlashStream && chip.access.scheme.is_flat();
                 assert!(compared.only_first.is_empty() || may_lack, "{} {format:?}", chip.name);
                 assert!(compared.only_second.is_empty());
+            }
+        }
+    }
+
+    /// Every string parameter of every chip.
+    fn string_rows() -> Vec<(&'static Chip, &'static Subclass, &'static Parameter)> {
+        let rows =
+            CHIPS.iter().flat_map(|&chip| chip.subclasses.iter().map(move |subclass| (chip, subclass)));
+        let rows = rows
+            .flat_map(|(chip, subclass)| subclass.parameters.iter().map(move |row| (chip, subclass, row)));
+        rows.filter(|(_, _, row)| matches!(row.kind, Type::S(_))).collect()
+    }
+
+    /// Exports a string in a format, reads the file, and exports that again.
+    fn assert_survives(
+        (chip, subclass, parameter): (&'static Chip, &'static Subclass, &'static Parameter),
+        string: &[u8],
+        format: Format,
+    ) {
+        let mut image = defaults(chip);
+        // A FlashStream has whole blocks.
+        image.entries.retain(|entry| std::ptr::eq(entry.subclass, subclass));
+        let is_it = |entry: &&mut Entry| entry.parameter.offset == parameter.offset;
+        image.entries.iter_mut().find(is_it).expect("it has a default").value = Value::Text(string.into());
+        let text = written(&image, format);
+        let at = format!("{} {format:?} {:?} in\n{text}", parameter.name, string.escape_ascii().to_string());
+        let again = Image::parse(&text, None).unwrap_or_else(|error| panic!("{error}: {at}"));
+        let found = again.entries.iter().find(|entry| entry.parameter.offset == parameter.offset);
+        let entry = found.unwrap_or_else(|| panic!("it is lost: {at}"));
+        assert_eq!(entry.value, Value::Text(string.into()), "{at}");
+        assert_eq!(written(&again, format), text, "{at}");
+        // What an import writes to `df/transaction`, and a diff shows.
+        let shown = entry.text();
+        assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{at}");
+        assert_eq!(text::parse(parameter, shown.as_bytes()), Ok(entry.value.clone()), "{shown}: {at}");
+    }
+
+    #[test]
+    fn a_string_comes_back_as_it_went() {
+        let strings: [&[u8]; 29] = [
+            b"AT&T (4S)",
+            b"",
+            b" ",
+            b"   ",
+            b" a ",
+            b"a  b",
+            b"-",
+            b"_",
+            b"#",
+            b"*",
+            b"'",
+            b"\"",
+            b"\"\"\"",
+            b"\\",
+            b"\\n",
+            b"\\u0041",
+            b"a,b",
+            b",",
+            b"a;b",
+            b"\t",
+            b"\r\n",
+            b"\n",
+            b"\0",
+            b"\x7f",
+            b"%",
+            b"%41",
+            b"%%41",
+            b"0x41",
+            b"\xff\xfe\xc3\xa9",
+        ];
+        for row in string_rows() {
+            for format in FORMATS {
+                if row.2.unproven && format == Format::FlashStream {
+                    continue;
+                }
+                for string in strings {
+                    // The chemistry has room for four characters.
+                    let string = &string[..string.len().min(row.2.kind.size() - 1)];
+                    assert_survives(row, string, format);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_string_of_any_byte_and_length_comes_back_as_it_went() {
+        let rows = string_rows();
+        let row = *rows.iter().find(|(_, _, row)| row.kind == Type::S(12)).expect("a Device Name");
+        for format in FORMATS {
+            for length in [1, 2, 11] {
+                for byte in 0..=u8::MAX {
+                    assert_survives(row, &vec![byte; length], format);
+                }
+            }
+        }
+        let config = ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() };
+        proptest!(config, |(string in prop::collection::vec(any::<u8>(), 0..=11), format in prop::sample::select(FORMATS.to_vec()))| {
+            assert_survives(row, &string, format);
+        });
+    }
+
+    /// An edited value counts, and not the bytes that the file had for it.
+    #[test]
+    fn a_string_that_was_edited_in_a_gg_csv_has_its_new_value() {
+        let (chip, subclass, row) = string_rows()[0];
+        let mut image = Image::new(chip, None);
+        image.add(subclass, row, Value::Text(b"AT&T \x01".into()), 0);
+        let text = written(&image, Format::GgCsv);
+        let value = |text: &str| Image::parse(text, None).map(|image| image.entries[0].value.clone());
+        for (new, bytes) in
+            [("AT&T _", &b"AT&T \x01"[..]), ("AT_T _", b"AT_T _"), ("", b""), ("AT&T", b"AT&T")]
+        {
+            let edited = text.replace("AT&T _", new);
+            assert_eq!(value(&edited), Ok(Value::Text(bytes.into())), "{edited}");
+        }
+        let error = value(&text.replace("AT&T _", "more than eleven")).expect_err("too long").to_string();
+        assert!(error.contains(": 16 characters, but only 11 fit"), "{error}");
+        let error = value(&text.replace("AT&T _", "caf\u{e9}")).expect_err("not ASCII").to_string();
+        assert!(error.contains("Data Flash Raw Value"), "{error}");
+    }
+
+    #[test]
+    fn an_empty_string_in_a_gg_csv_is_a_value_and_an_empty_number_is_none() {
+        for order in ["Parameter Value", "Parameter Value, Units"] {
+            let end = if order.ends_with("Units") { ",-" } else { "" };
+            let text = format!(
+                "* Field Order: Class name, Subclass name, Parameter name, {order}\n\
+                 Configuration,Data,Device Name,{end}\nGas Gauging,IT Cfg,Cell Terminate Voltage,{end}\n"
+            );
+            let image = Image::parse(&text, Some(CHIPS[0])).expect("an image");
+            let values: Vec<_> =
+                image.entries.iter().map(|entry| (image.name(entry), &entry.value)).collect();
+            assert_eq!(values, [("configuration-data/device-name".into(), &Value::Text(Vec::new()))]);
+        }
+    }
+
+    /// Which end of its range every parameter has.
+    #[derive(Clone, Copy, Debug)]
+    enum Limit {
+        Least,
+        Default,
+        Most,
+    }
+
+    fn at_limit(chip: &'static Chip, limit: Limit) -> Image {
+        let mut image = defaults(chip);
+        for entry in &mut image.entries {
+            entry.value = match (&entry.parameter.range, limit) {
+                (_, Limit::Default) => continue,
+                (Range::Int { min, .. }, Limit::Least) => Value::Int(*min),
+                (Range::Int { max, .. }, Limit::Most) => Value::Int(*max),
+                (Range::Float { min, .. }, Limit::Least) => Value::Float(*min),
+                (Range::Float { max, .. }, Limit::Most) => Value::Float(*max),
+                (Range::Text { .. }, Limit::Least) => Value::Text(Vec::new()),
+                (Range::Text { .. }, Limit::Most) => Value::Text(vec![0xff; entry.parameter.kind.size() - 1]),
+            };
+        }
+        image
+    }
+
+    #[test]
+    fn an_export_of_what_was_imported_is_the_same_file() {
+        for chip in CHIPS {
+            for limit in [Limit::Least, Limit::Default, Limit::Most] {
+                for format in FORMATS {
+                    let image = at_limit(chip, limit);
+                    let text = written(&image, format);
+                    let again = Image::parse(&text, None);
+                    let again =
+                        again.unwrap_or_else(|error| panic!("{} {limit:?} {format:?}: {error}", chip.name));
+                    let second = written(&again, format);
+                    let differ = text.lines().zip(second.lines()).find(|(one, other)| one != other);
+                    assert_eq!(differ, None, "{} {limit:?} {format:?}", chip.name);
+                    assert_eq!(text.len(), second.len(), "{} {limit:?} {format:?}", chip.name);
+                    for entry in &again.entries {
+                        assert!(
+                            entry.not_imported(false).is_ok(),
+                            "{} {limit:?}: {}",
+                            chip.name,
+                            entry.text()
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    /// A whole file twice, without the lines that count its parameters.
+    #[test]
+    fn a_parameter_that_is_there_twice_is_refused_in_every_format() {
+        for chip in CHIPS {
+            for format in FORMATS {
+                let counts = ["parameters = ", "* gaugefs parameters", "; gaugefs commands"];
+                let text = written(&defaults(chip), format);
+                let is_count = |line: &str| counts.iter().any(|count| line.starts_with(count));
+                let lines: Vec<&str> = text.lines().filter(|line| !is_count(line)).collect();
+                // TOML does not allow a key outside of a table twice either.
+                let start = if format == Format::Toml { 4 } else { 0 };
+                let twice = [&lines[..], &lines[start..]].concat().join("\n") + "\n";
+                let error = Image::parse(&twice, Some(chip)).map(drop).expect_err("twice").to_string();
+                let (first, second) = error.split_once(" is also in line ").unwrap_or_default();
+                let is_line = first.starts_with("line ") && second.ends_with("; remove one of the two");
+                assert!(is_line, "{} {format:?}: {error}", chip.name);
             }
         }
     }
@@ -741,7 +1004,7 @@ mod tests {
              Gas Gauging,IT Cfg,Ra Filter,500\nSecurity,Codes,Sealed to Unsealed,36720414\n",
         );
         let passed_over = |exclude: &[Group]| {
-            let Changes { changes, passed_over } = gauge.changes(&file, exclude).expect("one chip");
+            let Changes { changes, passed_over } = gauge.changes(&file, exclude, false).expect("one chip");
             assert_eq!(changes.len(), 1);
             passed_over
         };
@@ -757,7 +1020,9 @@ mod tests {
         let entry = file.entries.iter_mut().find(|entry| entry.parameter.unproven).expect("an unproven row");
         let Value::Int(value) = &mut entry.value else { panic!("{}", entry.parameter.name) };
         *value += 1;
-        let Changes { changes, passed_over } = gauge.changes(&file, &[]).expect("one chip");
+        let all = gauge.changes(&file, &[], true).expect("one chip");
+        assert_eq!((all.changes.len(), all.passed_over.len()), (1, 0));
+        let Changes { changes, passed_over } = gauge.changes(&file, &[], false).expect("one chip");
         assert!(changes.is_empty());
         assert_eq!(passed_over.len(), 1, "{passed_over:?}");
         assert!(passed_over[0].ends_with(": its address or range is unproven"), "{passed_over:?}");

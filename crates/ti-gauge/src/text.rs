@@ -8,23 +8,70 @@ use crate::error::{Cause, Error, Result};
 use crate::value::{Type, Value};
 
 /// The text of a value, without a newline: integers in decimal, `H` types in hexadecimal of their full
-/// width, `F4` in the shortest decimal that reads back to the same bytes, strings as text.
+/// width, `F4` in the shortest decimal that reads back to the same bytes, strings with `%HH` for each byte that a shell
+/// or a terminal could act on. [`parse_stored`] turns each of them into the same value again.
 pub fn render(kind: Type, value: &Value) -> String {
     match (kind, value) {
         (Type::H(size), Value::Int(value)) => format!("0x{value:0width$x}", width = usize::from(size) * 2),
         (_, Value::Int(value)) => value.to_string(),
         (_, Value::Float(value)) => shortest(*value),
-        (_, Value::Text(bytes)) => bytes.iter().map(|&byte| harmless(byte)).collect(),
+        (_, Value::Text(bytes)) => escape(bytes),
     }
 }
 
-/// A gauge's string may hold any bytes. Those that a shell or a terminal could act on become `_`.
-fn harmless(byte: u8) -> char {
-    match byte {
-        b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => byte.into(),
-        b' ' | b'.' | b',' | b':' | b'+' | b'-' | b'_' | b'/' | b'=' | b'@' | b'%' => byte.into(),
-        _ => '_',
+/// A gauge's string may hold any bytes. Those that a shell or a terminal could act on become `%HH`, and so does what
+/// would otherwise be read as something else: a space at either end, and a `%` before two hexadecimal digits.
+fn escape(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for (at, &byte) in bytes.iter().enumerate() {
+        let is_plain = match byte {
+            b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => true,
+            b'.' | b',' | b':' | b'+' | b'-' | b'_' | b'/' | b'=' | b'@' => true,
+            b' ' => at > 0 && at + 1 < bytes.len(),
+            b'%' => escaped(&bytes[at..]).is_none(),
+            _ => false,
+        };
+        if is_plain { text.push(byte.into()) } else { text += &format!("%{byte:02x}") }
     }
+    text
+}
+
+/// The byte that a text begins with in the form `%HH`.
+fn escaped(text: &[u8]) -> Option<u8> {
+    match text {
+        [b'%', digits @ ..] => unhex(digits.get(..2)?)?.first().copied(),
+        _ => None,
+    }
+}
+
+fn unescape(mut text: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while let [first, rest @ ..] = text {
+        let byte = escaped(text);
+        bytes.push(byte.unwrap_or(*first));
+        text = if byte.is_some() { &rest[2..] } else { rest };
+    }
+    bytes
+}
+
+/// A string in a file of another format, where each byte is shown as a character of its own: `_` for those that are not
+/// printable ASCII.
+pub fn shown(string: &[u8]) -> String {
+    string.iter().map(|&byte| if is_printable(byte) { byte.into() } else { '_' }).collect()
+}
+
+fn is_printable(byte: u8) -> bool {
+    (b' '..=b'~').contains(&byte)
+}
+
+/// A string of any bytes as the value of a parameter, if it is not too long.
+pub fn string(parameter: &Parameter, bytes: Vec<u8>) -> Result<Value> {
+    let room = parameter.kind.size() - 1;
+    if bytes.len() > room {
+        let why = format!("{} characters, but only {room} fit", bytes.len());
+        return Err(Error::new(parameter.name, Cause::Invalid(why)));
+    }
+    Ok(Value::Text(bytes))
 }
 
 fn shortest(value: f64) -> String {
@@ -37,7 +84,8 @@ fn shortest(value: f64) -> String {
 }
 
 /// Parses a value for a parameter. It must be of its type and in the manual's range; otherwise the error
-/// says what is allowed. White space around it is ignored; numbers are decimal, `0x` or `0b`.
+/// says what is allowed. White space around it is ignored; numbers are decimal, `0x` or `0b`; in a string, `%HH` is the
+/// byte of that number.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
@@ -58,15 +106,12 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
         return Err(invalid(format!("not a value of type {}", parameter.kind)));
     };
     match (parameter.kind, range) {
-        (Type::S(size), _) => {
-            if text.bytes().any(|byte| !(b' '..=b'~').contains(&byte)) {
-                return Err(invalid("only printable ASCII can be stored".into()));
+        (Type::S(_), _) => {
+            if !text.bytes().all(is_printable) {
+                let why = "only printable ASCII is accepted; write any other byte as %HH, in hexadecimal";
+                return Err(invalid(why.into()));
             }
-            if text.len() >= usize::from(size) {
-                let room = size - 1;
-                return Err(invalid(format!("{} characters, but only {room} fit", text.len())));
-            }
-            Ok(Value::Text(text.into()))
+            string(parameter, unescape(text.as_bytes()))
         }
         (Type::F4, range) => {
             let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
@@ -194,13 +239,57 @@ mod tests {
 
     #[test]
     fn every_string_of_every_chip_reads_back_as_it_is_shown() {
-        proptest!(cases(64), |(letters in prop::collection::vec(prop::sample::select(b"AZaz09.,:+-_/=@%".to_vec()), 32))| {
+        proptest!(cases(256), |(bytes in prop::collection::vec(any::<u8>(), 0..32), letters in prop::collection::vec(prop::sample::select(b"%02fF ".to_vec()), 0..32))| {
             for parameter in parameters().filter(|parameter| matches!(parameter.kind, Type::S(_))) {
-                let value = Value::Text(letters[..parameter.kind.size() - 1].to_vec());
-                let shown = render(parameter.kind, &value);
-                prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", parameter.name);
+                for string in [&bytes, &letters] {
+                    let value = Value::Text(string[..string.len().min(parameter.kind.size() - 1)].to_vec());
+                    let shown = render(parameter.kind, &value);
+                    prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", shown);
+                    // Whatever a shell does with it, it does not act on it.
+                    let is_safe = |letter: char| letter.is_ascii_alphanumeric() || " .,:+-_/=@%".contains(letter);
+                    prop_assert!(shown.chars().all(is_safe), "{}", shown);
+                    prop_assert_eq!(shown.trim(), &shown);
+                }
             }
         });
+    }
+
+    #[test]
+    fn a_string_is_shown_and_read_with_escapes() {
+        const LONG: Parameter = Parameter::text(31, 12, "Device Name", "");
+        for (stored, text) in [
+            (&b"AT&T (4S)"[..], "AT%26T %284S%29"),
+            (b"Texas Inst.", "Texas Inst."),
+            (b" a ", "%20a%20"),
+            (b"  ", "%20%20"),
+            (b"100%", "100%"),
+            (b"%4", "%4"),
+            (b"%%", "%%"),
+            (b"%41", "%2541"),
+            (b"%%fF", "%%25fF"),
+            (b"%4(", "%4%28"),
+            (b"a\0\xff\n", "a%00%ff%0a"),
+            (b"", ""),
+        ] {
+            let value = Value::Text(stored.to_vec());
+            assert_eq!(render(Type::S(12), &value), text);
+            assert_eq!(parse(&LONG, text.as_bytes()), Ok(value), "{text}");
+        }
+        for (written, stored) in [
+            ("AT&T (4S)\n", &b"AT&T (4S)"[..]),
+            ("\n", b""),
+            (" a  b ", b"a  b"),
+            ("%41%6A%6a", b"Ajj"),
+            ("%%41", b"%A"),
+            ("50%, $(id)", b"50%, $(id)"),
+            ("%2541", b"%41"),
+        ] {
+            assert_eq!(parse(&LONG, written.as_bytes()), Ok(Value::Text(stored.to_vec())), "{written}");
+        }
+        let error = parse(&LONG, "caf\u{e9}".as_bytes()).expect_err("not ASCII").to_string();
+        assert!(error.ends_with("write any other byte as %HH, in hexadecimal"), "{error}");
+        let error = parse(&LONG, "%41".repeat(12).as_bytes()).expect_err("too long").to_string();
+        assert_eq!(error, "Device Name: 12 characters, but only 11 fit");
     }
 
     #[test]
@@ -269,7 +358,7 @@ mod tests {
             assert_eq!(render(Type::F4, &codec::decode(Type::F4, &stored)), text);
         }
         assert_eq!(render(Type::S(12), &Value::Text(b"Texas Inst.".to_vec())), "Texas Inst.");
-        assert_eq!(render(Type::S(12), &Value::Text(b"a$(id)`\x1b".to_vec())), "a__id___");
+        assert_eq!(render(Type::S(12), &Value::Text(b"a$(id)`\x1b".to_vec())), "a%24%28id%29%60%1b");
         assert_eq!(parse(&CONFIG, b"0x01e1"), Ok(Value::Int(0x1e1)));
     }
 

@@ -55,7 +55,10 @@ fn check((subclass, parameter): Row, input: &[u8]) {
         (Value::Float(number), Range::Float { min, max, .. }) => {
             assert!((min..=max).contains(&number), "{number} is out of range");
         }
-        (Value::Text(bytes), Range::Text { .. }) => assert_eq!(bytes, shown.as_bytes()),
+        (Value::Text(bytes), Range::Text { .. }) if !shown.contains('%') => {
+            assert_eq!(bytes, shown.as_bytes())
+        }
+        (Value::Text(bytes), Range::Text { .. }) => assert!(bytes.len() <= shown.len()),
         other => panic!("a value of another type: {other:?}"),
     }
     let change = Change::of_value((subclass, parameter), &value).expect("an accepted value fits its type");
@@ -67,11 +70,9 @@ fn check((subclass, parameter): Row, input: &[u8]) {
     if let (Value::Float(one), Value::Float(other)) = (&value, &read) {
         assert!((one - other).abs() <= one.abs() * 1e-6 + 1e-37, "{one} is stored as {other}");
     }
-    if !matches!(kind, Type::S(_)) {
-        let again = text::parse_stored(parameter, text::render(kind, &read).as_bytes());
-        let again = again.expect("what is shown can be written");
-        assert_eq!(codec::encode(kind, &again), Some(change.bytes));
-    }
+    let again = text::parse_stored(parameter, text::render(kind, &read).as_bytes());
+    let again = again.expect("what is shown can be written");
+    assert_eq!(codec::encode(kind, &again), Some(change.bytes));
 }
 
 /// A whole number in decimal, hexadecimal or binary, by other code than the one under test.

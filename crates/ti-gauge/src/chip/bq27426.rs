@@ -7,7 +7,9 @@
 //!
 //! In data memory a row is proven if the BQ27427's reference or traces have it and all images of this part
 //! fit it, or if a driver of this part writes it there: Linux 82/6, 8 and 10; SMOORE's 64/0, 82/6, 82/21 and
-//! 109/8. Defaults are the family's. The chemistry (83, 84, 85, 89, 108, 109) is what SMOORE's driver loads as
+//! 109/8. Proven as well is a row that both these images and the BQ27427's, which is another maker's, have
+//! where it is expected: the bq27441-G1's default, a table of Ra values, or voltages that fit. A zero proves
+//! nothing there. Defaults are the family's. The chemistry (83, 84, 85, 89, 108, 109) is what SMOORE's driver loads as
 //! such; drivers of the bq27541 and the bq27520 call 83 and 84 OCV tables. Of 83, 84, 85 and 108 only the
 //! length is known.
 
@@ -16,7 +18,7 @@ use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, 
 use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, ScaleRegisters, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, Scaling, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The BQ27426 as far as it is known.
@@ -24,7 +26,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27426",
     model: "BQ27426",
     documents: &["SLUUCD5 (January 2023), of the BQ27427"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Image, Evidence::Kernel],
     // The firmware is what all images expect.
     identity: Identity {
         device_type: 0x0426,
@@ -39,7 +41,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     // The images wait as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
     access: ACCESS,
@@ -50,6 +52,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };
@@ -65,65 +68,68 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Charge Termination", id: 36, length: 9, kind: Reset,
                parameters: &[
-        P::int(3, I1, "TCA Set %",        -1,  100, 99, "%").unproven(),
-        P::int(4, I1, "TCA Clear %",      -1,  100, 95, "%").unproven(),
-        P::int(5, I1, "FC Set %",         -1,  100, -1, "%").unproven(),
-        P::int(6, I1, "FC Clear %",        0,  100, 98, "%").unproven(),
-        P::int(7, I2, "DODatEOC Delta T",  0, 1000, 50, "0.1°C").unproven(),
+        P::int(3, I1, "TCA Set %",        -1,  100, 99, "%"),
+        P::int(4, I1, "TCA Clear %",      -1,  100, 95, "%"),
+        P::int(5, I1, "FC Set %",         -1,  100, -1, "%"),
+        P::int(6, I1, "FC Clear %",        0,  100, 98, "%"),
+        P::int(7, I2, "DODatEOC Delta T",  0, 1000, 50, "0.1°C"),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 4, kind: Reset,
                parameters: &[
         P::int(0, U1, "SOC1 Set Threshold",   0, 100, 10, "%"),
         P::int(1, U1, "SOC1 Clear Threshold", 0, 100, 15, "%"),
-        P::int(2, U1, "SOCF Set Threshold",   0, 100,  2, "%").unproven(),
-        P::int(3, U1, "SOCF Clear Threshold", 0, 100,  5, "%").unproven(),
+        P::int(2, U1, "SOCF Set Threshold",   0, 100,  2, "%"),
+        P::int(3, U1, "SOCF Clear Threshold", 0, 100,  5, "%"),
     ] },
     Subclass { class: "Configuration", name: "Registers", id: 64, length: 5, kind: Reset,
                parameters: &[
         P::int(0, H2, "OpConfig",  0x0000, 0xFFFF, 0x6478, "flags").bits(OP_CONFIG),
-        P::int(2, H1, "OpConfigB",   0x00,   0xFF,   0x0F, "flags").bits(OP_CONFIG_B).unproven(),
+        P::int(2, H1, "OpConfigB",   0x00,   0xFF,   0x0F, "flags").bits(OP_CONFIG_B),
         P::int(3, H1, "OpConfigC",   0x00,   0xFF,   0x9F, "flags").unproven(),
         P::int(4, H1, "OpConfigD",   0x00,   0xFF,   0x23, "flags").bits(OP_CONFIG_D),
     ] },
     Subclass { class: "Configuration", name: "Power", id: 68, length: 9, kind: Reset,
                parameters: &[
         // No driver knows a HIBERNATE of this part; both are probably unused.
-        P::int(5, I2, "Hibernate I", 0, 8000,    3, "mA").unproven(),
-        P::int(7, I2, "Hibernate V", 0, 5000, 2200, "mV").unproven(),
+        P::int(5, I2, "Hibernate I", 0, 8000,    3, "mA"),
+        P::int(7, I2, "Hibernate V", 0, 5000, 2200, "mV"),
     ] },
-    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 75, kind: Reset,
+    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 82, kind: Reset,
                parameters: &[
-        P::int(18, U2, "Ra Filter",                        0,  1000, 800, "Num").unproven(),
-        P::int(33, U1, "Fast Qmax Start DOD %",            0,   100,  92, "%").unproven(),
-        P::int(34, U1, "Fast Qmax End DOD %",              0,   100,  96, "%").unproven(),
-        P::int(35, I2, "Fast Qmax Start Volt Delta",       0,  4200, 125, "mV").unproven(),
-        P::int(37, U2, "Fast Qmax Current Threshold",      0,  1000,   4, "Hr rate").unproven(),
-        P::int(39, U1, "Fast Qmax Min Points",             0,   255,   3, "Num").unproven(),
-        P::int(43, U1, "Max Qmax Change",                  0,   255,  20, "%").unproven(),
-        P::int(44, U1, "Qmax Max Delta %",                 0,   255,  10, "%").unproven(),
-        P::int(45, U1, "Max % Default Qmax",               0,   255, 120, "%").unproven(),
-        P::int(46, U1, "Qmax Filter",                      0,   255,  96, "Num").unproven(),
-        P::int(48, U2, "ResRelax Time",                    0, 65535, 500, "s").unproven(),
+        P::int(18, U2, "Ra Filter",                        0,  1000, 800, "Num"),
+        P::int(33, U1, "Fast Qmax Start DOD %",            0,   100,  92, "%"),
+        P::int(34, U1, "Fast Qmax End DOD %",              0,   100,  96, "%"),
+        P::int(35, I2, "Fast Qmax Start Volt Delta",       0,  4200, 125, "mV"),
+        P::int(37, U2, "Fast Qmax Current Threshold",      0,  1000,   4, "Hr rate"),
+        P::int(39, U1, "Fast Qmax Min Points",             0,   255,   3, "Num"),
+        P::int(43, U1, "Max Qmax Change",                  0,   255,  20, "%"),
+        P::int(44, U1, "Qmax Max Delta %",                 0,   255,  10, "%"),
+        P::int(45, U1, "Max % Default Qmax",               0,   255, 120, "%"),
+        P::int(46, U1, "Qmax Filter",                      0,   255,  96, "Num"),
+        P::int(48, U2, "ResRelax Time",                    0, 65535, 500, "s"),
         P::int(50, I2, "User Rate-mA",                -32768,     0,   0, "mA").unproven(),
         P::int(52, I2, "User Rate-mW",                -32768,     0,   0, "mW").unproven(),
-        P::int(57, U1, "Max Sim Rate",                     0,   255,   1, "Hr rate").unproven(),
-        P::int(58, U1, "Min Sim Rate",                     0,   255,  20, "Hr rate").unproven(),
-        P::int(59, U2, "Ra Max Delta",                     0, 32767,   8, "4 mΩ").unproven(),
+        P::int(57, U1, "Max Sim Rate",                     0,   255,   1, "Hr rate"),
+        P::int(58, U1, "Min Sim Rate",                     0,   255,  20, "Hr rate"),
+        // The images have 11, the BQ27427's 8.
+        P::within(59, U2, "Ra Max Delta",                  0, 32767, "4 mΩ"),
         P::int(68, I2, "Min Delta Voltage",                0, 32767,   0, "mV").unproven(),
-        P::int(70, I2, "Max Delta Voltage",                0, 32767, 200, "mV").unproven(),
-        P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV").unproven(),
-        P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s").unproven(),
+        P::int(70, I2, "Max Delta Voltage",                0, 32767, 200, "mV"),
+        P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV"),
+        P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s"),
+        // The name is the BQ27427's; the images have 1 here.
+        P::any(81, U1, "Design Energy Scale", "Num").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[
         // Defaults that neither the images nor the bq27427's agree on.
-        P::within( 0, I2, "Dsg Current Threshold", 0,  2000, "0.1 Hr rate").unproven(),
-        P::int( 2, I2, "Chg Current Threshold", 0,  2000, 100, "0.1 Hr rate").unproven(),
-        P::within( 4, I2, "Quit Current",          0,  2000, "0.1 Hr rate").unproven(),
-        P::int( 6, U2, "Dsg Relax Time",        0, 65535,  60, "s").unproven(),
-        P::int( 8, U1, "Chg Relax Time",        0,   255,  60, "s").unproven(),
-        P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s").unproven(),
-        P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV").unproven(),
+        P::within( 0, I2, "Dsg Current Threshold", 0,  2000, "0.1 Hr rate"),
+        P::int( 2, I2, "Chg Current Threshold", 0,  2000, 100, "0.1 Hr rate"),
+        P::within( 4, I2, "Quit Current",          0,  2000, "0.1 Hr rate"),
+        P::int( 6, U2, "Dsg Relax Time",        0, 65535,  60, "s"),
+        P::int( 8, U1, "Chg Relax Time",        0,   255,  60, "s"),
+        P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s"),
+        P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV"),
     ] },
     Subclass { class: "Gas Gauging", name: "State", id: 82, length: 31, kind: Reset,
                parameters: &[
@@ -131,9 +137,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 2, H1, "Update Status",       0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",        0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",    0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY),
+        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY).role(Role::ChargeFullDesign),
         P::int( 8, I2, "Design Energy",          0, 32767,  4960, "mWh"),
-        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV"),
+        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(16, I2, "T Rise",                 0, 32767,    20, "Num"),
         P::int(18, I2, "T Time Constant",        0, 32767,  1000, "s"),
         P::int(20, U1, "SOCI Delta",             0,   100,     1, "%"),
@@ -148,19 +154,19 @@ static SUBCLASSES: &[Subclass] = &[
         // The defaults depend on the chemistry.
         P::within( 0, I2, "Ra 0",  0, 32767, "Num").learned(),
         P::within( 2, I2, "Ra 1",  0, 32767, "Num").learned(),
-        P::within( 4, I2, "Ra 2",  0, 32767, "Num").learned().unproven(),
-        P::within( 6, I2, "Ra 3",  0, 32767, "Num").learned().unproven(),
-        P::within( 8, I2, "Ra 4",  0, 32767, "Num").learned().unproven(),
-        P::within(10, I2, "Ra 5",  0, 32767, "Num").learned().unproven(),
-        P::within(12, I2, "Ra 6",  0, 32767, "Num").learned().unproven(),
-        P::within(14, I2, "Ra 7",  0, 32767, "Num").learned().unproven(),
-        P::within(16, I2, "Ra 8",  0, 32767, "Num").learned().unproven(),
-        P::within(18, I2, "Ra 9",  0, 32767, "Num").learned().unproven(),
-        P::within(20, I2, "Ra 10", 0, 32767, "Num").learned().unproven(),
-        P::within(22, I2, "Ra 11", 0, 32767, "Num").learned().unproven(),
-        P::within(24, I2, "Ra 12", 0, 32767, "Num").learned().unproven(),
-        P::within(26, I2, "Ra 13", 0, 32767, "Num").learned().unproven(),
-        P::within(28, I2, "Ra 14", 0, 32767, "Num").learned().unproven(),
+        P::within( 4, I2, "Ra 2",  0, 32767, "Num").learned(),
+        P::within( 6, I2, "Ra 3",  0, 32767, "Num").learned(),
+        P::within( 8, I2, "Ra 4",  0, 32767, "Num").learned(),
+        P::within(10, I2, "Ra 5",  0, 32767, "Num").learned(),
+        P::within(12, I2, "Ra 6",  0, 32767, "Num").learned(),
+        P::within(14, I2, "Ra 7",  0, 32767, "Num").learned(),
+        P::within(16, I2, "Ra 8",  0, 32767, "Num").learned(),
+        P::within(18, I2, "Ra 9",  0, 32767, "Num").learned(),
+        P::within(20, I2, "Ra 10", 0, 32767, "Num").learned(),
+        P::within(22, I2, "Ra 11", 0, 32767, "Num").learned(),
+        P::within(24, I2, "Ra 12", 0, 32767, "Num").learned(),
+        P::within(26, I2, "Ra 13", 0, 32767, "Num").learned(),
+        P::within(28, I2, "Ra 14", 0, 32767, "Num").learned(),
     ] },
     Subclass::opaque("Chemistry", "OCV Table 83", 83, 43),
     Subclass::opaque("Chemistry", "OCV Table 84", 84, 42),
@@ -168,9 +174,9 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass::opaque("Chemistry", "Chemistry 108", 108, 17),
     Subclass { class: "Gas Gauging", name: "Chem Data", id: 109, length: 10, kind: Reset,
                parameters: &[
-        P::within(2, I2, "Q Invalid MaxV", 0, 32767, "mV").unproven(),
-        P::within(4, I2, "Q Invalid MinV", 0, 32767, "mV").unproven(),
-        P::within(6, I2, "V at Chg Term",  0,  5000, "mV").learned().unproven(),
+        P::within(2, I2, "Q Invalid MaxV", 0, 32767, "mV"),
+        P::within(4, I2, "Q Invalid MinV", 0, 32767, "mV"),
+        P::within(6, I2, "V at Chg Term",  0,  5000, "mV").learned(),
         // A driver of this part writes it here (SMOORE's, 2024).
         P::within(8, I2, "Taper Voltage",  0,  5000, "mV"),
     ] },

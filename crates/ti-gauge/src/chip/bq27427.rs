@@ -4,8 +4,12 @@
 //! Section numbers are those of the technical reference, SLUUCD5. Its data memory summary could not be
 //! read as a whole: rows of single sections are proven, and so are those of the State block, which a
 //! trace from a part shows with its checksum. The others follow from an image that a shipped product
-//! writes, laid beside the bq27441-G1's table: offset, type and value fit, the name is inferred, and they
-//! are marked. Left out are two values of the State block and one of Chem Data without a name.
+//! writes, laid beside the bq27441-G1's table: offset, type and value fit, the name is inferred. They are
+//! proven where 21 images of the BQ27426, which are another maker's, have the same layout: the bq27441-G1's
+//! default at the same place, a table of Ra values, or voltages that fit. A library for this part
+//! (github.com/edreanernst/BQ27427_Arduino_Library) writes 49/0 to 3, 81/0 and 109/8. The others are marked: a
+//! zero proves nothing, and those images lack 104, 105 and 107, or have no values that could be
+//! recognised there. Left out are two values of the State block and one of Chem Data without a name.
 
 use std::time::Duration;
 
@@ -14,7 +18,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Window};
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, SECURITY, preflight};
 use super::{
-    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, ScaleRegisters, Scheme,
+    Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scale, Scaling, Scheme,
     Subclass, Subcommand,
 };
 use crate::value::Type::U;
@@ -26,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "BQ27427",
     documents: &["SLUUCD5 (January 2023)", "SLUUCD5A", "SLUSEB5B (September 2025)"],
     // Traces of parts: identity, CONFIG UPDATE and the State block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The firmware is what parts answer.
     identity: Identity {
         device_type: 0x0427,
@@ -41,7 +45,9 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    // A shipped product multiplies both capacities by it and leaves the current alone. For energies and powers it is
+    // the unit by the manuals of other parts (SLUSAT0E, SLUSBZ5D 7.3.6.5).
+    scaling: Scaling { charge: Scale::Flash(80, 81), energy: Scale::Flash(80, 81), ..Scaling::NONE },
     security: SECURITY,
     access: ACCESS,
     gate: None,
@@ -59,6 +65,7 @@ pub static CHIP: Chip = Chip {
         effect: "CC Gain is negative, as many parts have it in ROM: current has the wrong sign",
         remedy: "write CC Gain (105/4) again without its minus, and after each loss of power once more",
     }],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };
@@ -213,23 +220,23 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Charge Termination", id: 36, length: 9, kind: Reset,
                parameters: &[
-        P::int(3, I1, "TCA Set %",        -1,  100, 99, "%").unproven(),
-        P::int(4, I1, "TCA Clear %",      -1,  100, 95, "%").unproven(),
-        P::int(5, I1, "FC Set %",         -1,  100, -1, "%").unproven(),
-        P::int(6, I1, "FC Clear %",        0,  100, 98, "%").unproven(),
-        P::int(7, I2, "DODatEOC Delta T",  0, 1000, 50, "0.1°C").unproven(),
+        P::int(3, I1, "TCA Set %",        -1,  100, 99, "%"),
+        P::int(4, I1, "TCA Clear %",      -1,  100, 95, "%"),
+        P::int(5, I1, "FC Set %",         -1,  100, -1, "%"),
+        P::int(6, I1, "FC Clear %",        0,  100, 98, "%"),
+        P::int(7, I2, "DODatEOC Delta T",  0, 1000, 50, "0.1°C"),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 4, kind: Reset,
                parameters: &[
         P::int(0, U1, "SOC1 Set Threshold",   0, 100, 10, "%"),
         P::int(1, U1, "SOC1 Clear Threshold", 0, 100, 15, "%"),
-        P::int(2, U1, "SOCF Set Threshold",   0, 100,  2, "%").unproven(),
-        P::int(3, U1, "SOCF Clear Threshold", 0, 100,  5, "%").unproven(),
+        P::int(2, U1, "SOCF Set Threshold",   0, 100,  2, "%"),
+        P::int(3, U1, "SOCF Clear Threshold", 0, 100,  5, "%"),
     ] },
     Subclass { class: "Configuration", name: "Registers", id: 64, length: 5, kind: Reset,
                parameters: &[
         P::int(0, H2, "OpConfig",  0x0000, 0xFFFF, 0x6478, "flags").bits(OP_CONFIG),
-        P::int(2, H1, "OpConfigB",   0x00,   0xFF,   0x0F, "flags").bits(OP_CONFIG_B).unproven(),
+        P::int(2, H1, "OpConfigB",   0x00,   0xFF,   0x0F, "flags").bits(OP_CONFIG_B),
         P::int(3, H1, "OpConfigC",   0x00,   0xFF,   0x9F, "flags").unproven(),
         // The section prints offset 2, where the image has OpConfigB; this value is here in the image.
         P::int(4, H1, "OpConfigD",   0x00,   0xFF,   0x23, "flags").bits(OP_CONFIG_D),
@@ -237,43 +244,46 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Power", id: 68, length: 9, kind: Reset,
                parameters: &[
         // No HIBERNATE is documented for this part; both are probably unused.
-        P::int(5, I2, "Hibernate I", 0, 8000,    3, "mA").unproven(),
-        P::int(7, I2, "Hibernate V", 0, 5000, 2200, "mV").unproven(),
+        P::int(5, I2, "Hibernate I", 0, 8000,    3, "mA"),
+        P::int(7, I2, "Hibernate V", 0, 5000, 2200, "mV"),
     ] },
-    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 75, kind: Reset,
+    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 82, kind: Reset,
                parameters: &[
-        P::int(18, U2, "Ra Filter",                        0,  1000, 800, "Num").unproven(),
-        P::int(33, U1, "Fast Qmax Start DOD %",            0,   100,  92, "%").unproven(),
-        P::int(34, U1, "Fast Qmax End DOD %",              0,   100,  96, "%").unproven(),
-        P::int(35, I2, "Fast Qmax Start Volt Delta",       0,  4200, 125, "mV").unproven(),
-        P::int(37, U2, "Fast Qmax Current Threshold",      0,  1000,   4, "Hr rate").unproven(),
-        P::int(39, U1, "Fast Qmax Min Points",             0,   255,   3, "Num").unproven(),
-        P::int(43, U1, "Max Qmax Change",                  0,   255,  20, "%").unproven(),
-        P::int(44, U1, "Qmax Max Delta %",                 0,   255,  10, "%").unproven(),
-        P::int(45, U1, "Max % Default Qmax",               0,   255, 120, "%").unproven(),
-        P::int(46, U1, "Qmax Filter",                      0,   255,  96, "Num").unproven(),
-        P::int(48, U2, "ResRelax Time",                    0, 65535, 500, "s").unproven(),
+        P::int(18, U2, "Ra Filter",                        0,  1000, 800, "Num"),
+        P::int(33, U1, "Fast Qmax Start DOD %",            0,   100,  92, "%"),
+        P::int(34, U1, "Fast Qmax End DOD %",              0,   100,  96, "%"),
+        P::int(35, I2, "Fast Qmax Start Volt Delta",       0,  4200, 125, "mV"),
+        P::int(37, U2, "Fast Qmax Current Threshold",      0,  1000,   4, "Hr rate"),
+        P::int(39, U1, "Fast Qmax Min Points",             0,   255,   3, "Num"),
+        P::int(43, U1, "Max Qmax Change",                  0,   255,  20, "%"),
+        P::int(44, U1, "Qmax Max Delta %",                 0,   255,  10, "%"),
+        P::int(45, U1, "Max % Default Qmax",               0,   255, 120, "%"),
+        P::int(46, U1, "Qmax Filter",                      0,   255,  96, "Num"),
+        P::int(48, U2, "ResRelax Time",                    0, 65535, 500, "s"),
         P::int(50, I2, "User Rate-mA",                -32768,     0,   0, "mA").unproven(),
         P::int(52, I2, "User Rate-mW",                -32768,     0,   0, "mW").unproven(),
-        P::int(57, U1, "Max Sim Rate",                     0,   255,   1, "Hr rate").unproven(),
-        P::int(58, U1, "Min Sim Rate",                     0,   255,  20, "Hr rate").unproven(),
-        P::int(59, U2, "Ra Max Delta",                     0, 32767,   8, "4 mΩ").unproven(),
+        P::int(57, U1, "Max Sim Rate",                     0,   255,   1, "Hr rate"),
+        P::int(58, U1, "Min Sim Rate",                     0,   255,  20, "Hr rate"),
+        P::int(59, U2, "Ra Max Delta",                     0, 32767,   8, "4 mΩ"),
         P::int(68, I2, "Min Delta Voltage",                0, 32767,   0, "mV").unproven(),
-        P::int(70, I2, "Max Delta Voltage",                0, 32767, 200, "mV").unproven(),
-        P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV").unproven(),
+        P::int(70, I2, "Max Delta Voltage",                0, 32767, 200, "mV"),
+        P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV"),
         // The section prints offset 78, which is the bq27441-G1's.
-        P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s").unproven(),
+        P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s"),
+        // One driver names it; its image for one cell has 1, and that for two has 10. Other parts have no other
+        // values (SLUSAT0E).
+        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[
         // The image has 450 and for Quit Current 100, the bq27441-G1 167 and 250.
-        P::int( 0, I2, "Dsg Current Threshold", 0,  2000, 450, "0.1 Hr rate").no_default().unproven(),
-        P::int( 2, I2, "Chg Current Threshold", 0,  2000, 100, "0.1 Hr rate").unproven(),
-        P::int( 4, I2, "Quit Current",          0,  2000, 100, "0.1 Hr rate").no_default().unproven(),
-        P::int( 6, U2, "Dsg Relax Time",        0, 65535,  60, "s").unproven(),
-        P::int( 8, U1, "Chg Relax Time",        0,   255,  60, "s").unproven(),
-        P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s").unproven(),
-        P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV").unproven(),
+        P::int( 0, I2, "Dsg Current Threshold", 0,  2000, 450, "0.1 Hr rate").no_default(),
+        P::int( 2, I2, "Chg Current Threshold", 0,  2000, 100, "0.1 Hr rate"),
+        P::int( 4, I2, "Quit Current",          0,  2000, 100, "0.1 Hr rate").no_default(),
+        P::int( 6, U2, "Dsg Relax Time",        0, 65535,  60, "s"),
+        P::int( 8, U1, "Chg Relax Time",        0,   255,  60, "s"),
+        P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s"),
+        P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV"),
     ] },
     Subclass { class: "Gas Gauging", name: "State", id: 82, length: 31, kind: Reset,
                parameters: &[
@@ -281,9 +291,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 2, H1, "Update Status",       0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",        0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",    0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY),
+        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY).role(Role::ChargeFullDesign),
         P::int( 8, I2, "Design Energy",          0, 32767,  4960, "mWh"),
-        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV"),
+        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(16, I2, "T Rise",                 0, 32767,    20, "Num"),
         P::int(18, I2, "T Time Constant",        0, 32767,  1000, "s"),
         P::int(20, U1, "SOCI Delta",             0,   100,     1, "%"),
@@ -298,27 +308,27 @@ static SUBCLASSES: &[Subclass] = &[
                parameters: &[
         P::int( 0, I2, "Ra 0",  0, 32767, 78, "Num").learned(),
         P::int( 2, I2, "Ra 1",  0, 32767, 35, "Num").learned(),
-        P::int( 4, I2, "Ra 2",  0, 32767, 39, "Num").learned().unproven(),
-        P::int( 6, I2, "Ra 3",  0, 32767, 45, "Num").learned().unproven(),
-        P::int( 8, I2, "Ra 4",  0, 32767, 42, "Num").learned().unproven(),
-        P::int(10, I2, "Ra 5",  0, 32767, 36, "Num").learned().unproven(),
-        P::int(12, I2, "Ra 6",  0, 32767, 39, "Num").learned().unproven(),
-        P::int(14, I2, "Ra 7",  0, 32767, 36, "Num").learned().unproven(),
-        P::int(16, I2, "Ra 8",  0, 32767, 35, "Num").learned().unproven(),
-        P::int(18, I2, "Ra 9",  0, 32767, 37, "Num").learned().unproven(),
-        P::int(20, I2, "Ra 10", 0, 32767, 38, "Num").learned().unproven(),
-        P::int(22, I2, "Ra 11", 0, 32767, 40, "Num").learned().unproven(),
-        P::int(24, I2, "Ra 12", 0, 32767, 46, "Num").learned().unproven(),
-        P::int(26, I2, "Ra 13", 0, 32767, 54, "Num").learned().unproven(),
-        P::int(28, I2, "Ra 14", 0, 32767, 46, "Num").learned().unproven(),
+        P::int( 4, I2, "Ra 2",  0, 32767, 39, "Num").learned(),
+        P::int( 6, I2, "Ra 3",  0, 32767, 45, "Num").learned(),
+        P::int( 8, I2, "Ra 4",  0, 32767, 42, "Num").learned(),
+        P::int(10, I2, "Ra 5",  0, 32767, 36, "Num").learned(),
+        P::int(12, I2, "Ra 6",  0, 32767, 39, "Num").learned(),
+        P::int(14, I2, "Ra 7",  0, 32767, 36, "Num").learned(),
+        P::int(16, I2, "Ra 8",  0, 32767, 35, "Num").learned(),
+        P::int(18, I2, "Ra 9",  0, 32767, 37, "Num").learned(),
+        P::int(20, I2, "Ra 10", 0, 32767, 38, "Num").learned(),
+        P::int(22, I2, "Ra 11", 0, 32767, 40, "Num").learned(),
+        P::int(24, I2, "Ra 12", 0, 32767, 46, "Num").learned(),
+        P::int(26, I2, "Ra 13", 0, 32767, 54, "Num").learned(),
+        P::int(28, I2, "Ra 14", 0, 32767, 46, "Num").learned(),
     ] },
     Subclass { class: "Gas Gauging", name: "Chem Data", id: 109, length: 10, kind: Reset,
                parameters: &[
-        P::int(2, I2, "Q Invalid MaxV", 0, 32767, 3811, "mV").unproven(),
-        P::int(4, I2, "Q Invalid MinV", 0, 32767, 3750, "mV").unproven(),
-        P::int(6, I2, "V at Chg Term",  0,  5000, 4340, "mV").learned().unproven(),
+        P::int(2, I2, "Q Invalid MaxV", 0, 32767, 3811, "mV"),
+        P::int(4, I2, "Q Invalid MinV", 0, 32767, 3750, "mV"),
+        P::int(6, I2, "V at Chg Term",  0,  5000, 4340, "mV").learned(),
         // The sections print class 82; the image has the value here, where a driver has it as well.
-        P::int(8, I2, "Taper Voltage",  0,  5000, 4250, "mV").unproven(),
+        P::int(8, I2, "Taper Voltage",  0,  5000, 4250, "mV"),
     ] },
     Subclass { class: "Calibration", name: "Data", id: 104, length: 3, kind: Reset,
                parameters: &[

@@ -2,7 +2,7 @@
 //!
 //! Table and section numbers are those of the technical reference, SLUUAC9A. Data memory is its Tables
 //! 6-2 to 6-6 row for row. There are two flavours, which differ in chemistry and in the defaults that go
-//! with it: those given here are the bq27441-G1A's, the bq27441-G1B's stand in comments.
+//! with it: the bq27441-G1A's come first, those of the bq27441-G1B as its flavour.
 
 use std::time::Duration;
 
@@ -11,11 +11,13 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
-    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Subclass, Subcommand,
-    Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+
+/// DM_CODE of the bq27441-G1B.
+const G1B: u16 = 0x58;
 
 /// The bq27441-G1 as TI's documents describe it.
 pub static CHIP: Chip = Chip {
@@ -23,14 +25,14 @@ pub static CHIP: Chip = Chip {
     model: "bq27441-G1",
     documents: &["SLUUAC9A (May 2015)", "SLUSBH1C", "SLUA801"],
     // SLUUAC9A 3.1's worked transfers and a tablet's shipped image, block for block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The bq27421-G1 and the bq27411-G1 have the same type (4.1.2) and firmware; the codes of the two
     // flavours are printed in SLUSBH1C's device comparison.
     identity: Identity {
         device_type: 0x0421,
         firmware: &[0x0109],
         hardware: None,
-        dm_codes: &[0x48, 0x58],
+        dm_codes: &[0x48, G1B],
         answer: 0x00,
     },
     rom: None,
@@ -39,7 +41,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: SECURITY,
     access: ACCESS,
     gate: None,
@@ -50,6 +52,7 @@ pub static CHIP: Chip = Chip {
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: preflight(&[]),
 };
 
@@ -104,7 +107,9 @@ pub(super) const CONDITION: Condition = Condition {
     critical: 0x0002, // [SOCF]
     overheat: 0x8000, // [OT]
     cold: 0x4000,     // [UT]
-    present: 0x0008,  // [BAT_DET]
+    over_voltage: 0,
+    under_voltage: 0,
+    present: 0x0008, // [BAT_DET]
     uncertain: 0,
     complete: 0x0080, // [INITCOMP]
     primary: None,
@@ -338,54 +343,47 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 9, U1, "Quit Relax Time",       0,   255,   1, "s"),
         P::int(12, U2, "Max IR Correct",        0,  1000, 400, "mV"),
     ] },
+    // Where a G1A (DM_CODE 0x48) and a G1B (0x58) have other defaults, none is shown; the numbers are the G1A's.
     Subclass { class: "Gas Gauging", name: "State", id: 82, length: 41, kind: Reset,
                parameters: &[
         P::int( 0, I2, "Qmax Cell 0",             0, 32767, 16384, "Num").safe(CAPACITY).learned(),
         P::int( 2, H1, "Update Status",        0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",         0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",     0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        // bq27441-G1B: 3814.
-        P::int( 6, I2, "Q Invalid MaxV",          0, 32767,  3803, "mV"),
-        // bq27441-G1B: 3748.
-        P::int( 8, I2, "Q Invalid MinV",          0, 32767,  3752, "mV"),
-        // bq27441-G1B: 1000.
-        P::int(10, I2, "Design Capacity",         0,  8000,  1340, "mAh").safe(CAPACITY),
-        // bq27441-G1B: 3800.
-        P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh"),
-        // bq27441-G1B: 5580.
-        P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh"),
-        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int( 6, I2, "Q Invalid MaxV",          0, 32767,  3803, "mV").flavour(G1B, 3814),
+        P::int( 8, I2, "Q Invalid MinV",          0, 32767,  3752, "mV").flavour(G1B, 3748),
+        P::int(10, I2, "Design Capacity",         0,  8000,  1340, "mAh").flavour(G1B, 1000).safe(CAPACITY),
+        P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh").flavour(G1B, 3800),
+        P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh").flavour(G1B, 5580),
+        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(22, I2, "T Rise",                  0, 32767,    20, "Num"),
         P::int(24, I2, "T Time Constant",         0, 32767,  1000, "s"),
         P::int(26, U1, "SOCI Delta",              0,   100,     1, "%"),
         P::int(27, I2, "Taper Rate",              0,  2000,   100, "0.1 Hr rate"),
-        // bq27441-G1B: 4200.
-        P::int(29, I2, "Taper Voltage",           0,  5000,  4100, "mV"),
+        P::int(29, I2, "Taper Voltage",           0,  5000,  4100, "mV").flavour(G1B, 4200),
         P::int(31, I2, "Sleep Current",           0,  1000,    10, "mA"),
-        // bq27441-G1B: 4290.
-        P::int(33, I2, "V at Chg Term",           0,  5000,  4190, "mV").learned(),
+        P::int(33, I2, "V at Chg Term",           0,  5000,  4190, "mV").flavour(G1B, 4290).learned(),
         P::int(35, I2, "Avg I Last Run",     -32768,    -1,   -50, "0.1 Hr rate").learned(),
         P::int(37, I2, "Avg P Last Run",     -32768,    -1,   -50, "0.1 Hr rate").learned(),
         P::int(39, I2, "Delta Voltage",           0,  1000,     1, "mV").learned(),
     ] },
     Subclass { class: "Ra Tables", name: "R_a RAM", id: 89, length: 30, kind: Reset,
                parameters: &[
-        // bq27441-G1B: 16, 17, 20, 24, 20, 18, 20, 20, 21, 22, 24, 31, 49, 98, 375.
-        P::int( 0, I2, "R_a0 0",  0, 32767, 102, "Num").learned(),
-        P::int( 2, I2, "R_a0 1",  0, 32767, 102, "Num").learned(),
-        P::int( 4, I2, "R_a0 2",  0, 32767,  99, "Num").learned(),
-        P::int( 6, I2, "R_a0 3",  0, 32767, 107, "Num").learned(),
-        P::int( 8, I2, "R_a0 4",  0, 32767,  72, "Num").learned(),
-        P::int(10, I2, "R_a0 5",  0, 32767,  59, "Num").learned(),
-        P::int(12, I2, "R_a0 6",  0, 32767,  62, "Num").learned(),
-        P::int(14, I2, "R_a0 7",  0, 32767,  63, "Num").learned(),
-        P::int(16, I2, "R_a0 8",  0, 32767,  53, "Num").learned(),
-        P::int(18, I2, "R_a0 9",  0, 32767,  47, "Num").learned(),
-        P::int(20, I2, "R_a0 10", 0, 32767,  60, "Num").learned(),
-        P::int(22, I2, "R_a0 11", 0, 32767,  70, "Num").learned(),
-        P::int(24, I2, "R_a0 12", 0, 32767, 140, "Num").learned(),
-        P::int(26, I2, "R_a0 13", 0, 32767, 369, "Num").learned(),
-        P::int(28, I2, "R_a0 14", 0, 32767, 588, "Num").learned(),
+        P::int( 0, I2, "R_a0 0",  0, 32767, 102, "Num").flavour(G1B, 16).learned(),
+        P::int( 2, I2, "R_a0 1",  0, 32767, 102, "Num").flavour(G1B, 17).learned(),
+        P::int( 4, I2, "R_a0 2",  0, 32767,  99, "Num").flavour(G1B, 20).learned(),
+        P::int( 6, I2, "R_a0 3",  0, 32767, 107, "Num").flavour(G1B, 24).learned(),
+        P::int( 8, I2, "R_a0 4",  0, 32767,  72, "Num").flavour(G1B, 20).learned(),
+        P::int(10, I2, "R_a0 5",  0, 32767,  59, "Num").flavour(G1B, 18).learned(),
+        P::int(12, I2, "R_a0 6",  0, 32767,  62, "Num").flavour(G1B, 20).learned(),
+        P::int(14, I2, "R_a0 7",  0, 32767,  63, "Num").flavour(G1B, 20).learned(),
+        P::int(16, I2, "R_a0 8",  0, 32767,  53, "Num").flavour(G1B, 21).learned(),
+        P::int(18, I2, "R_a0 9",  0, 32767,  47, "Num").flavour(G1B, 22).learned(),
+        P::int(20, I2, "R_a0 10", 0, 32767,  60, "Num").flavour(G1B, 24).learned(),
+        P::int(22, I2, "R_a0 11", 0, 32767,  70, "Num").flavour(G1B, 31).learned(),
+        P::int(24, I2, "R_a0 12", 0, 32767, 140, "Num").flavour(G1B, 49).learned(),
+        P::int(26, I2, "R_a0 13", 0, 32767, 369, "Num").flavour(G1B, 98).learned(),
+        P::int(28, I2, "R_a0 14", 0, 32767, 588, "Num").flavour(G1B, 375).learned(),
     ] },
     Subclass { class: "Calibration", name: "Data", id: 104, length: 3, kind: Reset,
                parameters: &[

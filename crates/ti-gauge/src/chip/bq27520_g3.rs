@@ -1,7 +1,8 @@
 //! bq27520-G3: Impedance Track gauge on the system side, for one Li-ion cell.
 //!
-//! No data-flash table of this generation could be read. Rows that independent drivers for it agree on
-//! are proven. Rows that stand at one place both in its ancestor, the bq27500-V130 (SLUS914A, Table
+//! No data-flash table of this generation could be read. Rows that independent drivers for it agree on,
+//! or one driver and a document of TI's, are proven; a row of one driver alone is not (48/24, 49/0, 64/8, 9,
+//! 12 and 13). Rows that stand at one place both in its ancestor, the bq27500-V130 (SLUS914A, Table
 //! 4-7), and in a shipped image of its successor, the bq27520-G4, very likely stand there in between: they
 //! and what follows from less are marked unproven.
 //!
@@ -17,7 +18,7 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
-    Parameter as P, Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature,
+    Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
     Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -28,7 +29,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27520-g3",
     model: "bq27520-G3",
     documents: &["SLUSAP0", "SLUSAB7A, of the bq27520-G2", "SLUS914A (December 2009), of the bq27500-V130"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Kernel],
     // All generations have one type; the firmware, which can be exchanged in the field, tells them apart.
     identity: Identity {
         device_type: 0x0520,
@@ -50,12 +51,14 @@ pub static CHIP: Chip = Chip {
         critical: 0x0002, // [SYSDOWN]
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0,
+        under_voltage: 0,
         present: 0x0008, // [BAT_DET]
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // SLUS914A, Table 4-7; drivers for this part send the same. Products do change it.
@@ -104,6 +107,7 @@ pub static CHIP: Chip = Chip {
     signature: SIGNATURE,
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],
@@ -154,7 +158,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x20, U2, "MaxLoadTimeToEmpty", "min", Slow),
     Register::new(0x22, U2, "AvailableEnergy", "mWh", Poll).role(Role::EnergyNow),
     Register::new(0x24, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
-    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll),
+    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll).role(Role::TimeToEmptyAvg),
     // One command of two bytes, a percentage and what stands behind it.
     Register::new(0x28, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x29, U1, "StateOfHealthStatus", "", Poll),
@@ -410,12 +414,12 @@ static SUBCLASSES: &[Subclass] = &[
         // The ancestor prints 65535 for the maximum of this signed word.
         P::int(10, I2, "Design Capacity",               0, 32767, 1000, "mAh").safe(CAPACITY),
         // A shipped driver keeps a version of its own here, low byte first.
-        P::any(24, U2, "DF Version", "hex"),
+        P::any(24, U2, "DF Version", "hex").unproven(),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 10, kind: Reset,
                parameters: &[
         // A word in the G4; what follows it is a guess in this generation and left out up to 49/5.
-        P::int(0, U1, "SOC1 Set Threshold",           0, 255, 150, "mAh"),
+        P::int(0, U1, "SOC1 Set Threshold",           0, 255, 150, "mAh").unproven(),
         // Limits are printed nowhere.
         P::any(5, I2, "SysDown Set Volt Threshold", "mV").unproven(),
         P::any(7, U1, "SysDown Set Volt Time", "s").unproven(),
@@ -462,11 +466,11 @@ static SUBCLASSES: &[Subclass] = &[
         P::any( 0, H2, "Operation Configuration", "flags").bits(OP_CONFIG),
         P::any( 7, U1, "SOC Delta", "%").unproven(),
         // The units of this and the next, 0.5 s and 5 µs, are guesses of the driver's readers.
-        P::any( 8, U1, "I2C Timeout", ""),
-        P::any( 9, U2, "DF Wr Ind Wait Time", ""),
+        P::any( 8, U1, "I2C Timeout", "").unproven(),
+        P::any( 9, U2, "DF Wr Ind Wait Time", "").unproven(),
         P::any(11, H1, "Operation Configuration B", "flags").bits(OP_CONFIG_B),
-        P::any(12, H1, "Operation Configuration C", "flags").bits(OP_CONFIG_C),
-        P::any(13, H1, "Operation Configuration D", "flags").bits(OP_CONFIG_D),
+        P::any(12, H1, "Operation Configuration C", "flags").bits(OP_CONFIG_C).unproven(),
+        P::any(13, H1, "Operation Configuration D", "flags").bits(OP_CONFIG_D).unproven(),
     ] },
     Subclass { class: "Configuration", name: "Power", id: 68, length: 17, kind: Reset,
                parameters: &[
@@ -484,8 +488,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(24, U2, "Ra Filter", "Num").unproven(),
         P::any(31, I2, "Q Invalid MaxV", "mV").unproven(),
         P::any(33, I2, "Q Invalid MinV", "mV").unproven(),
-        // The place is a shipped driver's for this part, limits and default are the ancestor's.
-        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE),
+        // SLUSAP0, page 19, prints the place, where a shipped driver for this part writes it; limits and default are
+        // the ancestor's.
+        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE).role(Role::VoltageMinDesign),
     ] },
     Subclass { class: "Fuel Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

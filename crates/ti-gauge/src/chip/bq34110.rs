@@ -19,8 +19,8 @@ use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
-    Preflight, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus, Security, Signature, Subclass,
-    Subcommand, Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -31,7 +31,7 @@ pub static CHIP: Chip = Chip {
     model: "bq34110",
     documents: &["SLUSCI1B", "SLUA790"],
     // Bytes of real parts are known for the identity, the keys and CC Gain; the rest is the drivers'.
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Drivers, Evidence::Transcript],
     // All drivers; nobody tells a firmware or hardware version.
     identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     rom: None,
@@ -42,18 +42,20 @@ pub static CHIP: Chip = Chip {
     control_status: &[Bit::new(0x0020, "CCA"), Bit::new(0x0010, "BCA")],
     // SOC Flag Config tells when [FC], [FD] and [TDA] are set. No bit tells that a battery is present.
     condition: Condition {
-        full: 0x0010,     // [FC]
-        low: 0x4000,      // [SOCLOW]
-        critical: 0x0024, // [FD], [TDA]
-        overheat: 0x0C00, // [OTC], [OTD]
-        cold: 0x3000,     // [UTC], [UTD]
+        full: 0x0010,          // [FC]
+        low: 0x4000,           // [SOCLOW]
+        critical: 0x0024,      // [FD], [TDA]
+        overheat: 0x0C00,      // [OTC], [OTD]
+        cold: 0x3000,          // [UTC], [UTD]
+        over_voltage: 0x0200,  // [BATHIGH]
+        under_voltage: 0x0100, // [BATLOW]
         present: 0,
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
         complete: 0,
         primary: None,
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         // OperationStatus() bits 2 and 1, as the underwater vehicle's driver reads them.
         status: SealStatus::Field { register: Some(0x3A), shift: 1 },
@@ -105,6 +107,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         // No driver knows a serial number or a chemistry of it that could be asked while SEALED.
         pack: None,
@@ -125,7 +128,7 @@ pub static CHIP: Chip = Chip {
     },
 };
 
-/// Standard commands. The poll reads 0x06 to 0x19 and 0x2A to 0x2F whole. One driver has RawExtTemp at
+/// Standard commands. The poll reads 0x06 to 0x1B and 0x2A to 0x2F whole. One driver has RawExtTemp at
 /// 0x80, where the parts of this family do not acknowledge.
 #[rustfmt::skip]
 static REGISTERS: &[Register] = &[
@@ -140,7 +143,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x14, I2, "AverageCurrent", "mA", Poll).role(Role::CurrentAvg),
     Register::new(0x16, U2, "TimeToEmpty", "min", Poll).role(Role::TimeToEmptyNow),
     Register::new(0x18, U2, "TimeToFull", "min", Poll).role(Role::TimeToFullNow),
-    Register::new(0x1A, I2, "AccumulatedCharge", "mAh", Slow),
+    Register::new(0x1A, I2, "AccumulatedCharge", "mAh", Poll).role(Role::ChargeCounter),
     Register::new(0x1C, U2, "AccumulatedTime", "5min", Slow),
     Register::new(0x1E, I2, "LastAccumulatedCharge", "mAh", Slow),
     Register::new(0x20, U2, "LastAccumulatedTime", "5min", Slow),
@@ -150,8 +153,8 @@ static REGISTERS: &[Register] = &[
     Register::new(0x2A, U2, "CycleCount", "Num", Poll).role(Role::CycleCount),
     Register::new(0x2C, U2, "RelativeStateOfCharge", "%", Poll).role(Role::Capacity),
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
-    Register::new(0x30, U2, "ChargingVoltage", "mV", Slow),
-    Register::new(0x32, U2, "ChargingCurrent", "mA", Slow),
+    Register::new(0x30, U2, "ChargingVoltage", "mV", Slow).role(Role::ChargeVoltage),
+    Register::new(0x32, U2, "ChargingCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x3A, U2, "OperationStatus", "", Slow).bits(OPERATION_STATUS),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U2, "ManufacturerAccessControl", "", Window),
@@ -347,9 +350,9 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Gas Gauging", name: "State", id: FLAT, length: 13, kind: Plain,
                parameters: &[
         P::within(0x40C0, I2, "Learned Full Charge Capacity", 0, 32767, "mAh").learned(),
-        P::any(0x40C7, I2, "Last Charge Voltage T1-T2",    "mV").learned().unproven(),
-        P::any(0x40C9, I2, "Last Charge Voltage T2-T3",    "mV").learned().unproven(),
-        P::any(0x40CB, I2, "Last Charge Voltage T3-T4",    "mV").learned().unproven(),
+        P::any(0x40C7, I2, "Last Charge Voltage T1-T2",    "mV/cell").learned().unproven(),
+        P::any(0x40C9, I2, "Last Charge Voltage T2-T3",    "mV/cell").learned().unproven(),
+        P::any(0x40CB, I2, "Last Charge Voltage T3-T4",    "mV/cell").learned().unproven(),
     ] },
     Subclass { class: "Settings", name: "Manufacturing", id: FLAT, length: 2, kind: Reset,
                parameters: &[
@@ -361,9 +364,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x410E, I2, "Charging Current T1-T2", "mA").unproven(),
         P::any(0x4110, I2, "Charging Current T2-T3", "mA").unproven(),
         P::any(0x4112, I2, "Charging Current T3-T4", "mA").unproven(),
-        P::any(0x4114, I2, "Charging Voltage T1-T2", "mV").unproven(),
-        P::any(0x4116, I2, "Charging Voltage T2-T3", "mV").unproven(),
-        P::any(0x4118, I2, "Charging Voltage T3-T4", "mV").unproven(),
+        P::any(0x4114, I2, "Charging Voltage T1-T2", "mV/cell").unproven(),
+        P::any(0x4116, I2, "Charging Voltage T2-T3", "mV/cell").unproven(),
+        P::any(0x4118, I2, "Charging Voltage T3-T4", "mV/cell").unproven(),
     ] },
     Subclass { class: "Charge", name: "Termination", id: FLAT, length: 9, kind: Plain,
                parameters: &[
@@ -382,7 +385,7 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Data", id: FLAT, length: 1, kind: Plain,
                parameters: &[
-        P::within(0x4155, U1, "Number of Series Cells", 1, 100, "Num"),
+        P::within(0x4155, U1, "Number of Series Cells", 1, 100, "Num").role(Role::Cells),
     ] },
     Subclass { class: "Configuration", name: "Power", id: FLAT, length: 2, kind: Plain,
                parameters: &[
@@ -465,17 +468,17 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x425F, U1, "EDV 1 Hold Time",            "s").unproven(),
         P::within(0x4260, I2, "Fixed EDV 2",                0, 32767, "mV"),
         P::any(0x4262, U1, "EDV 2 Hold Time",            "s").unproven(),
-        P::any(0x4263, I2, "Voltage 0% DOD",             "mV"),
-        P::any(0x4265, I2, "Voltage 10% DOD",            "mV"),
-        P::any(0x4267, I2, "Voltage 20% DOD",            "mV"),
-        P::any(0x4269, I2, "Voltage 30% DOD",            "mV"),
-        P::any(0x426B, I2, "Voltage 40% DOD",            "mV"),
-        P::any(0x426D, I2, "Voltage 50% DOD",            "mV"),
-        P::any(0x426F, I2, "Voltage 60% DOD",            "mV"),
-        P::any(0x4271, I2, "Voltage 70% DOD",            "mV"),
-        P::any(0x4273, I2, "Voltage 80% DOD",            "mV"),
-        P::any(0x4275, I2, "Voltage 90% DOD",            "mV"),
-        P::any(0x4277, I2, "Voltage 100% DOD",           "mV"),
+        P::any(0x4263, I2, "Voltage 0% DOD",             "mV/cell"),
+        P::any(0x4265, I2, "Voltage 10% DOD",            "mV/cell"),
+        P::any(0x4267, I2, "Voltage 20% DOD",            "mV/cell"),
+        P::any(0x4269, I2, "Voltage 30% DOD",            "mV/cell"),
+        P::any(0x426B, I2, "Voltage 40% DOD",            "mV/cell"),
+        P::any(0x426D, I2, "Voltage 50% DOD",            "mV/cell"),
+        P::any(0x426F, I2, "Voltage 60% DOD",            "mV/cell"),
+        P::any(0x4271, I2, "Voltage 70% DOD",            "mV/cell"),
+        P::any(0x4273, I2, "Voltage 80% DOD",            "mV/cell"),
+        P::any(0x4275, I2, "Voltage 90% DOD",            "mV/cell"),
+        P::any(0x4277, I2, "Voltage 100% DOD",           "mV/cell"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Config", id: FLAT, length: 7, kind: Plain,
                parameters: &[

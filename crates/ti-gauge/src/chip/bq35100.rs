@@ -18,7 +18,7 @@ use super::Kind::{Plain, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
-    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, ScaleRegisters, Scheme, SealStatus,
+    Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scaling, Scheme, SealStatus,
     Security, Signature, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
@@ -30,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "bq35100",
     documents: &["SLUUBH1C (March 2018)", "SLUSCM6E (April 2019)", "SLUA790", "SLUAAL7"],
     // SLUA790's and 12.1's worked transfers, and those of owners; none of it from our own hardware.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Drivers, Evidence::Transcript],
     // Table 11-2; SLUSCM6E prints 0x40 for the type. pilotak/BQ35100 knows a part by the hardware version,
     // and only that tells it from a bq34z100-G1. Nobody tells a firmware version.
     identity: Identity {
@@ -53,6 +53,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x08, // [EOS]
         overheat: 0x20, // [TEMPHIGH]
         cold: 0x40,     // [TEMPLOW]
+        over_voltage: 0,
+        under_voltage: 0x80, // [BATLOW]
         present: 0,
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
@@ -62,9 +64,10 @@ pub static CHIP: Chip = Chip {
             mode: (FLAT, 0x41B1),   // Operation Config A [GMSEL1], [GMSEL0]
             mode_mask: 0x03,
             health_modes: &[0b01, 0b10],
+            resistance_modes: &[0b10],
         }),
     },
-    scale_registers: ScaleRegisters::NONE,
+    scaling: Scaling::NONE,
     security: Security {
         status: SealStatus::Field { register: None, shift: 13 },
         // Owners send them so; stored in this order at 0x41CC.
@@ -122,6 +125,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
@@ -150,7 +154,7 @@ pub static CHIP: Chip = Chip {
 static REGISTERS: &[Register] = &[
     Register::new(0x00, U2, "Control", "", Window),
     // Counts down from 0 (pilotak/BQ35100). SLUUBH1C prints it signed with a range of 4.29E9.
-    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll),
+    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll).role(Role::ChargeCounter).step(1, 1000),
     // Unsigned, with a negative minimum; SLUSCM6E has it signed. Kelvin need no sign.
     Register::new(0x06, U2, "Temperature", "0.1K", Poll).role(Role::Temp),
     // Signed, with a maximum of 65535; SLUSCM6E has it unsigned.
@@ -160,7 +164,7 @@ static REGISTERS: &[Register] = &[
     // Of the last second, and only between GAUGE_START and GAUGE_STOP.
     Register::new(0x0C, I2, "Current", "mA", Poll).role(Role::CurrentNow),
     Register::new(0x16, U2, "ScaledR", "mΩ", Slow),
-    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow),
+    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow).role(Role::InternalResistance),
     Register::new(0x28, U2, "InternalTemperature", "0.1K", Slow),
     Register::new(0x2E, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
@@ -279,6 +283,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x400D, I1, "Int Temp Offset", "0.1°C"),
         P::any(0x400E, I1, "Ext Temp Offset", "0.1°C"),
         P::any(0x400F, I1, "Pack V Offset",   "mV"),
+        // Two drivers write it here; no source gives its size, its sign, or which values would make the voltage too
+        // low for any further write.
         P::any(0x4010, U2, "VIN Gain",        "").unproven(),
     ] },
     Subclass { class: "Calibration", name: "Temp Model", id: FLAT, length: 22, kind: Plain,
@@ -423,7 +429,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x41FE, I2, "Cell Design Capacity mAh", "mAh").safe(CAPACITY),
         P::any(0x4202, I2, "Cell Design Voltage",      "mV"),
         P::any(0x4204, I2, "Cell Terminate Voltage",   "mV"),
-        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS).unproven(),
+        // Two drivers write it: arithmetics.io's, and Orgatex's for Zephyr (2025).
+        P::any(0x4206, U1, "Series Cell Count",        "Num").safe(CELLS),
         P::any(0x4207, I2, "Max Load",                 "mA").unproven(),
     ] },
     Subclass { class: "Gas Gauging", name: "State", id: FLAT, length: 2, kind: Plain,

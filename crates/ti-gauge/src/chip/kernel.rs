@@ -14,8 +14,7 @@
 //! - bq27000 and bq27010: a step of charge is 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, ScaleRegisters, Security,
-    Tier,
+    Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, Scaling, Security, Tier,
 };
 use crate::value::Type::{self, I, U};
 
@@ -98,7 +97,19 @@ impl Flavour {
             Z561 => (0x0020, 0, 0x0010, 0, 0, 0),
             Plain => (0, 0, 0, 0, 0, 0),
         };
-        Condition { full, low, critical, overheat, cold, present: 0, uncertain, complete: 0, primary: None }
+        Condition {
+            full,
+            low,
+            critical,
+            overheat,
+            cold,
+            over_voltage: 0,
+            under_voltage: 0,
+            present: 0,
+            uncertain,
+            complete: 0,
+            primary: None,
+        }
     }
 
     #[rustfmt::skip]
@@ -144,7 +155,7 @@ const fn gauge(
         name,
         model,
         documents: &["Linux 6.12, bq27xxx_battery.c"],
-        evidence: Evidence::Unproven,
+        evidence: &[Evidence::Drivers, Evidence::Kernel],
         identity: Identity::NONE,
         rom: None,
         technology: "Li-ion",
@@ -152,7 +163,7 @@ const fn gauge(
         subcommands: &[],
         control_status: &[],
         condition: flavour.condition(),
-        scale_registers: ScaleRegisters::NONE,
+        scaling: Scaling::NONE,
         security: Security::NONE,
         access: Access::NONE,
         gate: None,
@@ -162,6 +173,7 @@ const fn gauge(
         signature: &[],
         volatile: None,
         quirks: &[],
+        rom_image: None,
         preflight: Preflight::NONE,
     }
 }
@@ -266,13 +278,13 @@ static REGISTERS_27Z561: &[Register] = &[
 #[rustfmt::skip]
 static REGISTERS_27000: &[Register] = &[
     kelvin_quarters(0x06), voltage(0x08), byte_flags(0x0a), byte_percent(0x0b), available(0x0c), measured(0x12), magnitude(0x14), to_empty(0x16), to_full(0x18),
-    zero_energy(0x22), zero_power(0x24), to_empty_avg(0x26), cycles(0x2a), byte_design(0x76),
+    zero_energy(0x22), zero_power(0x24), at_constant_power(0x26), cycles(0x2a), byte_design(0x76),
 ];
 
 #[rustfmt::skip]
 static REGISTERS_27010: &[Register] = &[
     kelvin_quarters(0x06), voltage(0x08), byte_flags(0x0a), byte_percent(0x0b), available(0x0c), measured(0x12), magnitude(0x14), to_empty(0x16), to_full(0x18),
-    to_empty_avg(0x26), cycles(0x2a), byte_design(0x76),
+    at_constant_power(0x26), cycles(0x2a), byte_design(0x76),
 ];
 
 const fn word(code: u8, kind: Type, name: &'static str, unit: &'static str, role: Role) -> Register {
@@ -323,10 +335,6 @@ const fn standby(code: u8) -> Register {
 
 /// Between two registers that are needed. The driver shows it for the bq27000 and the bq27010 only.
 const fn at_constant_power(code: u8) -> Register {
-    Register::new(code, U(2), "TimeToEmptyAtConstantPower", "min", Tier::Poll)
-}
-
-const fn to_empty_avg(code: u8) -> Register {
     word(code, U(2), "TimeToEmptyAtConstantPower", "min", Role::TimeToEmptyAvg)
 }
 

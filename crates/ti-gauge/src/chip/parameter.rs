@@ -1,6 +1,6 @@
 //! Data flash as the manual lists it: subclasses and their parameters.
 
-use super::Bit;
+use super::{Bit, Role};
 use crate::codec::WINDOW;
 use crate::value::Type;
 
@@ -73,17 +73,33 @@ pub struct Parameter {
     pub unit: &'static str,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
+    /// The DM_CODE of parts of which the default is another integer, and that default.
+    pub flavour: Option<(u16, i64)>,
     /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
     pub learned: bool,
     /// Narrower limits than the manual's, where its range allows values that ruin a pack.
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
+    /// The property it feeds.
+    pub role: Option<Role>,
 }
 
 impl Parameter {
     const fn new(offset: u16, kind: Type, name: &'static str, range: Range, unit: &'static str) -> Self {
-        Self { offset, kind, name, range, unit, bits: &[], learned: false, safe: None, unproven: false }
+        Self {
+            offset,
+            kind,
+            name,
+            range,
+            unit,
+            bits: &[],
+            flavour: None,
+            learned: false,
+            safe: None,
+            unproven: false,
+            role: None,
+        }
     }
 
     /// An integer row of a manual's table: offset, type, name, min, max, default, unit.
@@ -134,6 +150,11 @@ impl Parameter {
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
     }
 
+    /// Whether it is there to distinguish packs: serial number, date and lots.
+    pub fn names_pack(&self) -> bool {
+        ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"].contains(&self.name)
+    }
+
     /// Sources disagree about the default, or none is known.
     #[must_use]
     pub const fn no_default(mut self) -> Self {
@@ -143,6 +164,24 @@ impl Parameter {
             Range::Text { default } => *default = None,
         }
         self
+    }
+
+    /// Parts with that DM_CODE have another default.
+    #[must_use]
+    pub const fn flavour(mut self, dm_code: u16, default: i64) -> Self {
+        self.flavour = Some((dm_code, default));
+        self
+    }
+
+    /// The default of an integer on a part with that DM_CODE; `None` where it depends on an unknown one.
+    pub fn int_default(&self, dm_code: Option<u16>) -> Option<i64> {
+        let Range::Int { default, .. } = self.range else { return None };
+        match self.flavour {
+            None => default,
+            Some((other, other_default)) => {
+                dm_code.and_then(|code| if code == other { Some(other_default) } else { default })
+            }
+        }
     }
 
     /// Names of the bits. Those without a name are reserved, and a write must leave them alone.
@@ -181,6 +220,13 @@ impl Parameter {
     #[must_use]
     pub const fn unproven(mut self) -> Self {
         self.unproven = true;
+        self
+    }
+
+    /// The property it feeds.
+    #[must_use]
+    pub const fn role(mut self, role: Role) -> Self {
+        self.role = Some(role);
         self
     }
 }

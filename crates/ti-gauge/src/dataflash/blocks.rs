@@ -2,12 +2,13 @@
 
 use std::ops::Range;
 
-use super::Change;
 use super::schemes::sequence;
+use super::{Change, Place};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
-use crate::codec::WINDOW;
+use crate::codec::{self, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
+use crate::value::Type;
 
 /// A 32-byte piece of data flash, as the gauge shows it in its window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,7 +120,7 @@ impl Window {
     pub(super) fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
         match self.subclass {
-            FLAT => format!("address 0x{offset:04x}"),
+            FLAT => Place { subclass: FLAT, offset: offset as u16 }.to_string(),
             subclass => format!("subclass {subclass} offset {offset}"),
         }
     }
@@ -160,10 +161,25 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
             block.written.insert(at);
             block.learned = block.learned.without(block.written);
         }
+        if is_same_string(change, &dirty) {
+            for (place, at) in change.windows() {
+                dirty
+                    .iter_mut()
+                    .filter(|block| block.place == place)
+                    .for_each(|block| block.new[at] = block.old[at]);
+            }
+        }
     }
     // In the order of the manual's table, which is that of the addresses.
     dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
     Ok(dirty)
+}
+
+/// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end
+/// and a length that is larger than the field: they are no part of the value.
+fn is_same_string(change: &Change, dirty: &[Dirty]) -> bool {
+    let Some((_, Parameter { kind: kind @ Type::S(_), .. })) = change.row else { return false };
+    codec::decode(*kind, &old_bytes(change, dirty)) == codec::decode(*kind, &change.bytes)
 }
 
 /// The bytes of a window that the gauge itself updates.
@@ -202,4 +218,15 @@ pub(super) fn blocks(changes: &[Change]) -> usize {
 pub(super) fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
     let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
     change.windows().filter_map(byte).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_is_named_as_its_file() {
+        assert_eq!(Window { subclass: FLAT, base: 0x41a0 }.name(0x16), "flash/0x41b6");
+        assert_eq!(Window { subclass: 80, base: 32 }.name(21), "subclass 80 offset 53");
+    }
 }

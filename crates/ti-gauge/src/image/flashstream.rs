@@ -5,9 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use super::{Image, Raw, at_line, check_count, chip_of};
-use crate::chip::{Chip, Effect, FLAT, Kind, Scheme, Subclass};
+use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, parameter_name, romimage};
+use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
+use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
@@ -15,9 +16,9 @@ pub(crate) const GAUGE: u8 = 0xaa;
 /// The address of a gauge in ROM mode, likewise.
 pub(crate) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.
-const ROM_MODE: u16 = 0x0f00;
-const DEVICE_TYPE: u16 = 0x0001;
-const FW_VERSION: u16 = 0x0002;
+pub(super) const ROM_MODE: u16 = 0x0f00;
+pub(super) const DEVICE_TYPE: u16 = 0x0001;
+pub(super) const FW_VERSION: u16 = 0x0002;
 const SET_CFGUPDATE: u16 = 0x0013;
 const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
@@ -121,6 +122,9 @@ fn byte(digits: &str) -> Option<u8> {
 /// Reads what a FlashStream would change.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let commands = commands(text)?;
+    if romimage::is_one(&commands) && told.is_none_or(|chip| chip.rom_image.is_some()) {
+        return romimage::parse(&commands, told);
+    }
     for (number, command) in &commands {
         check_address(*number, command)?;
     }
@@ -196,7 +200,7 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
 }
 
 /// A word that the file expects, and the line that says so.
-type Expected = Option<(usize, u16)>;
+pub(super) type Expected = Option<(usize, u16)>;
 
 /// Device type and firmware that the file expects.
 pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
@@ -250,9 +254,11 @@ struct Stream {
     /// Data flash by subclass and offset: each byte, and the line that it is from.
     stored: BTreeMap<(u8, u16), (u8, usize)>,
     sums: BTreeMap<(u8, u8), u8>,
+    /// Lines with a sum that covers bytes which the file does not set.
+    unchecked: Vec<usize>,
     notes: Vec<String>,
-    /// Lines that an import does not carry out, with the reason, and whether they hold keys.
-    left_out: Vec<(usize, String, bool)>,
+    /// Lines that an import does not carry out, with the reason, and the group that they belong to.
+    left_out: Vec<(usize, String, Option<Group>)>,
 }
 
 impl Stream {
@@ -269,6 +275,7 @@ impl Stream {
             update: None,
             stored: BTreeMap::new(),
             sums: BTreeMap::new(),
+            unchecked: Vec::new(),
             notes: Vec::new(),
             left_out: Vec::new(),
         }
@@ -381,7 +388,7 @@ impl Stream {
                 Ok(())
             }
             Effect::Safe | Effect::Guarded => {
-                self.left_out.push((line, format!("{}; an import does not send it", subcommand.name), false));
+                self.left_out.push((line, format!("{}; an import does not send it", subcommand.name), None));
                 Ok(())
             }
         }
@@ -394,11 +401,13 @@ impl Stream {
         if window.len() == WINDOW {
             let bytes: Vec<u8> = window.values().copied().collect();
             check_sum(sum, checksum(&bytes))?;
+        } else {
+            self.unchecked.push(line);
         }
         self.sums.insert((class, self.block), sum);
         if let Some(subclass) = self.chip.subclass(class) {
             if subclass.kind == Kind::Security {
-                self.left_out.push((line, "keys; left out".into(), true));
+                self.left_out.push((line, "keys; left out".into(), Some(Group::Keys)));
                 return Ok(());
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
@@ -408,7 +417,7 @@ impl Stream {
         }
         let start = u16::from(self.block) * WINDOW as u16;
         for (at, byte) in window {
-            self.stored.insert((class, start + u16::from(at)), (byte, line));
+            self.store(class, start + u16::from(at), byte, line)?;
         }
         Ok(())
     }
@@ -438,18 +447,33 @@ impl Stream {
             let kind = at.next().map(|subclass| subclass.kind);
             documented |= kind.is_some();
             if kind == Some(Kind::Security) {
-                let keys = (line, "keys; left out".into(), true);
+                let keys = (line, "keys; left out".into(), Some(Group::Keys));
                 if self.left_out.last() != Some(&keys) {
                     self.left_out.push(keys);
                 }
             } else {
-                self.stored.insert((FLAT, address), (byte, line));
+                self.store(FLAT, address, byte, line)?;
             }
         }
         if documented {
             return Ok(());
         }
-        Err(format!("address 0x{address:04x} is undocumented for a {}", self.chip.model))
+        let place = Place { subclass: FLAT, offset: address };
+        Err(format!("{place} is undocumented for a {}", self.chip.model))
+    }
+
+    /// A byte as a line commits it. A parameter that an earlier line has committed is an error: a gauge would keep the
+    /// later value, but nothing shows which of the two is meant.
+    fn store(&mut self, subclass: u8, offset: u16, byte: u8, line: usize) -> Result<(), String> {
+        let before = self.stored.insert((subclass, offset), (byte, line));
+        let Some((_, first)) = before.filter(|(_, first)| *first != line) else { return Ok(()) };
+        let of_id = self.chip.subclasses.iter().filter(|row| row.id == subclass);
+        let mut rows = of_id.flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+        let holds = |row: &Parameter| (row.offset..).take(row.kind.size()).any(|at| at == offset);
+        match rows.find(|(_, row)| holds(row)) {
+            Some((class, row)) => Err(also_in(&parameter_name(self.chip, class, row), first)),
+            None => Ok(()),
+        }
     }
 
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
@@ -480,8 +504,20 @@ impl Stream {
             }
         }
         image.notes.append(&mut self.notes);
-        for (line, why, is_key) in self.left_out {
-            image.leave_out(line, why, is_key);
+        if !self.unchecked.is_empty() {
+            let (what, which) = if self.unchecked.len() == 1 {
+                ("line", "checksum covers")
+            } else {
+                ("lines", "checksums cover")
+            };
+            let lines: Vec<_> = self.unchecked.iter().map(usize::to_string).collect();
+            let lines = lines.join(", ");
+            image
+                .notes
+                .push(format!("{what} {lines}: not checked: the {which} bytes that the file does not set"));
+        }
+        for (line, why, group) in self.left_out {
+            image.leave_out(line, why, group);
         }
         for ((subclass, offset), (byte, line)) in self.stored {
             match image.raw.last_mut() {
@@ -691,6 +727,16 @@ mod tests {
             line(27, "undocumented bytes of subclass 104"),
         ];
         assert_eq!(image.undocumented(), lines.concat());
+        // A file that names part and firmware was made to write the chemistry.
+        let identity = "W: AA 00 01 00\nC: AA 00 26 04\nW: AA 00 02 00\nC: AA 00 02 02\n";
+        let image =
+            parse(&(identity.to_string() + &block("53", "0") + &block("6D", "0") + &block("68", "1")), None);
+        let told = image.expect("an image").undocumented();
+        let outcomes: Vec<_> =
+            told.lines().map(|line| line.rsplit("; ").next().expect("an outcome")).collect();
+        let (written, refused) =
+            ("written if the gauge has other values", "refused if the gauge has other values");
+        assert_eq!(outcomes, [written, written, refused], "{told}");
         let beyond =
             parse(&block("55", "1"), Chip::by_name("bq27426")).expect_err("beyond the end").to_string();
         assert_eq!(beyond, "line 3: block 1 of subclass 85, whose last block is 0");
@@ -726,6 +772,8 @@ mod tests {
             ("it-cfg/cell-terminate-voltage".into(), "3100".into())
         );
         assert_eq!((image.entries.len(), image.raw.len(), entry.line), (1, 0, 5));
+        let unchecked = "line 5: not checked: the checksum covers bytes that the file does not set";
+        assert!(image.notes.iter().any(|note| note == unchecked), "{:?}", image.notes);
     }
 
     /// A gauge with MACData() returns device type and version in one answer, the most significant byte first.
@@ -789,6 +837,20 @@ mod tests {
         let error =
             read("bq27441-g1", &STREAM.replace("C: AA 00 09 01", "C: AA 00 10 01")).expect_err("firmware");
         assert!(error.to_string().contains("firmware 0x0110, which a bq27441-G1 is not"), "{error}");
+    }
+
+    #[test]
+    fn a_parameter_that_is_committed_twice_is_refused() {
+        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
+        let error = read("bq34z100-g1", &format!("{text};\n{text}")).expect_err("twice").to_string();
+        assert_eq!(error, "line 7: it-cfg/cell-terminate-voltage is also in line 3; remove one of the two");
+        let text = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
+        let error = read("bq34110", &text.repeat(2)).expect_err("twice").to_string();
+        assert_eq!(error, "line 4: calibration-data/cc-offset is also in line 2; remove one of the two");
+        // Another parameter of the same block.
+        let other = "W: AA 3E 50 01\nW: AA 57 00 01\nW: AA 60 7A\n";
+        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
+        assert!(read("bq34z100-g1", &format!("{text}{other}")).is_ok());
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
-use super::{Image, at_line, check_count, chip_of, cut_short, word};
+use super::{Group, Image, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
-use crate::error::Result;
+use crate::error::{Cause, Error, Result};
 use crate::text;
 use crate::value::{Type, Value};
 
@@ -59,9 +59,10 @@ pub fn write(image: &Image) -> String {
 }
 
 fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18] {
-    let show = |value: &Value| {
-        let text = text::render(parameter.kind, value);
-        if matches!(parameter.kind, Type::H(_)) { text.replacen("0x", "", 1) } else { text }
+    let show = |value: &Value| match (parameter.kind, value) {
+        (_, Value::Text(string)) => text::shown(string),
+        (Type::H(_), _) => text::render(parameter.kind, value).replacen("0x", "", 1),
+        _ => text::render(parameter.kind, value),
     };
     let (letter, format) = match parameter.kind {
         Type::I(_) => ("I", "dddd".to_string()),
@@ -71,8 +72,9 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
         Type::S(_) => ("S", "s".to_string()),
     };
     let (default, min, max) = match &parameter.range {
-        Range::Int { min, max, default } => {
-            (default.map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
+        // An image does not have the DM_CODE.
+        Range::Int { min, max, .. } => {
+            (parameter.int_default(None).map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
         }
         Range::Float { min, max, default } => {
             (default.map(Value::Float), Some(Value::Float(*min)), Some(Value::Float(*max)))
@@ -186,18 +188,14 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         Some((subclass, parameter))
     });
     let Some((subclass, parameter)) = row else {
-        image.leave_out(
-            number,
-            format_args!("{class}/{name}/{parameter}: not in the table; left out"),
-            false,
-        );
+        image.leave_out(number, format_args!("{class}/{name}/{parameter}: not in the table; left out"), None);
         return Ok(());
     };
     if subclass.kind == Kind::Security {
-        image.leave_out(number, format_args!("{}: a key; left out", parameter.name), true);
+        image.leave_out(number, format_args!("{}: a key; left out", parameter.name), Some(Group::Keys));
         return Ok(());
     }
-    if shown.is_empty() {
+    if shown.is_empty() && !matches!(parameter.kind, Type::S(_)) {
         return Ok(());
     }
     let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
@@ -214,15 +212,21 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         let why = format!(
             "shown in {unit}, stored in {stored}, and the file does not give the conversion; left out"
         );
-        image.leave_out(number, format_args!("{name}: {why}"), false);
+        image.leave_out(number, format_args!("{name}: {why}"), None);
         return Ok(());
     };
     let hexadecimal = match parameter.kind {
         Type::H(_) => !format.starts_with(['d', 'D']),
         _ => format.starts_with(['h', 'H']),
     };
+    if let Type::S(_) = parameter.kind {
+        let value = string(parameter, shown, field("data-flash-raw-value"));
+        let value = value.map_err(|error| error.within(&format!("line {number}")))?;
+        image.add(subclass, parameter, value, number);
+        return Ok(());
+    }
     let text = match parameter.kind {
-        Type::S(_) | Type::F4 => shown.to_string(),
+        Type::F4 => shown.to_string(),
         _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
         _ => unscaled(shown, decimals).ok_or_else(|| {
             let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
@@ -235,6 +239,23 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     Ok(())
 }
 
+/// A string as it was written: by the bytes of the row where these are what is shown, otherwise by what is shown, which
+/// somebody has edited.
+fn string(parameter: &Parameter, shown: &str, raw: Option<&str>) -> Result<Value> {
+    let raw = raw.and_then(|raw| text::unhex(raw.as_bytes()));
+    let raw = raw.filter(|raw| raw.len() == parameter.kind.size());
+    if let Some(Value::Text(string)) = raw.map(|raw| codec::decode(parameter.kind, &raw))
+        && text::shown(&string).trim() == shown
+    {
+        return Ok(Value::Text(string));
+    }
+    if !shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
+        let why = "only printable ASCII is accepted here; other bytes are in the column Data Flash Raw Value";
+        return Err(Error::new(parameter.name, Cause::Invalid(why.into())));
+    }
+    text::string(parameter, shown.into())
+}
+
 fn decimals(format: &str) -> usize {
     format.split_once('.').map_or(0, |(_, after)| after.len())
 }
@@ -243,6 +264,8 @@ fn decimals(format: &str) -> usize {
 /// another quantity than the stored one, such as a resistance for a gain.
 fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
+    // A cell's voltage is one, with or without the word.
+    let plain = |unit: &str| plain(unit).replace("percell", "/cell").trim_end_matches("/cell").to_string();
     let (shown, stored) = (plain(unit), plain(parameter.unit));
     let none = |unit: &str| matches!(unit, "" | "-" | "num" | "number" | "counts" | "hex" | "flg" | "flags");
     match parameter.kind {
@@ -348,6 +371,19 @@ mod tests {
         let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
         let error = entries(text).expect_err("sections").to_string();
         assert!(error.starts_with("line 4: a .gg file in sections"), "{error}");
+    }
+
+    /// Whether a file says that a voltage is a cell's or not, the number is the same.
+    #[test]
+    fn a_voltage_per_cell_is_read_in_either_unit() {
+        let chip = Chip::by_name("bq34110").expect("a chip");
+        for unit in ["mV", "mV/cell", "mV per cell"] {
+            let order = "* Field Order: Class name, SubClass name, Parameter name, Parameter Value, Units";
+            let text = format!("{order}\nGas Gauging,CEDV Profile,Voltage 0% DOD,4173,{unit}\n");
+            let image = parse(&text, Some(chip)).expect("an image");
+            let values: Vec<_> = image.entries.iter().map(|entry| entry.text()).collect();
+            assert_eq!((values, image.left_out.len()), (vec!["4173".to_string()], 0), "{unit}");
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::{Image, at_line, check_count, chip_of, twice};
 use crate::chip::{Chip, Kind, kebab_case};
 use crate::error::{Cause, Error, Result};
 use crate::text;
-use crate::value::Type;
+use crate::value::{Type, Value};
 
 /// The image as text.
 pub fn write(image: &Image) -> String {
@@ -28,10 +28,10 @@ pub fn write(image: &Image) -> String {
         }
         for entry in entries {
             let (parameter, shown) = (entry.parameter, entry.text());
-            let shown = match parameter.kind {
-                Type::S(_) => format!("\"{shown}\""),
+            let shown = match (parameter.kind, &entry.value) {
+                (_, Value::Text(string)) => quoted(string),
                 // A float may have more digits than a TOML integer may.
-                Type::F4 if !shown.contains('.') => shown + ".0",
+                (Type::F4, _) if !shown.contains('.') => shown + ".0",
                 _ => shown,
             };
             let marks = [
@@ -45,6 +45,16 @@ pub fn write(image: &Image) -> String {
         }
     }
     text
+}
+
+/// A string of any bytes: each is the character of its number.
+fn quoted(string: &[u8]) -> String {
+    let letters = string.iter().map(|&byte| match byte {
+        b'"' | b'\\' => format!("\\{}", char::from(byte)),
+        b' '..=b'~' => char::from(byte).to_string(),
+        _ => format!("\\u{byte:04x}"),
+    });
+    format!("\"{}\"", letters.collect::<String>())
 }
 
 /// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
@@ -137,7 +147,13 @@ fn add_table(
             let found = value.get_ref().type_str();
             return Err(at_line(number, format!("{name}: {found}, but {} is expected", parameter.kind)));
         };
-        let value = text::parse_stored(parameter, text.as_bytes());
+        let value = if is_text {
+            let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(letter).ok()).collect();
+            let why = || at_line(number, format!("{name}: a character above \\u00ff is not a byte"));
+            text::string(parameter, bytes.ok_or_else(why)?)
+        } else {
+            text::parse_stored(parameter, text.as_bytes())
+        };
         let value = value.map_err(|error| error.within(&format!("line {number}")))?;
         image.add(subclass, parameter, value, number);
     }
@@ -200,6 +216,14 @@ mod tests {
             (
                 "[it-cfg]\ncell-terminate-voltage = 40000",
                 "line 3: Cell Terminate Voltage: the value is outside",
+            ),
+            (
+                "[configuration-data]\ndevice-name = \"\\u0100\"",
+                "line 3: configuration-data/device-name: a character above \\u00ff is not a byte",
+            ),
+            (
+                "[configuration-data]\ndevice-name = \"twelve bytes\"",
+                "line 3: Device Name: 12 characters, but only 11 fit",
             ),
             ("x = 1", "line 2: x: only chip, device_type, firmware and parameters"),
             ("[it-cfg\n", "line 2: not TOML"),

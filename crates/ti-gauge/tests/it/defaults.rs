@@ -23,6 +23,7 @@ fn defaults_of_the_simulator_match_the_tables() {
         ("bq34z100-r2", 48, 33),
         // The simulated gauge was sealed by its maker.
         ("bq27441-g1", 82, 2),
+        ("bq27421-g1", 82, 2),
         ("bq27426", 82, 2),
         ("bq27427", 82, 2),
     ];

@@ -1,5 +1,6 @@
 //! The tables and the engine against simulated gauges.
 
+mod anonymous;
 mod defaults;
 mod ensemble;
 mod faults;

@@ -110,6 +110,37 @@ fn a_string_across_two_blocks_programs_both() {
     assert_eq!(rig.read(48, 43), Ok(b"\x0bTexas Inst.".to_vec()));
 }
 
+/// What is after the end of a string, and a length that is larger than the field, are no part of the value. SLUA790
+/// section 2.4 pads a new string with zeros.
+#[test]
+fn a_string_is_written_only_if_it_has_another_value() {
+    for (stored, text, other) in [
+        (b"\x04LIONjunk\0\x01\xff", "LION", "LIO"),
+        (b"\xffbq34z100-G1", "bq34z100-G1", "BQ34Z100-G1"),
+        (b"\x0c           ", "%20         %20", "          "),
+        (b"\0bq34z100-G1", "", "%00"),
+        (b"\x04AT&T (4S)\0\0", "AT%26T", "AT%26T%20"),
+    ] {
+        let mut rig = Rig::new("bq34z100-g1");
+        rig.sim.set_flash(48, 31, stored);
+        let programmed = rig.sim.get("programmed");
+        assert_eq!(rig.write(48, 31, text), Ok(Outcome::Unchanged), "{text}");
+        assert_eq!(rig.read(48, 31), Ok(stored.to_vec()), "{text}");
+        assert_eq!(rig.sim.get("programmed"), programmed, "{text}");
+        // Beside another change, in either order, and where an earlier change gives it another value.
+        let changes =
+            [(48, 31, other), (48, 55, "PbA"), (48, 31, text)].map(|(id, at, text)| rig.change(id, at, text));
+        let outcome = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO);
+        assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{outcome:?}");
+        assert_eq!(rig.read(48, 31), Ok(stored.to_vec()), "{text}");
+        assert_eq!(rig.read(48, 55), Ok(b"\x03PbA\0".to_vec()));
+        let changes = [(48, 31, text), (48, 31, other)].map(|(id, at, text)| rig.change(id, at, text));
+        let outcome = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO);
+        assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{outcome:?}");
+        assert_eq!(rig.read(48, 31), Ok(changes[1].bytes.clone()), "{other}");
+    }
+}
+
 /// In the order of the changes, those that were not programmed included.
 #[test]
 fn a_write_reports_the_bytes_that_it_replaced() {
