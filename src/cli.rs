@@ -25,6 +25,7 @@ mod manual;
 mod mount;
 mod probe;
 mod report;
+mod rescue;
 mod settle;
 mod umount;
 
@@ -50,6 +51,7 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     Probe(probe::Probe),
+    Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
     Export(export::Export),
@@ -89,6 +91,7 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),
             Self::Export(command) => command.run(),

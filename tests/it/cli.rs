@@ -122,6 +122,7 @@ fn help_texts() {
             "mount --help",
             "umount --help",
             "probe --help",
+            "rescue --help",
             "chips --help",
             "report --help",
             "export --help",
@@ -1364,4 +1365,25 @@ fn without_space_for_the_journal_nothing_is_written() {
     assert_eq!(read_only, Err(Some(nix::libc::EROFS)));
     assert_eq!((&*written, &*value), ("0", "3000"));
     ended.done();
+}
+
+#[test]
+fn rescue_checks_its_file_before_anything_else() {
+    let file = crate::scratch::folder().join(format!("rescue-{}.df.fs", std::process::id()));
+    let path = file.to_str().expect("a path in UTF-8");
+    let rescue = ["rescue", path, "--bus", "/dev/i2c-none", "--chip", "bq34z100-g1", "--yes"];
+    // Data flash alone: its first command erases one page of the firmware.
+    fs::write(&file, "W: AA 00 00 0F\nX: 1000\nW: 16 00 03 00 00\nW: 16 64 03 00\nX: 20\nC: 16 66 00\n")
+        .expect("a file");
+    let Ran { code, err, .. } = gaugefs(&rescue);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("line 4") && err.contains(".bq.fs") && !err.contains("i2c-none"), "{err}");
+    fs::write(&file, "W: 16 00 04 00 00 00 83 DE\nW: 16 64 65 01\nX: 400\nC: 16 66 00\n").expect("a file");
+    let Ran { code, err, .. } = gaugefs(&rescue);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("cut short") && !err.contains("i2c-none"), "{err}");
+    // The part is never guessed, and only parts whose files are known can be named.
+    assert_eq!(gaugefs(&rescue[..4]).code, Some(2));
+    assert_eq!(gaugefs(&["rescue", path, "--bus", "/dev/i2c-none", "--chip", "bq35100"]).code, Some(2));
+    fs::remove_file(&file).expect("it is there");
 }

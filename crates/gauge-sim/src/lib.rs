@@ -62,6 +62,7 @@ mod part;
 mod parts;
 mod random;
 mod register;
+mod rom;
 mod seal;
 mod timing;
 mod update;
@@ -252,6 +253,12 @@ impl Sim {
     /// All flash, subclass after subclass.
     pub fn flash(&self) -> Vec<u8> {
         self.lock().gauge.flash().bytes()
+    }
+
+    /// Instruction flash by rows, and data flash as the boot loader has it; `None` for a part whose boot loader is not
+    /// simulated.
+    pub fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
+        self.lock().gauge.firmware()
     }
 
     /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0

@@ -60,6 +60,9 @@ pub struct Chip {
     pub evidence: &'static [Evidence],
     /// The answers that identify the part.
     pub identity: Identity,
+    /// How a firmware file of the part is recognised, for a gauge that is left in ROM mode; `None` where no source shows
+    /// a whole one.
+    pub rom: Option<Rom>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
     /// Standard commands, by address.
@@ -161,6 +164,16 @@ pub struct RomImage {
     /// The index of the word, most significant byte first, that is the checksum of the chemistry's data. It is inferred
     /// from values; so it may prove that two chemistries are the same, and never that they differ.
     pub chemistry_sum: u16,
+}
+
+/// The Device Name in the data flash of a firmware file. Only that and the version of the firmware show which part a
+/// file is for.
+#[derive(Debug)]
+pub struct Rom {
+    /// Index of its length byte in the 32 rows.
+    pub name: usize,
+    /// What TI's files have there. A user may have changed it.
+    pub names: &'static [&'static str],
 }
 
 /// A defect of some parts that a byte of data flash reveals.

@@ -161,7 +161,7 @@ pub struct Changes<'a> {
 }
 
 /// An error about a line of a file.
-fn at_line(line: usize, why: impl Into<String>) -> Error {
+pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     Error::new(format!("line {line}"), Cause::Invalid(why.into()))
 }
 

@@ -27,6 +27,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

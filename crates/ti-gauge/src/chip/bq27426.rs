@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

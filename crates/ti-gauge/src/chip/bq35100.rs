@@ -41,6 +41,7 @@ pub static CHIP: Chip = Chip {
         answer: 0x40,
     },
     // Li-MnO2 and Li-SOCl2 are primary cells, for which the kernel has no name.
+    rom: None,
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

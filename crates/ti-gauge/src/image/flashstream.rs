@@ -12,9 +12,9 @@ use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
-pub(super) const GAUGE: u8 = 0xaa;
+pub(crate) const GAUGE: u8 = 0xaa;
 /// The address of a gauge in ROM mode, likewise.
-pub(super) const ROM: u8 = 0x16;
+pub(crate) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.
 pub(super) const ROM_MODE: u16 = 0x0f00;
 pub(super) const DEVICE_TYPE: u16 = 0x0001;
@@ -51,15 +51,26 @@ const NOT_READ: u16 = 0xffa5;
 
 /// One line of a FlashStream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Command {
-    Write { address: u8, register: u8, bytes: Vec<u8> },
-    Compare { address: u8, register: u8, bytes: Vec<u8> },
-    Read { address: u8 },
-    Wait,
+pub(crate) enum Command {
+    Write {
+        address: u8,
+        register: u8,
+        bytes: Vec<u8>,
+    },
+    Compare {
+        address: u8,
+        register: u8,
+        bytes: Vec<u8>,
+    },
+    Read {
+        address: u8,
+    },
+    /// For at least this time, in milliseconds.
+    Wait(u32),
 }
 
 /// The lines that are commands, with their numbers.
-fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
+pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
@@ -79,7 +90,7 @@ fn command(line: &str) -> Result<Command, String> {
     };
     if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
-        return decimal.map(|_| Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
+        return decimal.map(Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
     }
     if !["W", "C", "R"].iter().any(|known| letter.trim().eq_ignore_ascii_case(known)) {
         return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
@@ -167,7 +178,7 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
         Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
             *address
         }
-        Command::Wait => return Ok(()),
+        Command::Wait(_) => return Ok(()),
     };
     match address {
         GAUGE => match command {
@@ -192,7 +203,7 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
 pub(super) type Expected = Option<(usize, u16)>;
 
 /// Device type and firmware that the file expects.
-pub(super) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
+pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
     let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
@@ -215,7 +226,8 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     };
     let at = commands.iter().position(|(_, command)| asks(command))?;
     // There may be waits in between.
-    let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
+    let (number, next) =
+        commands[at + 1..].iter().find(|(_, command)| !matches!(command, Command::Wait(_)))?;
     match next {
         // The echo of ManufacturerAccessControl() comes first.
         Command::Compare { register: SELECT, bytes, .. } if bytes.len() >= 4 => Some((*number, &bytes[2..])),

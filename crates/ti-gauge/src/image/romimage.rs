@@ -97,7 +97,7 @@ struct Rom {
 impl Rom {
     fn take(&mut self, line: usize, command: &Command) -> Result<(), String> {
         match command {
-            Command::Wait => Ok(()),
+            Command::Wait(_) => Ok(()),
             Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address }
                 if ![GAUGE, ROM].contains(address) =>
             {

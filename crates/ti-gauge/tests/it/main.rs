@@ -12,6 +12,7 @@ mod power;
 mod preflight;
 mod probe;
 mod recovery;
+mod rescue;
 mod rig;
 mod rules;
 mod rules_gauge;
