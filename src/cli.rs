@@ -26,6 +26,8 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod report;
+mod rescue;
 mod settle;
 mod umount;
 
@@ -51,7 +53,9 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     Probe(probe::Probe),
+    Rescue(rescue::Rescue),
     Chips(chips::Chips),
+    Report(report::Report),
     Export(export::Export),
     Import(import::Import),
     Diff(diff::Diff),
@@ -91,7 +95,9 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
+            Self::Report(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),

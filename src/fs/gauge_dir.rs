@@ -13,6 +13,7 @@ use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Answers, Attempt, Done, Request, Seal};
+use crate::report;
 use ti_gauge::authentication;
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
@@ -52,7 +53,7 @@ static FILES: &[File] = &[
     file("itpor", Mode::Public, itpor),
     file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
         .written(|gauge, data, done| gauge.submit(Attempt::Seal, seal(data), done, Request::Seal)),
-    file("control", Mode::Write, |_| empty()).written(|gauge, data, done| {
+    file("control", Mode::ReadWrite, answered).written(|gauge, data, done| {
         gauge.submit(Attempt::Control, subcommand(gauge.chip(), data), done, Request::Control);
     }),
     file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
@@ -69,6 +70,8 @@ static FILES: &[File] = &[
     file("calibration", Mode::Read, |gauge| {
         can_calibrate(gauge).then(|| gauge.published().calibration.to_string())
     }),
+    file("report", Mode::ReadWrite, report)
+        .written(|gauge, _, done| gauge.handle.submit(Request::Report(done))),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
@@ -232,6 +235,12 @@ fn identified(gauge: &Supply) -> Option<Answers> {
     Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
 }
 
+/// The last report that was asked for.
+fn report(gauge: &Supply) -> Option<String> {
+    let report = gauge.published().report.clone();
+    Some(report.map_or_else(String::new, |report| report::text(gauge.chip(), gauge.handle.origin(), &report)))
+}
+
 fn can_authenticate(gauge: &Supply) -> bool {
     gauge.chip().authentication.is_some() && gauge.has_own_table()
 }
@@ -257,6 +266,14 @@ fn itpor(gauge: &Supply) -> Option<String> {
 /// What the attributes of a kind are multiplied by.
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
+}
+
+/// The last subcommand that was asked for, and the gauge's answer.
+fn answered(gauge: &Supply) -> Option<String> {
+    match gauge.published().control {
+        Some((code, answer)) => line(format_args!("0x{code:04x} 0x{answer:04x}")),
+        None => empty(),
+    }
 }
 
 fn digest(gauge: &Supply) -> Option<String> {

@@ -30,6 +30,8 @@ pub enum Attempt {
     Settle,
     /// To calibrate it.
     Calibrate,
+    /// To make a report.
+    Report,
     /// Something that no later success shows to be over.
     Other,
 }
@@ -48,7 +50,7 @@ impl Attempt {
             | Attempt::Interval
             | Attempt::Restore
             | Attempt::Calibrate => 1,
-            Attempt::Poll | Attempt::Read(_) | Attempt::Other => 0,
+            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Other => 0,
         }
     }
 

@@ -20,6 +20,7 @@ use super::gauging::Gauging;
 use super::knob;
 use super::model::{Kept, Model, Registers, bits};
 use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
+use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
@@ -69,8 +70,8 @@ struct Ram {
     previous: u16,
     /// Bits of CONTROL_STATUS that subcommands have set.
     marks: Vec<Status>,
-    /// ROM mode, and what its boot loader was sent.
-    rom: Option<[u8; 3]>,
+    /// ROM mode, and the boot loader.
+    rom: Option<Boot>,
     full_sleep: bool,
     /// CAL_ENABLE.
     calibration: bool,
@@ -96,6 +97,7 @@ impl Ram {
             calibration: is_set(flash, part.own.calibration),
             locked_until: ready,
             initialized_from: initialized,
+            rom: flash.firmware.as_ref().and_then(|firmware| (!firmware.is_marked()).then(Boot::default)),
             ..Self::default()
         }
     }
@@ -176,6 +178,15 @@ impl Block {
             before: [0; 0x80],
         };
         Ok(Gauge::new(device, block, options.envelope))
+    }
+
+    /// Whether its firmware is one that never answers.
+    fn is_dead(&self, flash: &Flash) -> bool {
+        match (&self.ram.rom, &flash.firmware) {
+            (Some(boot), _) => boot.ruined,
+            (None, Some(firmware)) => !firmware.is_sound(),
+            (None, None) => false,
+        }
     }
 
     fn sealed(&self) -> bool {
@@ -469,7 +480,7 @@ impl Block {
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
             Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
             Action::Shutdown if self.is(device, Status::ShutdownArmed) => device.power_down(self, None),
-            Action::Rom => self.ram.rom = Some([0xFF; 3]),
+            Action::Rom => self.ram.rom = Some(Boot::default()),
             Action::Hdq => {
                 device.flash.hdq = true;
                 device.save();
@@ -483,16 +494,32 @@ impl Block {
         }
     }
 
-    /// A byte for the boot loader, of which only the way out is known: 0x0F at 0x00 and 0x000F at 0x64.
-    fn write_rom(&mut self, device: &mut Device, mut sent: [u8; 3], register: u8, byte: u8) {
-        match register {
-            0x00 => sent[0] = byte,
-            0x64 | 0x65 => sent[usize::from(register - 0x63)] = byte,
-            _ => {}
+    /// A byte for the boot loader.
+    fn write_rom(&mut self, device: &mut Device, register: u8, byte: u8) {
+        // Data flash counts when a command is started.
+        let data = if register == 0x65 { device.part.rom_data(&device.flash) } else { Vec::new() };
+        let effect = match (&mut self.ram.rom, &mut device.flash.firmware) {
+            (Some(boot), Some(firmware)) => boot.write(firmware, &data, register, byte, device.now),
+            _ => None,
+        };
+        self.affect(device, effect);
+        if register == 0x65 {
+            device.save();
         }
-        self.ram.rom = Some(sent);
-        if sent == [0x0F, 0x0F, 0x00] {
-            device.power_up(self);
+    }
+
+    /// What the boot loader does to the rest of the gauge.
+    fn affect(&mut self, device: &mut Device, effect: Option<Effect>) {
+        match effect {
+            Some(Effect::Data(parts)) => {
+                let mut data = device.part.rom_data(&device.flash);
+                for (at, bytes) in parts {
+                    data[at..at + bytes.len()].copy_from_slice(&bytes);
+                }
+                device.part.set_rom_data(&mut device.flash, data);
+            }
+            Some(Effect::Leave) => device.power_up(self),
+            None => {}
         }
     }
 
@@ -525,8 +552,11 @@ impl Block {
 
 impl Wire for Block {
     fn address(&self, flash: &Flash) -> Option<u8> {
-        let address = if self.ram.rom.is_some() { ROM_ADDRESS } else { GAUGE_ADDRESS };
-        (!flash.hdq).then_some(address)
+        match &self.ram.rom {
+            _ if flash.hdq || self.is_dead(flash) => None,
+            Some(_) => Some(ROM_ADDRESS),
+            None => Some(GAUGE_ADDRESS),
+        }
     }
 
     fn wake(&mut self, device: &Device) -> Duration {
@@ -549,8 +579,8 @@ impl Wire for Block {
     }
 
     fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool {
-        if let Some(sent) = self.ram.rom {
-            self.write_rom(device, sent, register, byte);
+        if self.ram.rom.is_some() {
+            self.write_rom(device, register, byte);
             return true;
         }
         if !self.writable(register) {
@@ -571,8 +601,8 @@ impl Wire for Block {
     }
 
     fn read(&mut self, device: &Device, register: u8) -> u8 {
-        if self.ram.rom.is_some() {
-            return 0;
+        if let Some(boot) = &self.ram.rom {
+            return boot.read(register);
         }
         let window = &self.ram.window;
         match register {
@@ -640,6 +670,13 @@ impl Wire for Block {
             self.gauging.first_voltage();
         }
         if device.is_on()
+            && let (Some(boot), Some(firmware)) = (&mut self.ram.rom, &mut device.flash.firmware)
+            && let Some(effect) = boot.run(firmware, device.now)
+        {
+            self.affect(device, effect);
+            device.save();
+        }
+        if device.is_on()
             && let Some((exit, at)) = self.ram.update.run(device.now)
         {
             let now = mem::replace(&mut device.now, at);
@@ -691,6 +728,7 @@ impl Wire for Block {
     fn mode(&self, flash: &Flash) -> &'static str {
         match () {
             () if flash.hdq => "hdq",
+            () if self.is_dead(flash) => "dead",
             () if self.ram.rom.is_some() => "rom",
             () if self.ram.marks.contains(&Status::Calibrating) => "calibration",
             () if self.ram.update.shows() => "config-update",

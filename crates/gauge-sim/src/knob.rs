@@ -69,7 +69,7 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Block.set("noise_mv", "largest noise of Voltage() in mV"),
     Of::Block.set("noise_ma", "largest noise of Current() in mA"),
     Of::Gauge.set("power", "`on` or `off`: without it the gauge loses its RAM and does not answer"),
-    Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, hdq or off"),
+    Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, dead, hdq or off"),
     Of::Block.set("protocol", "`i2c` or `hdq`: the interface the gauge listens on"),
     Of::Gauge.show("seal", "sealed, unsealed or full-access"),
     Of::Gauge.show("wear", "blocks that were programmed and how often: subclass/block count ..."),

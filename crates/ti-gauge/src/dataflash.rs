@@ -24,6 +24,7 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal};
 use crate::value::Value;
 
+mod anonymous;
 mod blocks;
 mod calmode;
 mod checks;
@@ -36,6 +37,7 @@ mod session;
 mod settle;
 mod wear;
 
+pub use anonymous::{anonymous, sample};
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
@@ -191,8 +193,32 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
+        let read = self.read_found(gauge, wanted, waited, |_| true);
+        read.map(Option::unwrap_or_default)
+    }
+
+    /// The same of a gauge that is open. `None` from one that is sealed: it is left alone.
+    pub fn read_if_open(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[&'static Subclass],
+    ) -> Result<Option<Vec<Vec<u8>>>> {
+        self.read_found(gauge, wanted, Duration::ZERO, |found| found != Seal::Sealed)
+    }
+
+    /// Reads subclasses if the seal state that the gauge is found in allows it.
+    fn read_found(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[&'static Subclass],
+        waited: Duration,
+        allowed: impl Fn(Seal) -> bool,
+    ) -> Result<Option<Vec<Vec<u8>>>> {
         let outcome = in_time(gauge, waited, |gauge, asked| {
             let found = gauge.seal()?;
+            if !allowed(found) {
+                return Ok(None);
+            }
             let mut session = Session::new(found, asked);
             // While something is pending its own entry owes the seal.
             if found == Seal::Sealed && self.find_pending().is_none() {
@@ -216,7 +242,7 @@ impl DataFlash {
                 wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
-            self.end(session, gauge, read)
+            self.end(session, gauge, read).map(Some)
         });
         self.noted(outcome)
     }
@@ -580,6 +606,20 @@ impl Change {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.
+    pub fn check_reserved(&self, stored: &[u8]) -> Result<()> {
+        let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
+            return Ok(());
+        };
+        let old = integer(parameter, stored);
+        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
+        if differ == 0 {
+            return Ok(());
+        }
+        let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
+        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
     }
 
     /// Name for the log: the parameter's name, or the place of undocumented bytes.

@@ -382,6 +382,6 @@ fn in_rom(chip: &Chip, error: Error) -> Error {
         return error;
     }
     let why = "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode \
-               answers at 0x0b only: finish the programming there";
+               answers at 0x0b only: `gaugefs rescue` brings it back";
     Error::new(chip.model, Cause::NoAnswer(why.into())).at(Step::Identify)
 }

@@ -351,18 +351,9 @@ pub(super) fn plan(
     Plan { reset, reset_sent: false, marks, blocks: blocks.collect() }
 }
 
-/// The register that distinguishes packs. A chemistry ID is no serial number.
-fn serial(chip: &Chip) -> Option<u8> {
-    let pack = chip.preflight.pack.as_ref()?;
-    match pack.word {
-        Word::Register(code) => Some(code),
-        Word::ControlStatus | Word::Answer(_) => None,
-    }
-}
-
 /// The serial number, read until two reads agree because I2C has no error detection.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some(register) = serial(gauge.chip) else { return Ok(0) };
+    let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
     let mut read = || read_word(gauge, Word::Register(register));
     let mut last = read()?;
     for _ in 0..3 {

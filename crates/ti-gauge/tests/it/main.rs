@@ -1,5 +1,6 @@
 //! The tables and the engine against simulated gauges.
 
+mod anonymous;
 mod calibration;
 mod defaults;
 mod ensemble;
@@ -12,6 +13,7 @@ mod power;
 mod preflight;
 mod probe;
 mod recovery;
+mod rescue;
 mod rig;
 mod rules;
 mod rules_gauge;
