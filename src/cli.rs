@@ -13,6 +13,8 @@ use crate::error::Result;
 use crate::key_file;
 
 mod auth;
+mod bringup;
+mod calibrate;
 mod chips;
 mod completions;
 mod diff;
@@ -24,6 +26,8 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod report;
+mod rescue;
 mod settle;
 mod umount;
 
@@ -49,12 +53,16 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     Probe(probe::Probe),
+    Rescue(rescue::Rescue),
     Chips(chips::Chips),
+    Report(report::Report),
     Export(export::Export),
     Import(import::Import),
     Diff(diff::Diff),
     Lint(lint::Lint),
     Settle(settle::Settle),
+    Bringup(bringup::BringUp),
+    Calibrate(calibrate::Calibrate),
     Auth(auth::Auth),
     Keys(keys::Command),
     #[cfg(feature = "screen")]
@@ -87,12 +95,16 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
+            Self::Report(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),
             Self::Lint(command) => command.run(),
             Self::Settle(command) => command.run(),
+            Self::Bringup(command) => command.run(),
+            Self::Calibrate(command) => command.run(),
             Self::Auth(command) => command.run(),
             Self::Keys(command) => command.run(),
             #[cfg(feature = "screen")]

@@ -20,7 +20,7 @@ mod from_toml;
 mod values;
 
 use values::Key;
-pub(crate) use values::{address, chip_names};
+pub(crate) use values::{address, chip_names, chips};
 
 // No documentation on these two: clap would take it for the description of the subcommand.
 

@@ -19,13 +19,17 @@ pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
 pub mod node;
+mod report;
 pub mod service;
 mod shutdown;
 mod source;
 
 use gauges::{Opening, Ready};
+pub(crate) use report::report;
 use shutdown::{Phase, Shutdown, finish};
 pub(crate) use source::Source;
+#[cfg(test)]
+pub(crate) use source::recorded;
 
 /// How the daemon of a mount runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

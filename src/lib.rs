@@ -15,5 +15,6 @@ pub mod key_file;
 pub mod lock;
 mod mounted;
 pub mod owner;
+mod report;
 #[cfg(feature = "screen")]
 mod screen;

@@ -245,7 +245,9 @@ pub fn mountpoint_of(file: &mut File, pid: i32) -> Option<PathBuf> {
     file.take(8192).read_to_end(&mut line).ok()?;
     let space = line.iter().position(|&byte| byte == b' ')?;
     let writer: i32 = str::from_utf8(&line[..space]).ok()?.parse().ok()?;
-    (writer == pid).then(|| PathBuf::from(OsStr::from_bytes(&line[space + 1..])))
+    let path = &line[space + 1..];
+    // A command that mounts nothing writes no mount point.
+    (writer == pid && !path.is_empty()).then(|| PathBuf::from(OsStr::from_bytes(path)))
 }
 
 /// The locks of all processes.

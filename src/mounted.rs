@@ -13,9 +13,14 @@ use ti_gauge::text;
 use crate::error::{Cause, Error, Result};
 
 /// Reads a mounted gauge as it is now, or a file of any format. `chip` is what a file is for where it does not say
-/// so itself.
-pub(crate) fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Image> {
-    if path.is_dir() { now(path) } else { Ok(Image::open(path, chip)?) }
+/// so itself. An image that holds firmware as well is refused, unless only its data flash is asked for.
+pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
+    if path.is_dir() {
+        return now(path);
+    }
+    let image = Image::open(path, chip)?;
+    image.check_firmware(data_flash).map_err(|error| error.within(&path.display().to_string()))?;
+    Ok(image)
 }
 
 /// The chip of a mounted gauge, without reading its data flash.
@@ -122,7 +127,7 @@ fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
         }
         if *value == "-" {
             let text = format!("{}: the gauge does not show its value", parameter.name);
-            image.left_out.push(LeftOut { text, is_key: false });
+            image.left_out.push(LeftOut { text, group: None });
             continue;
         }
         let value = text::parse_stored(parameter, value.as_bytes())?;
@@ -133,6 +138,54 @@ fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
         return Err(Error::new("", Cause::NotPermitted(why.into())));
     }
     Ok(image)
+}
+
+/// What a mounted gauge answers to a subcommand that it answers with a word.
+pub(crate) fn ask(gauge: &Path, code: u16) -> Result<u16> {
+    let path = gauge.join("gauge/control");
+    let name = path.display().to_string();
+    let file = File::options().write(true).open(&path);
+    let mut file = file.map_err(|error| Error::io(&name, "cannot be written", &error))?;
+    file.write_all(format!("0x{code:04x}").as_bytes())
+        .map_err(|error| refused(gauge, "the gauge does not answer the subcommand", &error))?;
+    let text = fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+    let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
+    answer.and_then(|(_, answer)| word(answer.trim())).ok_or_else(|| {
+        let why = "holds the answer to another subcommand: somebody else has written it; try again";
+        Error::new(name, Cause::Busy(why.into()))
+    })
+}
+
+/// Makes sure that a gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line
+/// that says so.
+pub(crate) fn check_chemistry(gauge: &Path, chip: &Chip, expected: u16) -> Result<String> {
+    /// Set if the gauge's data of the chemistry does not have the sum that is stored with it.
+    const DIFFERS: u16 = 0x8000;
+    let name = gauge.display().to_string();
+    let chem_id = text(gauge, "gauge/chem_id").unwrap_or_default();
+    let chem_id = match chem_id.trim() {
+        "" => "CHEM_ID unknown".to_string(),
+        id => format!("CHEM_ID {id}"),
+    };
+    let refuse = |why: String| {
+        let why = format!(
+            "{why}. An import does not write the chemistry: program it with TI's tools, or pass --same-chemistry if \
+             the image was made from a gauge with that CHEM_ID"
+        );
+        Err(Error::new(&name, Cause::Invalid(why)))
+    };
+    let Some(sum) = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM") else {
+        return refuse(format!("whether it has the image's chemistry is unknown ({chem_id})"));
+    };
+    match ask(gauge, sum.code)? {
+        sum if sum == expected => Ok(format!("same chemistry ({chem_id}, checksum 0x{sum:04x})")),
+        sum if sum & DIFFERS != 0 => {
+            refuse(format!("it reports that its own chemistry is damaged ({chem_id}, checksum 0x{sum:04x})"))
+        }
+        sum => refuse(format!(
+            "another chemistry: {chem_id}, checksum 0x{sum:04x}, but the image has checksum 0x{expected:04x}"
+        )),
+    }
 }
 
 /// All bytes of a subclass of a mounted gauge.

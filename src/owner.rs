@@ -5,9 +5,10 @@
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
-//! says which failure is shown, `backup` saves a gauge's configuration before the first write, `arrival` identifies
-//! a gauge that comes or comes back, `poll` reads its registers, and `debt` pays what a failed access has left: a
-//! seal, or a write that is neither done nor undone.
+//! says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
+//! first write, `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, `report` records all
+//! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
+//! undone.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -31,9 +32,11 @@ use ti_gauge::registers::Registers;
 mod arrival;
 mod attempt;
 mod backup;
+mod calibrate;
 mod debt;
 mod handle;
 mod poll;
+mod report;
 mod request;
 #[cfg(test)]
 pub(crate) mod rig;
@@ -45,6 +48,7 @@ use debt::Debt;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
+pub use report::{Origin, Report};
 pub use request::{Done, Request};
 
 /// How a gauge is run.
@@ -101,6 +105,8 @@ pub struct Startup {
     pub unverified: bool,
     /// Why the gauge cannot be reached yet.
     pub missing: Option<Error>,
+    /// Where it is.
+    pub origin: Origin,
 }
 
 /// Starts the owner of a gauge, and waits until it has identified and polled the gauge.
@@ -153,6 +159,8 @@ struct Owner {
     rare: Registers,
     /// The static tier has been read since data flash last changed.
     statics_are_current: bool,
+    /// What attributes need of data flash has been read since then, or was tried.
+    looked: bool,
     control_status: u16,
     /// When the gauge was last asked what it is.
     identified: Duration,
@@ -187,7 +195,7 @@ impl Owner {
         if let Some(file) = settings.key_file.take() {
             gauge.key_file = file;
         }
-        let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, signal));
+        let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, startup.origin, signal));
         let owner = Self {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
@@ -196,6 +204,7 @@ impl Owner {
             debt: Debt::default(),
             rare: Registers::UNREAD,
             statics_are_current: false,
+            looked: false,
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
@@ -279,7 +288,8 @@ impl Owner {
         self.debt = Debt::default();
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
-            (published.snapshot, published.digest) = (None, None);
+            published.snapshot = None;
+            (published.digest, published.control) = (None, None);
             (published.owed, published.settling) = ("".into(), "".into());
         });
         self.shared.report(attempt, &error);
@@ -310,6 +320,7 @@ impl Owner {
     /// The same for one and the same gauge, whose scales have not changed.
     fn forget_values(&mut self) {
         self.statics_are_current = false;
+        self.looked = false;
         self.shared.forget_all();
     }
 }

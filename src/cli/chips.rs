@@ -1,5 +1,6 @@
 //! `gaugefs chips`.
 
+use std::fmt::Write as _;
 use std::iter;
 use std::process::ExitCode;
 
@@ -7,12 +8,29 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{align, print, print_json};
+use crate::config::chips;
 use crate::error::Result;
-use ti_gauge::chip::{Chip, Evidence, Scheme};
+use gauge_sim::Sim;
+use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register, Scheme};
 
-/// List the supported gauges and what each table is based on
+const CHIPS: &str = "\
+ATTRIBUTES counts the registers that feed the files of a power supply, and READ and WRITE the
+parameters of data flash, keys not counted; WRITE is how many of them can be written without
+--allow-unproven, because their address and range are certain. KEYS: a sealed gauge can be unsealed, or its keys changed as
+well. EVIDENCE is what the table was written from and checked with: `real part` where a report of
+real hardware is one of the tests. `gaugefs report` makes such a report.
+
+Examples:
+  gaugefs chips
+  gaugefs chips bq34z100-g1";
+
+/// List the supported gauges: what works, how far it is proven, and by what
 #[derive(Args, Debug)]
+#[command(after_help = CHIPS)]
 pub(super) struct Chips {
+    /// Show one chip in detail
+    #[arg(value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true)]
+    chip: Option<&'static Chip>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -23,62 +41,132 @@ pub(super) struct Chips {
 struct Row {
     name: &'static str,
     model: &'static str,
+    attributes: usize,
     data_flash: &'static str,
     parameters: usize,
     unproven: usize,
-    evidence: &'static str,
+    readable: usize,
+    writable: usize,
+    keys: &'static str,
+    authentication: bool,
+    simulated: bool,
+    evidence: Vec<&'static str>,
     documents: &'static [&'static str],
 }
 
 impl Row {
     fn new(chip: &'static Chip) -> Self {
+        let count = |register: &&Register| register.role.is_some();
+        let all = || chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
+        let is_shown = || chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
+        let readable = || is_shown().flat_map(|subclass| subclass.parameters);
         Self {
             name: chip.name,
             model: chip.model,
+            attributes: chip.registers.iter().filter(count).count(),
             data_flash: scheme(chip),
-            parameters: parameters(chip),
-            unproven: unproven(chip),
-            evidence: evidence(chip.evidence),
+            parameters: all().count(),
+            unproven: all().filter(|parameter| parameter.unproven).count(),
+            readable: readable().count(),
+            writable: readable().filter(|parameter| !parameter.unproven).count(),
+            keys: keys(chip),
+            authentication: chip.authentication.is_some(),
+            simulated: Sim::knows(chip.name),
+            evidence: chip.evidence.iter().map(|evidence| evidence.as_str()).collect(),
             documents: chip.documents,
         }
     }
 
-    fn cells(&self) -> [String; 6] {
-        let document = self.documents.first().copied().unwrap_or_default();
-        let (parameters, unproven) = (self.parameters.to_string(), self.unproven.to_string());
+    fn cells(&self) -> [String; 9] {
         [
             self.name.into(),
+            self.attributes.to_string(),
             self.data_flash.into(),
-            parameters,
-            unproven,
-            self.evidence.into(),
-            document.into(),
+            self.readable.to_string(),
+            self.writable.to_string(),
+            self.keys.into(),
+            yes(self.authentication).into(),
+            yes(self.simulated).into(),
+            self.evidence.join(", "),
         ]
     }
 }
 
 impl Chips {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let rows: Vec<_> = Chip::all().map(Row::new).collect();
-        if self.json {
-            print_json(&rows);
-        } else {
-            let header = ["CHIP", "DATA", "PARAMETERS", "UNPROVEN", "EVIDENCE", "DOCUMENT"].map(String::from);
-            let cells = rows.iter().map(Row::cells);
-            print(&align(&iter::once(header).chain(cells).collect::<Vec<_>>()));
+        match self.chip {
+            Some(chip) if self.json => print_json(&Row::new(chip)),
+            Some(chip) => print(&details(chip)),
+            None => list(self.json),
         }
         Ok(ExitCode::SUCCESS)
     }
 }
 
-fn parameters(chip: &Chip) -> usize {
-    chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum()
+/// Prints every chip.
+fn list(json: bool) {
+    let rows: Vec<_> = Chip::all().map(Row::new).collect();
+    if json {
+        return print_json(&rows);
+    }
+    let header = ["CHIP", "ATTRIBUTES", "DATA", "READ", "WRITE", "KEYS", "AUTH", "SIMULATED", "EVIDENCE"];
+    let cells = rows.iter().map(Row::cells);
+    print(&align(&iter::once(header.map(String::from)).chain(cells).collect::<Vec<_>>()));
 }
 
-/// Parameters that are read-only because their address or range is uncertain.
-fn unproven(chip: &Chip) -> usize {
-    let rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
-    rows.filter(|parameter| parameter.unproven).count()
+/// One chip in lines of its own.
+fn details(chip: &'static Chip) -> String {
+    let row = Row::new(chip);
+    let flash = match chip.access.scheme {
+        Scheme::None => "none: it is only read".to_string(),
+        _ => format!(
+            "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven",
+            row.readable,
+            row.data_flash,
+            row.writable,
+            row.readable - row.writable
+        ),
+    };
+    let keys = match (&chip.security.storage, row.keys) {
+        (KeyStorage::Fixed(why), "unseal") => format!("it can be unsealed; changing keys: {why}"),
+        (_, "unseal, change") => "it can be unsealed, and its keys changed".to_string(),
+        _ => "none".to_string(),
+    };
+    let lines = [
+        ["attributes".to_string(), format!("{} registers feed the files of a power supply", row.attributes)],
+        ["data flash".to_string(), flash],
+        ["keys".to_string(), keys],
+        ["authentication".to_string(), yes(row.authentication).to_string()],
+        ["simulated".to_string(), yes(row.simulated).to_string()],
+    ];
+    let evidence = chip.evidence.iter().map(|one| [one.as_str().to_string(), one.meaning().to_string()]);
+    let mut text = format!("{}\n", chip.model);
+    let mut section = |title: &str, table: &str| {
+        // Writing to a String does not fail.
+        let _ = writeln!(text, "\n{title}:");
+        for line in table.lines() {
+            let _ = writeln!(text, "  {line}");
+        }
+    };
+    section("What works", &align(&lines));
+    section("How far it is proven", &align(&evidence.collect::<Vec<_>>()));
+    if !chip.evidence.contains(&Evidence::RealPart) {
+        section("Not proven", "on a real part: no report of one has come in; see `gaugefs report --help`");
+    }
+    section("Documents", &chip.documents.join("\n"));
+    text
+}
+
+fn yes(is: bool) -> &'static str {
+    if is { "yes" } else { "no" }
+}
+
+fn keys(chip: &Chip) -> &'static str {
+    match chip.security.storage {
+        _ if !chip.has_table() => "none",
+        KeyStorage::Fixed(_) => "unseal",
+        KeyStorage::Flash(_) => "unseal, change",
+    }
 }
 
 fn scheme(chip: &Chip) -> &'static str {
@@ -86,13 +174,5 @@ fn scheme(chip: &Chip) -> &'static str {
         Scheme::None => "none",
         scheme if scheme.is_ram() => "RAM",
         _ => "flash",
-    }
-}
-
-fn evidence(evidence: Evidence) -> &'static str {
-    match evidence {
-        Evidence::Manual => "manual",
-        Evidence::Transcript => "manual, transcripts",
-        Evidence::Unproven => "relatives, drivers",
     }
 }

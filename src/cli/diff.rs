@@ -12,7 +12,7 @@ use crate::config::chip_names;
 use crate::error::Result;
 use crate::mounted;
 use ti_gauge::chip::Chip;
-use ti_gauge::image::{Group, LeftOut};
+use ti_gauge::image::Group;
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
@@ -37,6 +37,9 @@ pub(super) struct Diff {
     /// Chip to assume if a file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
+    /// Compare only the data flash of a .bq.fs, which also holds firmware
+    #[arg(long)]
+    data_flash: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -63,11 +66,11 @@ impl Diff {
         let chip_of = |path: &Path| if path.is_dir() { mounted::chip(path).map(Some) } else { Ok(None) };
         // Files first: one that is refused leaves the gauge alone.
         let (a, b) = if self.b.is_dir() {
-            let a = mounted::open(&self.a, named.or(chip_of(&self.b)?))?;
+            let a = mounted::open(&self.a, named.or(chip_of(&self.b)?), self.data_flash)?;
             (a, mounted::now(&self.b)?)
         } else {
-            let b = mounted::open(&self.b, named.or(chip_of(&self.a)?))?;
-            (mounted::open(&self.a, named.or(Some(b.chip)))?, b)
+            let b = mounted::open(&self.b, named.or(chip_of(&self.a)?), self.data_flash)?;
+            (mounted::open(&self.a, named.or(Some(b.chip)), self.data_flash)?, b)
         };
         let exclude: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
         let comparison = a.compare(&b, &exclude)?;
@@ -85,8 +88,7 @@ impl Diff {
         }
         let sides = [(&a, &self.a, &comparison.only_first), (&b, &self.b, &comparison.only_second)];
         for (image, path, only) in sides {
-            let counts = |left: &&LeftOut| !(left.is_key && exclude.contains(&Group::Keys));
-            for left in image.left_out.iter().filter(counts) {
+            for left in image.left_out.iter().filter(|left| left.counts(&exclude)) {
                 eprintln!("gaugefs: {}: {}", path.display(), left.text);
             }
             if !only.is_empty() {

@@ -1,7 +1,7 @@
 //! `gaugefs doctor`: checks this machine for problems and shows remedies.
 //!
 //! It only reads: files below one root folder, which a test fills as it likes, the output of systemctl,
-//! and what an adapter reports about itself. It sends nothing on a bus.
+//! and what an adapter reports about itself. It sends nothing on a bus unless the user names one.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -19,18 +19,24 @@ mod config;
 mod fuse;
 mod host;
 mod mounts;
+mod rom;
 mod service;
 
 use host::Host;
 
 const DOCTOR: &str = "\
-It reads files and asks adapters for their capabilities; it sends nothing on a bus. A problem
-prevents some use of gaugefs, a warning is worth knowing. Exit code 0: no problem, 1: at least one.";
+It reads files and asks adapters for their capabilities; it sends nothing on a bus. With --bus it
+reads a byte at 0x55 and at 0x0b of that bus, where a gauge in ROM mode answers. A problem
+prevents some use of gaugefs, a warning is worth knowing. Exit code 0: no problem, 1: at least
+one.";
 
 /// Check this machine for problems, and show how to fix them
 #[derive(Args, Debug)]
 #[command(after_help = DOCTOR)]
 pub(super) struct Doctor {
+    /// Also look for a gauge in ROM mode on this I2C bus, such as /dev/i2c-1
+    #[arg(long, value_name = "DEVICE")]
+    bus: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -94,6 +100,9 @@ impl Doctor {
         findings.extend(mounts::check(&host));
         findings.extend(config::check(&host));
         findings.extend(service::check(&host, &configured));
+        if let Some(bus) = &self.bus {
+            findings.push(rom::check(bus)?);
+        }
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
         if self.json {
             print_json(&Report { findings });

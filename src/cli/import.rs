@@ -16,10 +16,13 @@ mod progress;
 
 const IMPORT: &str = "\
 The gauge is polled and its configuration read first. The differences are written through
-df/transaction, all of them or none, and printed. Keys are never written, nor parameters whose
-address or range is uncertain: what is passed over is listed on standard error. A FlashStream that
-would change undocumented bytes is refused, unless --raw writes them or --exclude undocumented
-skips them.
+df/transaction, all of them or none, and printed. Keys are never written, nor, without
+--allow-unproven, parameters whose address or range is uncertain: what is passed over is listed on
+standard error. A FlashStream that would change undocumented bytes is refused, unless --raw writes
+them or --exclude undocumented skips them.
+
+A .df.fs or .bq.fs of a bq34z100 is read as its parameters, which are written like any others; ROM
+mode is never entered. The chemistry in it is not written: the gauge must have the same one.
 
 Exit code 0: the gauge has everything that the file asks for and no group excludes, 3: it has,
 except for what was passed over, 1: failed. With --dry-run, as diff(1) has them: 0: the gauge has
@@ -52,6 +55,15 @@ pub(super) struct Import {
     /// Also write bytes that no manual documents
     #[arg(long)]
     raw: bool,
+    /// Also write parameters whose address or range is uncertain, on a mount with --allow-unproven
+    #[arg(long)]
+    allow_unproven: bool,
+    /// Take only the data flash of a .bq.fs, which also holds firmware
+    #[arg(long)]
+    data_flash: bool,
+    /// The gauge has the chemistry of a .df.fs or .bq.fs, although its checksum does not prove that
+    #[arg(long)]
+    same_chemistry: bool,
 }
 
 /// The groups of parameters that an import or a comparison can skip.
@@ -80,7 +92,12 @@ impl Import {
         // A file that is refused leaves the gauge alone.
         let file = self.file(mounted::chip(&self.gauge)?, &groups)?;
         let gauge = mounted::now(&self.gauge)?;
-        let Changes { changes, passed_over } = gauge.changes(&file, &groups).map_err(named)?;
+        if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
+            let same = mounted::check_chemistry(&self.gauge, gauge.chip, sum)?;
+            eprintln!("gaugefs: {}: {same}", self.gauge.display());
+        }
+        let Changes { changes, passed_over } =
+            gauge.changes(&file, &groups, self.allow_unproven).map_err(named)?;
         let raw = if groups.contains(&Group::Undocumented) {
             Vec::new()
         } else {
@@ -111,7 +128,7 @@ impl Import {
     /// Reads the file, which must name the chip and, with `--complete`, hold everything that can be written.
     fn file(&self, chip: &'static Chip, exclude: &[Group]) -> Result<Image> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
-        let file = mounted::open(&self.file, named.or(Some(chip)))?;
+        let file = mounted::open(&self.file, named.or(Some(chip)), self.data_flash)?;
         let refuse = |why: String| Err(Error::new(self.file.display().to_string(), Cause::Invalid(why)));
         if named.is_none() && !file.names_chip {
             return refuse("it does not say which gauge it is for; name it with --chip".into());

@@ -33,6 +33,9 @@ pub(super) struct Lint {
     /// Also accept bytes that no manual documents
     #[arg(long)]
     raw: bool,
+    /// Check only the data flash of a .bq.fs, which also holds firmware
+    #[arg(long)]
+    data_flash: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -88,14 +91,14 @@ fn notes(image: &Image) -> impl Iterator<Item = &str> {
 
 impl Lint {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name))?;
+        let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name), self.data_flash)?;
         if self.json {
             print_json(&Report::new(&image));
         } else {
             print(&self.text(&image));
         }
         let mut code = ExitCode::SUCCESS;
-        let values = image.entries.iter().filter_map(|entry| entry.not_imported().err());
+        let values = image.entries.iter().filter_map(|entry| entry.not_imported(false).err());
         let raw = image.raw.chunk_by(|one, other| one.line == other.line);
         let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
         for error in values.chain(raw) {
@@ -109,7 +112,7 @@ impl Lint {
         let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
         let rows = image.entries.iter().map(|entry| {
             let unit = entry.parameter.unit;
-            let mark = if matches!(entry.not_imported(), Ok(Some(_))) { "not imported" } else { "" };
+            let mark = if matches!(entry.not_imported(false), Ok(Some(_))) { "not imported" } else { "" };
             let value = format!("{} {unit}", entry.text());
             [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
         });

@@ -1,6 +1,5 @@
 //! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`ti_gauge::probe`].
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -114,11 +113,27 @@ impl Probe {
             rows.push([format!("0x{:02x}", found.address), who, found.details.clone()]);
         }
         let mut table = align(&rows);
-        if self.address.is_none() && found.iter().any(|found| found.state == State::Maybe) {
-            // Writing to a String does not fail.
-            let _ = writeln!(table, "To identify it: gaugefs probe --bus {adapter} --address 0x55");
+        if self.address.is_none() {
+            table += &advice(found, &adapter.to_string());
         }
         table
+    }
+}
+
+/// What to do next, as lines.
+fn advice(found: &[Found], bus: &str) -> String {
+    let at = |address, states: &[State]| {
+        found.iter().any(|found| found.address == address && states.contains(&found.state))
+    };
+    if at(GAUGE_ADDRESS, &[State::Maybe]) {
+        format!("To identify it: gaugefs probe --bus {bus} --address 0x55\n")
+    } else if at(GAUGE_ADDRESS, &[State::Nothing]) && at(ROM_ADDRESS, &[State::Rom]) {
+        format!(
+            "If it is a gauge, it answers at 0x0b only because its firmware is not whole. Switch its power off and on; if that\n\
+             does not help: gaugefs rescue FILE.bq.fs --bus {bus} --chip CHIP\n"
+        )
+    } else {
+        String::new()
     }
 }
 
@@ -192,7 +207,7 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
     let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
     match probe::answers_in_rom(&mut bus) {
         Ok(true) => {
-            let details = "either a gauge whose firmware update was interrupted, or another device";
+            let details = "either a gauge whose firmware update was interrupted, or a smart battery";
             found(State::Rom, details.into())
         }
         Ok(false) => found(State::Nothing, String::new()),
@@ -219,4 +234,21 @@ fn reads(reading: &Reading) -> String {
     add(Role::Capacity, &|percent| format!("{percent} %"));
     add(Role::Temp, &|kelvin| format!("{:.1} °C", (kelvin - 2731.0) / 10.0));
     parts.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gauge_in_rom_mode_is_followed_by_the_way_out() {
+        let at = |address, state| Found { address, state, chips: Vec::new(), details: String::new() };
+        let advice = |gauge, rom| advice(&[at(GAUGE_ADDRESS, gauge), at(ROM_ADDRESS, rom)], "/dev/i2c-1");
+        assert!(
+            advice(State::Nothing, State::Rom).contains("gaugefs rescue FILE.bq.fs --bus /dev/i2c-1 --chip")
+        );
+        assert!(advice(State::Maybe, State::Rom).contains("probe"), "a smart battery beside a gauge");
+        assert_eq!(advice(State::Driver, State::Rom), "");
+        assert_eq!(advice(State::Nothing, State::Nothing), "");
+    }
 }

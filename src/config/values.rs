@@ -30,7 +30,7 @@ pub(crate) fn chip_names() -> PossibleValuesParser {
 }
 
 /// The chips as clap takes them, which lists them in errors and completes them in shells.
-pub(super) fn chips() -> impl TypedValueParser<Value = &'static Chip> {
+pub(crate) fn chips() -> impl TypedValueParser<Value = &'static Chip> {
     chip_names().map(|name| chip(&name).expect("clap accepts only names of chips"))
 }
 

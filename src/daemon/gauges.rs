@@ -15,8 +15,9 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Knobs, MountedGauge};
 use crate::key_file;
 use crate::lock::Lock;
-use crate::owner::{self, Backup, Settings, Signal, Startup};
+use crate::owner::{self, Backup, Origin, Settings, Signal, Startup};
 use gauge_bus::clock::Clock;
+use gauge_bus::linux::Adapter;
 use gauge_bus::trace::Trace;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
@@ -158,7 +159,12 @@ impl Opening {
             journal: place.clone().map(|(folder, key)| Journal::new(folder, key, subject.clone())),
             backup: place.filter(|_| !self.no_backup).map(|(folder, key)| Backup::new(folder, key)),
         };
-        let startup = Startup { unverified: opened.unverified, missing: opened.missing, ..startup };
+        let origin = Origin {
+            place: Source::of(&gauge).place(),
+            address,
+            adapter: opened.node.as_deref().map_or_else(String::new, adapter),
+        };
+        let startup = Startup { unverified: opened.unverified, missing: opened.missing, origin, ..startup };
         let (handle, begun) =
             owner::start(chip, bus, self.clock.clone(), settings, startup, self.signal.clone())?;
         let entry = MountedGauge {
@@ -181,6 +187,15 @@ fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready
         Err(RecvTimeoutError::Disconnected) => Error::host("", Errno::EIO, "its thread has ended"),
     };
     if waits { Ok((ready, Some(error))) } else { Err(error) }
+}
+
+/// An adapter in words, for a report.
+fn adapter(node: &Path) -> String {
+    let Ok(adapter) = Adapter::find(node) else { return "not there when it was opened".into() };
+    let name = adapter.name().unwrap_or_default();
+    let capabilities = adapter.capabilities().map_or("unknown".into(), |bits| format!("0x{bits:08x}"));
+    let clock = adapter.clock_hz().map_or("unknown".into(), |hz| format!("{hz} Hz"));
+    format!("i2c-{} ({name}), capabilities {capabilities}, clock {clock}", adapter.number())
 }
 
 fn slow() -> Error {

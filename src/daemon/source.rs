@@ -100,6 +100,15 @@ impl<'a> Source<'a> {
         }
     }
 
+    /// The same without the names of files.
+    pub(super) fn place(self) -> String {
+        match self {
+            Self::Sim { .. } => "simulated gauge".into(),
+            Self::Recording(_) => "recording".into(),
+            Self::Bus { .. } => self.to_string(),
+        }
+    }
+
     /// What the gauge is, where the options say so.
     pub(crate) fn chip(self) -> Option<&'static Chip> {
         match self {
@@ -244,7 +253,7 @@ impl Opened {
 }
 
 /// The gauge of a recording, which has to contain all registers that a mount polls.
-fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
+pub(crate) fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let name = path.display().to_string();
     let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
     let recording = Recording::open(path)?;

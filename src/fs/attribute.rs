@@ -2,8 +2,11 @@
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
+use jiff::civil::Date;
+
 use crate::owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Primary, Register, Role, Scale};
+use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
+use ti_gauge::value::Value;
 
 use super::Scales;
 
@@ -69,6 +72,8 @@ struct Row {
 enum Show {
     Text(fn(&Reading<'_>) -> Option<&'static str>),
     Number(fn(&Reading<'_>) -> Option<i64>),
+    /// A word in four hexadecimal digits, as the kernel's drivers show serial numbers.
+    Hex(fn(&Reading<'_>) -> Option<i64>),
 }
 
 const fn text(name: &'static str, show: fn(&Reading<'_>) -> Option<&'static str>) -> Row {
@@ -79,28 +84,38 @@ const fn number(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Ro
     Row { name, show: Show::Number(show) }
 }
 
+const fn hex(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
+    Row { name, show: Show::Hex(show) }
+}
+
 /// All attributes, in the order in which `uevent` lists them.
 static ATTRIBUTES: &[Row] = &[
     text("type", |_| Some("Battery")),
     text("status", |reading| reading.status()),
     text("present", |reading| Some(if reading.is_present() { "1" } else { "0" })),
     text("health", |reading| reading.health()),
-    text("technology", |reading| Some(reading.chip.technology)),
+    text("technology", |reading| Some(reading.technology())),
     text("scope", |_| Some("System")),
     number("capacity", |reading| reading.value(Role::Capacity)),
     text("capacity_level", |reading| reading.capacity_level()),
     number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
     number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
+    number("voltage_min_design", |reading| reading.design_voltage(Role::VoltageMinDesign)),
+    number("voltage_max_design", |reading| reading.design_voltage(Role::VoltageMaxDesign)),
     number("current_now", |reading| reading.current(reading.current_now()?)),
     number("current_avg", |reading| reading.current(Role::CurrentAvg)),
     number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Charge)),
     number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Charge)),
-    number("charge_full_design", |reading| reading.micro(Role::ChargeFullDesign, Kind::Charge)),
+    number("charge_full_design", |reading| reading.charge_full_design()),
+    number("charge_counter", |reading| reading.micro(Role::ChargeCounter, Kind::Charge)),
+    number("constant_charge_voltage", |reading| reading.charge_voltage()),
+    number("constant_charge_current", |reading| reading.micro(Role::ChargeCurrent, Kind::Current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
     number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
-    number("time_to_empty_now", |reading| reading.seconds(Role::TimeToEmptyNow)),
+    number("internal_resistance", |reading| reading.resistance()),
+    number("time_to_empty_now", |reading| reading.seconds(reading.time_to_empty_now()?)),
     number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),
     number("time_to_full_now", |reading| reading.seconds(Role::TimeToFullNow)),
     number("cycle_count", |reading| reading.value(Role::CycleCount)),
@@ -109,6 +124,21 @@ static ATTRIBUTES: &[Row] = &[
     }),
     text("manufacturer", |_| Some("Texas Instruments")),
     text("model_name", |reading| Some(reading.model)),
+    hex("serial_number", |reading| reading.value(Role::SerialNumber)),
+    number("manufacture_year", |reading| Some(reading.manufactured()?.year().into())),
+    number("manufacture_month", |reading| Some(reading.manufactured()?.month().into())),
+    number("manufacture_day", |reading| Some(reading.manufactured()?.day().into())),
+];
+
+/// The kernel's names for chemistries, by the short names that Smart Battery Data has for them.
+const CHEMISTRIES: [(&str, &str); 7] = [
+    ("LION", "Li-ion"),
+    ("LIPO", "Li-poly"),
+    ("LIP", "Li-poly"),
+    ("LIFE", "LiFe"),
+    ("LIMN", "LiMn"),
+    ("NIMH", "NiMH"),
+    ("NICD", "NiCd"),
 ];
 
 /// The attributes that `uevent` still lists while the gauge is gone.
@@ -143,6 +173,7 @@ impl Attribute {
         match self.row().show {
             Show::Text(show) => show(reading).map(str::to_string),
             Show::Number(show) => show(reading).map(|number| number.to_string()),
+            Show::Hex(show) => show(reading).map(|word| format!("{word:04x}")),
         }
     }
 }
@@ -176,6 +207,89 @@ impl Reading<'_> {
         Some((self.steps(role, 1000)? as f64 * self.scale(kind)?).round() as i64)
     }
 
+    /// A value of data flash, while it is known and the pack is there. A firmware that keeps its data flash elsewhere,
+    /// as the signature shows, has none.
+    fn stored(&self, role: Role) -> Option<Value> {
+        let (subclass, parameter) = self.chip.stored(role).filter(|_| self.is_present())?;
+        let kept = |row: &Signature| self.handle.kept_value((row.subclass, row.offset), row.kind);
+        let fits = |row: &Signature| matches!(kept(row), Some(Value::Int(found)) if row.holds(found));
+        let value = self.handle.kept_value((subclass.id, parameter.offset), parameter.kind);
+        value.filter(|_| self.chip.signature.iter().all(fits))
+    }
+
+    fn stored_number(&self, role: Role) -> Option<i64> {
+        match self.stored(role)? {
+            Value::Int(number) => Some(number),
+            Value::Float(_) | Value::Text(_) => None,
+        }
+    }
+
+    /// The number of cells in series that a value of data flash counts for: 1 if the table has no such number.
+    fn cells(&self) -> Option<i64> {
+        if self.chip.stored(Role::Cells).is_none() {
+            return Some(1);
+        }
+        self.stored_number(Role::Cells).filter(|&cells| cells > 0)
+    }
+
+    /// A number in thousandths of a unit, in millionths of it.
+    fn scaled(&self, number: i64, kind: Kind) -> Option<i64> {
+        Some(((number * 1000) as f64 * self.scale(kind)?).round() as i64)
+    }
+
+    fn design_voltage(&self, role: Role) -> Option<i64> {
+        let millivolts = self.stored_number(role).filter(|&millivolts| millivolts > 0)?;
+        self.scaled(millivolts * self.cells()?, Kind::Voltage)
+    }
+
+    /// From a register, or from data flash where the part has no such register.
+    fn charge_full_design(&self) -> Option<i64> {
+        match self.chip.register(Role::ChargeFullDesign) {
+            Some(_) => self.micro(Role::ChargeFullDesign, Kind::Charge),
+            None => self.scaled(self.stored_number(Role::ChargeFullDesign)?, Kind::Charge),
+        }
+    }
+
+    /// The voltage that the pack is to be charged with. No document says whether that of a gauge for several cells is a
+    /// cell's: it is, unless it is far above the cell's in data flash.
+    fn charge_voltage(&self) -> Option<i64> {
+        let reading = self.micro(Role::ChargeVoltage, Kind::Voltage)?;
+        let cells = self.cells()?;
+        if cells == 1 {
+            return Some(reading);
+        }
+        let cell = self.scaled(self.stored_number(Role::VoltageMaxDesign)?, Kind::Voltage)?;
+        Some(pack_voltage(reading, cell, cells))
+    }
+
+    /// The date that data flash holds; none while that is 0 or another one that does not exist.
+    fn manufactured(&self) -> Option<Date> {
+        let date = self.stored_number(Role::ManufactureDate)?;
+        let year = 1980 + (date >> 9);
+        Date::new(year.try_into().ok()?, (date >> 5 & 15) as i8, (date & 31) as i8).ok()
+    }
+
+    /// The chemistry that data flash holds, if the kernel has a name for it.
+    fn technology(&self) -> &'static str {
+        let Some(Value::Text(chemistry)) = self.stored(Role::Technology) else { return self.chip.technology };
+        let names = CHEMISTRIES.iter().find(|(short, _)| chemistry.eq_ignore_ascii_case(short.as_bytes()));
+        names.map_or(self.chip.technology, |(_, name)| name)
+    }
+
+    /// The resistance that the gauge has measured, in µΩ: only in some of its modes, and 0 before the first pulse.
+    fn resistance(&self) -> Option<i64> {
+        let measures = |primary: &Primary| self.is_in_mode(primary.resistance_modes) == Some(true);
+        let milliohms = self.value(Role::InternalResistance).filter(|_| self.primary().is_none_or(measures));
+        let ratio = self.scale(Kind::Voltage)? / self.scale(Kind::Current)?;
+        Some(((milliohms.filter(|&milliohms| milliohms > 0)? * 1000) as f64 * ratio).round() as i64)
+    }
+
+    /// The register that `time_to_empty_now` shows. Parts with a single one compute it with the average current; it is
+    /// shown there too, as by the kernel's driver.
+    fn time_to_empty_now(&self) -> Option<Role> {
+        self.first_of([Role::TimeToEmptyNow, Role::TimeToEmptyAvg])
+    }
+
     /// What the values of one kind are multiplied by: the scale that the gauge reports and the user's.
     pub(super) fn scale(&self, kind: Kind) -> Option<f64> {
         Some(f64::from(self.reported_scale(kind)?) * self.scales.of(kind))
@@ -204,7 +318,12 @@ impl Reading<'_> {
     /// The register that `current_now` shows. Parts with a single current register average it. Monitors
     /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
     fn current_now(&self) -> Option<Role> {
-        [Role::CurrentNow, Role::CurrentAvg].into_iter().find(|&role| self.chip.register(role).is_some())
+        self.first_of([Role::CurrentNow, Role::CurrentAvg])
+    }
+
+    /// The first of these properties that has a register.
+    fn first_of<const N: usize>(&self, roles: [Role; N]) -> Option<Role> {
+        roles.into_iter().find(|&role| self.chip.register(role).is_some())
     }
 
     fn current(&self, role: Role) -> Option<i64> {
@@ -236,9 +355,14 @@ impl Reading<'_> {
     /// Whether the gauge computes StateOfHealth(). On a gauge of primary cells the mode in data flash decides, which is
     /// not known before it has been read.
     fn computes_health(&self) -> Option<bool> {
-        let Some(primary) = self.primary() else { return Some(true) };
+        self.primary().map_or(Some(true), |primary| self.is_in_mode(primary.health_modes))
+    }
+
+    /// Whether a gauge of primary cells is in one of these modes; `None` while data flash has not been read.
+    fn is_in_mode(&self, modes: &[u8]) -> Option<bool> {
+        let primary = self.primary()?;
         let mode = self.handle.kept_byte(primary.mode)? & primary.mode_mask;
-        Some(primary.health_modes.contains(&mode))
+        Some(modes.contains(&mode))
     }
 
     /// Whether any of the flags is set; `None` if that is not known.
@@ -283,23 +407,14 @@ impl Reading<'_> {
         if self.chip.condition.full == 0 { Some(false) } else { self.has_flag(self.chip.condition.full) }
     }
 
-    /// In the order of the kernel's driver. `Dead` is a pack below the final threshold; in the driver it already is one
+    /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the driver it already is one
     /// below the first, which is `Low` in `capacity_level`.
     fn health(&self) -> Option<&'static str> {
-        let condition = &self.chip.condition;
-        let flags = [
-            (condition.overheat, "Overheat"),
-            (condition.cold, "Cold"),
-            (condition.critical, "Dead"),
-            (condition.uncertain, "Calibration required"),
-        ];
-        self.first_set(&flags, "Good")
+        self.first_set(&health(&self.chip.condition), "Good")
     }
 
     fn capacity_level(&self) -> Option<&'static str> {
-        let condition = &self.chip.condition;
-        let flags = [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")];
-        self.first_set(&flags, "Normal")
+        self.first_set(&level(&self.chip.condition), "Normal")
     }
 
     /// The word of the first of the flags that is set, or else another one; `Unknown` if none is set, but not all of
@@ -317,6 +432,29 @@ impl Reading<'_> {
         let all_known = known.iter().all(|(is_set, _)| is_set.is_some());
         Some(set.unwrap_or(if all_known { otherwise } else { "Unknown" }))
     }
+}
+
+/// The flags that decide `health`, the first one that is set before the others.
+fn health(condition: &Condition) -> [(u16, &'static str); 6] {
+    [
+        (condition.overheat, "Overheat"),
+        (condition.cold, "Cold"),
+        (condition.over_voltage, "Over voltage"),
+        (condition.critical, "Dead"),
+        (condition.under_voltage, "Under voltage"),
+        (condition.uncertain, "Calibration required"),
+    ]
+}
+
+/// The flags that decide `capacity_level`, likewise.
+fn level(condition: &Condition) -> [(u16, &'static str); 3] {
+    [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")]
+}
+
+/// The charging voltage of a pack of cells in series, from a reading that is either that or a cell's, and from the
+/// highest one of a cell.
+fn pack_voltage(reading: i64, cell: i64, cells: i64) -> i64 {
+    if 2 * reading < 3 * cell { reading * cells } else { reading }
 }
 
 /// What a register reads, with the sign that the flags give it; `None` for a 0 that the flags contradict.
@@ -347,5 +485,7 @@ pub(super) fn plain(text: &str) -> String {
     text.chars().map(|letter| if keep(letter) { letter } else { '_' }).collect()
 }
 
+#[cfg(test)]
+mod by_part;
 #[cfg(test)]
 mod tests;

@@ -213,15 +213,15 @@ impl Operations for Of<'_, DfItem> {
                 supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
             }
             DfItem::Transaction => {
-                let staged = supply.transaction.write(chip, handle.allows_unproven(), handle.now(), data);
-                if staged.is_ok() {
-                    handle.succeeded(&Attempt::Stage);
+                // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
+                // commit compares them.
+                let mut unread: Vec<usize> = transaction::compared(chip, data).into_iter().collect();
+                unread.retain(|&at| handle.kept(at).is_none());
+                if unread.is_empty() {
+                    return supply.stage(data, done);
                 }
-                match staged {
-                    Ok(None) => done(Ok(())),
-                    Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-                    Err(error) => supply.refuse(Attempt::Stage, error, done),
-                }
+                let (supply, data) = (Arc::clone(supply), data.to_vec());
+                handle.submit(Request::Read(unread, Box::new(move |_| supply.stage(&data, done))));
             }
             _ => done(Err(super::not_writable())),
         }
@@ -275,6 +275,26 @@ impl Supply {
             DfItem::Subclass(at) => self.subclass(at).id.to_string(),
             DfItem::Class(at) => format!("by-name/{}", self.chip().class_dir(self.subclass(at))),
             _ => String::new(),
+        }
+    }
+
+    /// Takes the lines of one write(2) to `df/transaction`.
+    fn stage(&self, data: &[u8], done: Done<()>) {
+        let handle = &self.handle;
+        let stored = |at| handle.kept(at);
+        let rules = transaction::Rules {
+            chip: self.chip(),
+            allow_unproven: handle.allows_unproven(),
+            stored: &stored,
+        };
+        let staged = self.transaction.write(&rules, handle.now(), data);
+        if staged.is_ok() {
+            handle.succeeded(&Attempt::Stage);
+        }
+        match staged {
+            Ok(None) => done(Ok(())),
+            Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
+            Err(error) => self.refuse(Attempt::Stage, error, done),
         }
     }
 

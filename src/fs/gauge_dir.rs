@@ -13,7 +13,9 @@ use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Answers, Attempt, Done, Request, Seal};
+use crate::report;
 use ti_gauge::authentication;
+use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
 use ti_gauge::keys;
@@ -51,7 +53,7 @@ static FILES: &[File] = &[
     file("itpor", Mode::Public, itpor),
     file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
         .written(|gauge, data, done| gauge.submit(Attempt::Seal, seal(data), done, Request::Seal)),
-    file("control", Mode::Write, |_| empty()).written(|gauge, data, done| {
+    file("control", Mode::ReadWrite, answered).written(|gauge, data, done| {
         gauge.submit(Attempt::Control, subcommand(gauge.chip(), data), done, Request::Control);
     }),
     file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
@@ -62,6 +64,14 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
+    file("calibrate", Mode::Write, |gauge| can_calibrate(gauge).then(String::new)).written(
+        |gauge, data, done| gauge.submit(Attempt::Calibrate, job(gauge, data), done, Request::Calibrate),
+    ),
+    file("calibration", Mode::Read, |gauge| {
+        can_calibrate(gauge).then(|| gauge.published().calibration.to_string())
+    }),
+    file("report", Mode::ReadWrite, report)
+        .written(|gauge, _, done| gauge.handle.submit(Request::Report(done))),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
@@ -225,8 +235,18 @@ fn identified(gauge: &Supply) -> Option<Answers> {
     Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
 }
 
+/// The last report that was asked for.
+fn report(gauge: &Supply) -> Option<String> {
+    let report = gauge.published().report.clone();
+    Some(report.map_or_else(String::new, |report| report::text(gauge.chip(), gauge.handle.origin(), &report)))
+}
+
 fn can_authenticate(gauge: &Supply) -> bool {
     gauge.chip().authentication.is_some() && gauge.has_own_table()
+}
+
+fn can_calibrate(gauge: &Supply) -> bool {
+    gauge.chip().calibration.is_some() && gauge.has_own_table()
 }
 
 fn control_status(gauge: &Supply) -> Option<String> {
@@ -246,6 +266,14 @@ fn itpor(gauge: &Supply) -> Option<String> {
 /// What the attributes of a kind are multiplied by.
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
+}
+
+/// The last subcommand that was asked for, and the gauge's answer.
+fn answered(gauge: &Supply) -> Option<String> {
+    match gauge.published().control {
+        Some((code, answer)) => line(format_args!("0x{code:04x} 0x{answer:04x}")),
+        None => empty(),
+    }
 }
 
 fn digest(gauge: &Supply) -> Option<String> {
@@ -344,6 +372,37 @@ fn decision(data: &[u8]) -> Result<Option<Decision>> {
         "discard" => Ok(Some(Decision::Discard)),
         _ => Err(Error::new("settle", Cause::Invalid("write show, undo, finish or discard".into()))),
     }
+}
+
+/// What is to be calibrated. What a meter shows is divided by the scales, because registers and data flash are in the
+/// gauge's own steps.
+fn job(gauge: &Supply, data: &[u8]) -> Result<Job> {
+    let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \
+                 or leave";
+    let bad = || Error::new("calibrate", Cause::Invalid(usage.into()));
+    let number = |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(bad);
+    let step = |word: &str, kind: Kind| -> Result<f64> {
+        let snapshot = gauge.fresh();
+        let scale = gauge.reading(snapshot.as_deref()).scale(kind).filter(|scale| *scale > 0.0);
+        let why = "the scale of the gauge is not known yet; wait for a poll";
+        let scale = scale.ok_or_else(|| Error::new("calibrate", Cause::NotNow(why.into())))?;
+        Ok(number(word)? / scale)
+    };
+    let words: Vec<&str> = text(data).split_whitespace().collect();
+    Ok(match words[..] {
+        ["board-offset"] => Job::BoardOffset,
+        ["cc-offset"] => Job::CcOffset,
+        ["voltage", actual] => Job::Voltage(step(actual, Kind::Voltage)?),
+        ["current", actual] => Job::Current(step(actual, Kind::Current)?),
+        ["temperature", actual] => Job::Temperature(number(actual)?),
+        ["leave"] => Job::Leave,
+        ["bringup", cells, divider, ref voltage @ ..] if voltage.len() < 2 => Job::BringUp {
+            cells: cells.parse().map_err(|_| bad())?,
+            divider: divider.parse().map_err(|_| bad())?,
+            voltage_mv: voltage.first().map(|voltage| step(voltage, Kind::Voltage)).transpose()?,
+        },
+        _ => return Err(bad()),
+    })
 }
 
 fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {

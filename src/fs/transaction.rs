@@ -1,10 +1,10 @@
 //! `df/transaction`: lines that stage changes, and one commit that writes them all.
 //!
-//! The gauge hears of nothing before the commit. A write(2) is staged whole or not at all: a line that
+//! Nothing is written to the gauge before the commit. A write(2) is staged whole or not at all: a line that
 //! is refused leaves the transaction as it was before that write. Everything here runs on the thread that answers
 //! readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -12,9 +12,9 @@ use nix::errno::Errno;
 
 use super::raw;
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Kind, Parameter, Subclass};
+use ti_gauge::chip::{Chip, Kind, Parameter, Safe, Subclass};
 use ti_gauge::codec::WINDOW;
-use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::dataflash::{Change, Place, Row};
 use ti_gauge::text;
 
 /// A transaction that is open for longer than this is dropped.
@@ -22,6 +22,14 @@ const PATIENCE: Duration = Duration::from_secs(600);
 /// Most blocks with undocumented bytes that a transaction can have, 128 KiB: more than any gauge stores, and little
 /// enough for the daemon. The chip's table limits the number of parameters.
 const RAW_BLOCKS: usize = 4096;
+
+/// What lines are checked against.
+pub(super) struct Rules<'a> {
+    pub(super) chip: &'static Chip,
+    pub(super) allow_unproven: bool,
+    /// A subclass as the gauge stores it, by its index in the table, if that is known.
+    pub(super) stored: &'a dyn Fn(usize) -> Option<Arc<[u8]>>,
+}
 
 /// What a gauge's transaction is at.
 #[derive(Default)]
@@ -144,17 +152,11 @@ impl Transaction {
     }
 
     /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
-    pub(super) fn write(
-        &self,
-        chip: &'static Chip,
-        allow_unproven: bool,
-        now: Duration,
-        data: &[u8],
-    ) -> Result<Option<Vec<Change>>> {
+    pub(super) fn write(&self, rules: &Rules<'_>, now: Duration, data: &[u8]) -> Result<Option<Vec<Change>>> {
         let mut open = self.lock();
         let was_old = open.as_ref().is_some_and(|open| open.is_old(now));
         let before = open.as_ref().filter(|_| !was_old).map(|open| &*open.staged);
-        let next = read_lines(chip, allow_unproven, before, was_old, data);
+        let next = read_lines(rules, before, was_old, data);
         let next = next.map_err(|error| error.within("df/transaction"));
         if was_old || next.as_ref().is_ok_and(|next| next.is_new) {
             *open = None;
@@ -173,13 +175,7 @@ impl Transaction {
 }
 
 /// Checks the lines of one write(2), which continue the transaction `before`.
-fn read_lines(
-    chip: &'static Chip,
-    allow_unproven: bool,
-    before: Option<&Staged>,
-    was_old: bool,
-    data: &[u8],
-) -> Result<Next> {
+fn read_lines(rules: &Rules<'_>, before: Option<&Staged>, was_old: bool, data: &[u8]) -> Result<Next> {
     let text = std::str::from_utf8(data).map_err(|_| invalid("not text"))?;
     let mut next = Next {
         is_open: before.is_some(),
@@ -190,7 +186,7 @@ fn read_lines(
     };
     let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty());
     for (number, line) in lines {
-        let taken = take(&mut next, chip, allow_unproven, before, was_old, line);
+        let taken = take(&mut next, rules, before, was_old, line);
         taken.map_err(|error| error.within(&format!("line {number}")))?;
     }
     Ok(next)
@@ -198,8 +194,7 @@ fn read_lines(
 
 fn take(
     next: &mut Next,
-    chip: &'static Chip,
-    allow_unproven: bool,
+    rules: &Rules<'_>,
     before: Option<&Staged>,
     was_old: bool,
     line: &str,
@@ -222,9 +217,9 @@ fn take(
         "commit" => (next.is_open, next.commits) = (false, true),
         line => {
             let (key, entry) = match line.strip_prefix("raw ") {
-                Some(raw) => raw_entry(raw::bytes(chip, raw)?),
+                Some(raw) => raw_entry(raw::bytes(rules.chip, raw)?),
                 None => {
-                    let change = change(chip, allow_unproven, line)?;
+                    let change = change(rules, line)?;
                     ((false, change.place.subclass, change.place.offset), Entry::Parameter(change))
                 }
             };
@@ -254,18 +249,40 @@ fn raw_entry((place, new): (Place, Vec<u8>)) -> (Key, Entry) {
     ((true, place.subclass, place.offset - at as u16), Entry::Raw { bytes, is_staged })
 }
 
+/// A line's place and value.
+fn split(line: &str) -> (&str, &str) {
+    line.split_once(char::is_whitespace).unwrap_or((line, ""))
+}
+
+fn row(chip: &'static Chip, place: &str) -> Option<Row> {
+    place.split_once('/').and_then(|(subclass, offset)| chip.row(subclass, offset))
+}
+
+/// The subclasses, by their indices in the table, that hold reserved bits which these lines are compared with.
+pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
+    let lines = std::str::from_utf8(data).unwrap_or_default().lines();
+    let rows = lines.filter_map(|line| row(chip, split(line.trim()).0));
+    let reserved = rows.filter(|(_, parameter)| matches!(parameter.safe, Some(Safe::Keep(..))));
+    reserved.filter_map(|(own, _)| chip.subclasses.iter().position(|row| std::ptr::eq(row, own))).collect()
+}
+
 /// `80/53 3100`, checked as a write to that file is.
-fn change(chip: &'static Chip, allow_unproven: bool, line: &str) -> Result<Change> {
-    let (place, value) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-    let row = place.split_once('/').and_then(|(subclass, offset)| chip.row(subclass, offset));
-    let Some((subclass, parameter)) = row else {
+fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
+    let (place, value) = split(line);
+    let Some((subclass, parameter)) = row(rules.chip, place) else {
         if place.contains('/') {
-            return Err(super::df::unknown(chip, place));
+            return Err(super::df::unknown(rules.chip, place));
         }
         let why = "write begin, SUBCLASS/OFFSET VALUE, commit or abort; this is none of them";
         return Err(invalid(why));
     };
-    check(subclass, parameter, allow_unproven, value.as_bytes())
+    let change = check(subclass, parameter, rules.allow_unproven, value.as_bytes())?;
+    let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
+    if let Some(stored) = index.and_then(rules.stored) {
+        let at = usize::from(parameter.offset - subclass.start());
+        change.check_reserved(&stored[at..at + parameter.kind.size()])?;
+    }
+    Ok(change)
 }
 
 /// The change that a text asks for, checked as far as it can be without the gauge.
@@ -311,7 +328,8 @@ mod tests {
         let chip = Chip::by_name("bq27520-g3").expect("it has a table");
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
-        assert!(transaction.write(chip, true, Duration::ZERO, lines).expect("lines").is_none());
+        let rules = Rules { chip, allow_unproven: true, stored: &|_| None };
+        assert!(transaction.write(&rules, Duration::ZERO, lines).expect("lines").is_none());
         let staged = transaction.staged(Duration::ZERO).expect("open").changes();
         let staged: Vec<_> = staged.iter().map(|change| (change.place.subclass, change.bytes[0])).collect();
         assert_eq!(staged, [(91, 0x55), (92, 0x00)]);

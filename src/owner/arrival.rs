@@ -3,7 +3,7 @@
 use std::ptr;
 use std::time::Duration;
 
-use super::{Answers, Attempt, Owner, Seal};
+use super::{Answers, Attempt, Owner};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
 use ti_gauge::dataflash::{Outcome, Place};
@@ -40,17 +40,10 @@ impl Owner {
     /// What follows the first poll of a gauge.
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
+        self.report_calibration_mode();
         self.restore_after_power_loss();
-        // Reading the bytes that show a quirk, or a scale, takes a key, unless the gauge is found unsealed.
-        let published = self.shared.published();
-        if published.seal != Seal::Sealed && published.limited.is_none() {
-            let chip = self.gauge.chip;
-            let quirks = chip.quirks.iter().map(|quirk| quirk.subclass);
-            let ids = quirks.chain(chip.scaling.in_flash().map(|(subclass, _)| subclass));
-            let subclasses: Vec<_> = ids.filter_map(|id| index(chip, id)).collect();
-            // A failure is in the log already, and no reason to do without the gauge.
-            let _ = self.read(&subclasses, Duration::ZERO);
-        }
+        // Before the mount appears: some monitors read what does not change only once.
+        self.read_if_open();
     }
 
     /// Asks a gauge that has been there all the time what it is, and compares its pack with the one that was there
@@ -94,7 +87,8 @@ impl Owner {
             log::warn!("{}: {why}", self.shared.name());
         }
         self.shared.publish(|published| {
-            (published.answers, published.limited, published.digest) = (answers, limited, None);
+            (published.answers, published.limited) = (answers, limited);
+            (published.digest, published.control) = (None, None);
         });
         match self.limitation() {
             None => self.settle(),
@@ -217,11 +211,6 @@ impl Owner {
     }
 }
 
-/// The index of a subclass in the table.
-fn index(chip: &Chip, id: u8) -> Option<usize> {
-    chip.subclasses.iter().position(|subclass| subclass.id == id)
-}
-
 /// Checks that the part that gave these answers can be mounted with the chip's table. Returns why only its
 /// standard commands are used, if it is so.
 fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limited>> {
@@ -255,8 +244,9 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Startup};
+    use super::super::{Request, Seal, Startup};
     use super::*;
+    use gauge_bus::Bus as _;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
@@ -307,7 +297,7 @@ mod tests {
             let found = format!("unproven: firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: ");
             assert!(says.starts_with(&found), "{says}");
             assert!(says.contains("only for firmware 0x0016, hardware 0x0008, so only standard"), "{says}");
-            assert!(says.contains("gaugefs probe"), "{says}");
+            assert!(says.contains("gaugefs report"), "{says}");
         }
     }
 
@@ -334,7 +324,7 @@ mod tests {
             let refused =
                 rig.ask(|done| super::super::Request::Control(0x0001, done)).expect_err("no Control()");
             assert!(matches!(refused.cause(), Cause::NotPermitted(_)), "{refused}");
-            let refused = rig.ask(|done| super::super::Request::Seal(super::Seal::Unsealed, done));
+            let refused = rig.ask(|done| super::super::Request::Seal(Seal::Unsealed, done));
             assert!(matches!(refused.expect_err("no seal").cause(), Cause::NotPermitted(_)));
             let written = rig.sim.log().into_iter().map(|record| record.write.len()).max();
             assert_eq!(written, Some(1), "{}: register pointers only", chip.name);
@@ -431,6 +421,57 @@ mod tests {
         let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
         let change = Change::of_value(row, &Value::Int(value)).expect("it fits");
         rig.ask(|done| Request::WriteAll(vec![change], done))
+    }
+
+    /// Sends words to Control(), as another program would.
+    fn control(rig: &Rig, words: &[u16]) {
+        for word in words {
+            let [low, high] = word.to_le_bytes();
+            rig.sim.bus().transfer(&[0x00, low, high], &mut []).expect("it is acknowledged");
+        }
+    }
+
+    const KEYS: [u16; 2] = [0x0414, 0x3672];
+    const SEALED: u16 = 0x0020;
+
+    fn transfers_of_a_poll(rig: &mut Rig) -> u64 {
+        let before = rig.transfers();
+        rig.poll_after(INTERVAL);
+        rig.transfers() - before
+    }
+
+    #[test]
+    fn a_gauge_that_is_found_open_has_its_pack_described_once() {
+        let (mut sealed, mut open) = (Rig::new(Startup::default()), Rig::new(Startup::default()));
+        control(&open, &KEYS);
+        for rig in [&mut sealed, &mut open] {
+            rig.owner.open().expect("it answers");
+        }
+        assert!(sealed.owner.shared.unread_places().len() >= 3, "nothing is unsealed for it");
+        assert_eq!(sealed.sim.get("seal").as_deref(), Some("sealed"));
+        assert!(open.owner.shared.unread_places().is_empty());
+        assert_eq!(open.sim.get("seal").as_deref(), Some("unsealed"), "left as it was found");
+        for _ in 0..12 {
+            assert_eq!(transfers_of_a_poll(&mut open), transfers_of_a_poll(&mut sealed), "no poll is dearer");
+        }
+        // What a refresh forgets is read again.
+        open.ask(Request::Refresh).expect("it answers");
+        assert!(!open.owner.shared.unread_places().is_empty());
+        open.poll_after(INTERVAL);
+        assert!(open.owner.shared.unread_places().is_empty());
+    }
+
+    #[test]
+    fn a_gauge_that_was_sealed_meanwhile_is_not_unsealed_to_describe_its_pack() {
+        let mut rig = Rig::new(Startup::default());
+        control(&rig, &KEYS);
+        rig.owner.open().expect("it answers");
+        control(&rig, &[SEALED]);
+        rig.owner.forget_dataflash();
+        assert_ne!(rig.handle.published().seal, Seal::Sealed, "nothing has shown it yet");
+        rig.owner.read_if_open();
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
+        assert!(!rig.owner.shared.unread_places().is_empty());
     }
 
     #[test]

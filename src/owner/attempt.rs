@@ -28,6 +28,10 @@ pub enum Attempt {
     Restore,
     /// To settle an interrupted write.
     Settle,
+    /// To calibrate it.
+    Calibrate,
+    /// To make a report.
+    Report,
     /// Something that no later success shows to be over.
     Other,
 }
@@ -44,8 +48,9 @@ impl Attempt {
             | Attempt::Key
             | Attempt::Authenticate
             | Attempt::Interval
-            | Attempt::Restore => 1,
-            Attempt::Poll | Attempt::Read(_) | Attempt::Other => 0,
+            | Attempt::Restore
+            | Attempt::Calibrate => 1,
+            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Other => 0,
         }
     }
 

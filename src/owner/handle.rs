@@ -1,6 +1,6 @@
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -8,14 +8,16 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::{Attempt, Request, Settings};
+use super::{Attempt, Origin, Report, Request, Settings};
 use crate::error::Error;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
-use ti_gauge::chip::{Chip, Limited, Register, Subclass};
+use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
+use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
+use ti_gauge::value::{Type, Value};
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -55,6 +57,8 @@ pub struct Published {
     pub seal: Seal,
     /// The answer to the last challenge; `None` while there is none.
     pub digest: Option<Message>,
+    /// The last subcommand that was asked for, and the answer; `None` while there is none.
+    pub control: Option<(u16, u16)>,
     /// Time between polls.
     pub interval: Duration,
     /// The last failure, one line; empty for none.
@@ -67,6 +71,10 @@ pub struct Published {
     pub owed_since: Timestamp,
     /// What is known of an interrupted write, since somebody last asked; empty until then.
     pub settling: Arc<str>,
+    /// The steps of the last calibration, and what it has reached; empty for none.
+    pub calibration: Arc<str>,
+    /// The last report that somebody has asked for.
+    pub report: Option<Arc<Report>>,
 }
 
 /// What the owner shares with its handles.
@@ -74,6 +82,7 @@ pub(super) struct Shared {
     pub(super) chip: &'static Chip,
     pub(super) allow_unproven: bool,
     pub(super) auth_order: Order,
+    pub(super) origin: Origin,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
@@ -101,24 +110,34 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    pub(super) fn new(gauge: &Gauge, settings: &Settings, name: String, signal: Arc<Signal>) -> Self {
+    pub(super) fn new(
+        gauge: &Gauge,
+        settings: &Settings,
+        name: String,
+        origin: Origin,
+        signal: Arc<Signal>,
+    ) -> Self {
         let published = Published {
             snapshot: None,
             answers: Answers::default(),
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,
             digest: None,
+            control: None,
             interval: settings.interval,
             last_error: "".into(),
             failed: None,
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),
+            calibration: "".into(),
+            report: None,
         };
         Self {
             chip: gauge.chip,
             allow_unproven: settings.allow_unproven,
             auth_order: settings.auth_order,
+            origin,
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
@@ -195,12 +214,44 @@ impl Shared {
         valid.then(|| kept.bytes.clone())
     }
 
-    /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
-    pub(super) fn kept_byte(&self, (id, offset): (u8, u16)) -> Option<u8> {
+    /// A value of data flash, given by its subclass (or `FLAT`) and offset, if its bytes are kept and still valid.
+    pub(super) fn kept_value(&self, (id, offset): (u8, u16), kind: Type) -> Option<Value> {
+        let index = self.index((id, offset))?;
+        let row = &self.chip.subclasses[index];
+        let end = offset + kind.size() as u16;
+        let overlaps = |parameter: &Parameter| {
+            parameter.offset < end && offset < parameter.offset + parameter.kind.size() as u16
+        };
+        let bytes = match row.parameters.iter().any(|parameter| parameter.learned && overlaps(parameter)) {
+            true => self.kept(index)?,
+            // A poll does not put values out of date that the gauge does not rewrite.
+            false => lock(&self.kept)[index].as_ref()?.bytes.clone(),
+        };
+        let at = usize::from(offset - row.start());
+        Some(codec::decode(kind, bytes.get(at..at + kind.size())?))
+    }
+
+    /// A byte of data flash, likewise.
+    pub(super) fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
+        match self.kept_value(place, Type::U(1))? {
+            Value::Int(byte) => u8::try_from(byte).ok(),
+            Value::Float(_) | Value::Text(_) => None,
+        }
+    }
+
+    /// The index of the subclass that holds a byte of data flash.
+    fn index(&self, (id, offset): (u8, u16)) -> Option<usize> {
         let holds =
             |row: &Subclass| row.id == id && (row.start()..row.start() + row.length).contains(&offset);
-        let index = self.chip.subclasses.iter().position(holds)?;
-        self.kept(index)?.get(usize::from(offset - self.chip.subclasses[index].start())).copied()
+        self.chip.subclasses.iter().position(holds)
+    }
+
+    /// The subclasses, by their index in the table, with what attributes and messages need of data flash and what is
+    /// not kept.
+    pub(super) fn unread_places(&self) -> Vec<usize> {
+        let indices: BTreeSet<_> = self.chip.places().filter_map(|place| self.index(place)).collect();
+        let kept = lock(&self.kept);
+        indices.into_iter().filter(|&index| kept[index].is_none()).collect()
     }
 
     /// Keeps the bytes of a subclass, read after that poll.
@@ -265,6 +316,8 @@ impl Shared {
                 *kept = None;
             }
         }
+        // Attributes follow from them.
+        self.raise();
     }
 
     /// Forgets the bytes of all subclasses.
@@ -292,6 +345,11 @@ impl Handle {
         self.shared.chip
     }
 
+    /// Where the gauge is.
+    pub fn origin(&self) -> &Origin {
+        &self.shared.origin
+    }
+
     /// Whether parameters may be written whose address or range is not certain.
     pub fn allows_unproven(&self) -> bool {
         self.shared.allow_unproven
@@ -315,6 +373,11 @@ impl Handle {
     /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.
     pub fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
         self.shared.kept_byte(place)
+    }
+
+    /// A value of data flash, likewise.
+    pub fn kept_value(&self, place: (u8, u16), kind: Type) -> Option<Value> {
+        self.shared.kept_value(place, kind)
     }
 
     /// The scale at a place of data flash; `None` while it is in doubt.

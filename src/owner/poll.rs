@@ -162,6 +162,7 @@ impl Owner {
                     log::info!("{}: the gauge is back", self.shared.name());
                 }
                 self.restore_after_power_loss();
+                self.read_if_open();
             }
             Err(error) => self.poll_failed(&error),
         }

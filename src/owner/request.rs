@@ -4,9 +4,10 @@ use std::ptr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use super::{Attempt, Owner, Seal};
+use super::{Attempt, Loss, Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
+use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Parameter, Safe, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
@@ -35,6 +36,10 @@ pub enum Request {
     Authenticate(Message, Done<()>),
     /// Show what is known of an interrupted write, or settle it as somebody has decided.
     Settle(Option<Decision>, Done<()>),
+    /// Calibrate the gauge, without polls meanwhile.
+    Calibrate(Job, Done<()>),
+    /// Publish a report of the gauge.
+    Report(Done<()>),
     /// Poll now, and forget what was read of data flash.
     Refresh(Done<()>),
     /// Change the time between polls.
@@ -54,8 +59,9 @@ impl Request {
             | Request::Control(..)
             | Request::ChangeKey(..)
             | Request::Authenticate(..)
-            | Request::Settle(..) => true,
-            Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+            | Request::Settle(..)
+            | Request::Calibrate(..) => true,
+            Request::Report(_) | Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
         }
     }
 
@@ -69,7 +75,9 @@ impl Request {
             Request::ChangeKey(..) => Attempt::Key,
             Request::Authenticate(..) => Attempt::Authenticate,
             Request::Settle(..) => Attempt::Settle,
+            Request::Calibrate(..) => Attempt::Calibrate,
             Request::Interval(..) => Attempt::Interval,
+            Request::Report(_) => Attempt::Report,
             Request::Refresh(_) | Request::Look => Attempt::Poll,
         }
     }
@@ -84,6 +92,8 @@ impl Request {
             Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
             Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
             Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
+            Request::Calibrate(job, done) => share(done, |done| Request::Calibrate(job, done)),
+            Request::Report(done) => share(done, Request::Report),
             Request::Refresh(done) => share(done, Request::Refresh),
             Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
             Request::Look => (Request::Look, Box::new(drop)),
@@ -100,6 +110,8 @@ impl Request {
             | Request::ChangeKey(_, done)
             | Request::Authenticate(_, done)
             | Request::Settle(_, done)
+            | Request::Calibrate(_, done)
+            | Request::Report(done)
             | Request::Refresh(done)
             | Request::Interval(_, done) => done(Err(error)),
             Request::Look => {}
@@ -200,13 +212,15 @@ impl Owner {
                 done(self.logged(attempt, outcome));
             }
             Request::Control(code, done) => {
+                // The last answer is none to this subcommand, even if it fails.
+                self.shared.publish(|published| published.control = None);
                 let outcome = self.gauge.ask(code);
                 self.publish_seal();
-                let answer = self.logged(attempt, outcome);
                 let prefix = &self.shared.prefix;
-                done(
-                    answer.map(|answer| log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}")),
-                );
+                done(self.logged(attempt, outcome).map(|answer| {
+                    self.shared.publish(|published| published.control = Some((code, answer)));
+                    log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}");
+                }));
             }
             Request::ChangeKey(change, done) => {
                 let order = self.shared.auth_order;
@@ -229,6 +243,11 @@ impl Owner {
                 }));
             }
             Request::Settle(decision, done) => done(self.settle_as_decided(decision, waited)),
+            Request::Calibrate(job, done) => {
+                let outcome = self.calibrate(&job, waited);
+                done(self.logged(attempt, outcome));
+            }
+            Request::Report(done) => done(self.make_report(waited)),
             Request::Refresh(done) => done(self.refresh(submitted)),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
@@ -254,11 +273,44 @@ impl Owner {
         Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
     }
 
-    fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+    pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
-        let Some(first) = rows.first() else { return Ok(Vec::new()) };
+        if rows.is_empty() {
+            return Ok(Vec::new());
+        }
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        self.keep(wanted, read)
+    }
+
+    /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
+    pub(super) fn read_if_open(&mut self) {
+        let published = self.shared.published();
+        // What is about to be undone, sealed or restored describes nothing.
+        let is_settled = self.dataflash.owed().is_none() && !matches!(self.loss, Loss::Owed { .. });
+        if self.looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
+            return;
+        }
+        // A failure is in the log, and no reason to do without the gauge; the next look follows a change.
+        self.looked = true;
+        let wanted = self.shared.unread_places();
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        if rows.is_empty() {
+            return;
+        }
+        let read = self.dataflash.read_if_open(&mut self.gauge, &rows).transpose();
+        if let Some(read) = read {
+            let _ = self.keep(&wanted, read);
+        }
+    }
+
+    /// Keeps the bytes of subclasses, and what they show.
+    fn keep(
+        &mut self,
+        wanted: &[usize],
+        read: ti_gauge::error::Result<Vec<Vec<u8>>>,
+    ) -> Result<Vec<Arc<[u8]>>> {
         self.note_debt();
+        let first = &self.gauge.chip.subclasses[wanted[0]];
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
         let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
         let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
@@ -297,6 +349,7 @@ impl Owner {
                     None => change.place.subclass == row.id,
                 };
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
+                self.looked = false;
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
             Ok(Outcome::Written { reset: true, .. }) => {
@@ -435,7 +488,7 @@ mod tests {
         assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
         assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");
         assert_eq!(of("58", "3", &[0x00], &[0x5a]), "0x00 -> 0x5a");
-        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old_ -> new");
+        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old%0a -> new");
         let row = None;
         let place = ti_gauge::dataflash::Place { subclass: 48, offset: 200 };
         let raw = Change { place, bytes: vec![0xab, 0xcd], row, saved: false };

@@ -8,6 +8,7 @@ use super::{Done, Handle, Owner, Request, Settings, Startup};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::replay::Replay;
 use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::chip::{Chip, Subclass};
 
@@ -48,6 +49,11 @@ impl Rig {
         let (owner, shared) = Owner::new(chip, bus, clock.clone(), settings, startup, Arc::default());
         let (queue, requests) = mpsc::channel();
         Self { clock, sim, owner, handle: Handle::new(shared, queue), requests }
+    }
+
+    /// A recorded gauge.
+    pub(crate) fn replay(chip: &Chip, replay: Replay) -> Self {
+        Self::on(chip.name, Settings::default(), Startup::default(), |_| Box::new(replay))
     }
 
     /// The gauge has been identified and polled.
@@ -91,6 +97,12 @@ impl Rig {
     pub(crate) fn index(&self, id: u8) -> usize {
         let is_it = |subclass: &Subclass| subclass.id == id;
         self.handle.chip().subclasses.iter().position(is_it).expect("a subclass of the table")
+    }
+
+    /// A report leaves no recording going on.
+    pub(crate) fn gauge_records_nothing(&mut self) -> bool {
+        self.owner.poll_on_time();
+        self.owner.gauge.recorded().is_empty()
     }
 
     pub(crate) fn transfers(&self) -> u64 {

@@ -17,6 +17,7 @@ use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use crate::scratch;
 
 #[cfg(feature = "screen")]
+mod calibrating;
 mod watching;
 
 pub(crate) const CHIP: &str = "bq34z100-g1";
@@ -122,11 +123,15 @@ fn help_texts() {
             "mount --help",
             "umount --help",
             "probe --help",
+            "rescue --help",
             "chips --help",
+            "report --help",
             "export --help",
             "import --help",
             "diff --help",
             "lint --help",
+            "bringup --help",
+            "calibrate --help",
             "auth --help",
             "keys --help",
             "keys change --help",
@@ -142,7 +147,7 @@ fn help_texts() {
 
 #[test]
 fn chips_are_listed() {
-    golden("chips", &["chips", "chips --json"]);
+    golden("chips", &["chips", "chips --json", "chips bq34z100-g1", "chips bq27000", "chips --json BQ34110"]);
 }
 
 #[test]
@@ -172,6 +177,11 @@ fn misuse_has_exit_code_2() {
             "mount --sim bq34z100-g1 --check /tmp/x",
             "umount",
             "probe",
+            "chips bq99",
+            "report",
+            "report /tmp/x --bus /dev/i2c-1",
+            "report /tmp/x --key-file /tmp/y",
+            "report --sim bq34z100-g1 --address 0x55",
             "export",
             "import /tmp/x",
             "import /tmp/x /tmp/y --exclude secrets",
@@ -358,6 +368,14 @@ fn a_string_survives_export_and_import_in_every_format() {
     if !can_mount() {
         return;
     }
+    std::thread::scope(|scope| {
+        for format in ["toml", "gg.csv", "flashstream"] {
+            scope.spawn(move || check_strings(format));
+        }
+    });
+}
+
+fn check_strings(format: &str) {
     let folder = Folder::new();
     let (one, other) = (folder.file("m"), folder.file("n"));
     for at in [&one, &other] {
@@ -366,25 +384,20 @@ fn a_string_survives_export_and_import_in_every_format() {
     let (from, to) = (format!("{one}/BAT0"), format!("{other}/BAT0"));
     let path = |gauge: &str| Path::new(gauge).join("df/48/31");
     let bytes = |gauge: &str| fs::read(Path::new(gauge).join("df/48/raw")).expect("bytes")[31..43].to_vec();
-    let strings = ["AT&T (4S)", "", "%20a,'\"\\%2541%00%ff%20"];
-    for string in strings {
+    let (file, again) = (folder.file("file"), folder.file("again"));
+    let mut before = fs::read_to_string(path(&to)).expect("its text");
+    for string in ["AT&T (4S)", "", "%20a,\"\\%2541%00%ff%20"] {
         fs::write(path(&from), format!("{string}\n")).expect("a string");
         let shown = fs::read_to_string(path(&from)).expect("its text");
-        for format in ["toml", "gg.csv", "flashstream"] {
-            fs::write(path(&to), "other\n").expect("a string");
-            let file = folder.file(format);
-            gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
-            let imported = gaugefs(&["import", &to, &file]).done();
-            assert_eq!(imported, format!("configuration-data/device-name: other -> {shown}"), "{format}");
-            assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
-            let again = folder.file("again");
-            gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
-            assert_eq!(
-                fs::read(&again).expect("a file"),
-                fs::read(&file).expect("a file"),
-                "{format} {shown}"
-            );
-        }
+        gaugefs(&["export", &from, "--format", format, "-o", &file]).done();
+        let imported = gaugefs(&["import", &to, &file]).done();
+        let old = before.trim_end_matches('\n');
+        assert_eq!(imported, format!("configuration-data/device-name: {old} -> {shown}"), "{format}");
+        assert_eq!(bytes(&to), bytes(&from), "{format} {shown}");
+        gaugefs(&["export", &to, "--format", format, "-o", &again]).done();
+        let read = |file: &str| fs::read(file).expect("a file");
+        assert_eq!(read(&again), read(&file), "{format} {shown}");
+        before = shown;
     }
     for at in [&one, &other] {
         gaugefs(&["umount", at]).done();
@@ -689,7 +702,7 @@ fn bytes_without_a_parameter_are_imported_on_request() {
 
 /// A chemistry file as TI's tools write it for a BQ27426, with its classes and the second block of class 104.
 #[test]
-fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
+fn a_chemistry_file_is_named_by_lint_and_applied() {
     if !can_mount() {
         return;
     }
@@ -707,7 +720,7 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
         format!("{select}W: AA 40{data}\nW: AA 60 {sum:02X}\nX: 10\n{select}C: AA 60 {sum:02X}\n")
     };
     let text = identity.to_string() + &blocks.map(block).concat() + "W: AA 00 42 00\nX: 2000\n";
-    fs::write(&file, text).expect("a file");
+    fs::write(&file, &text).expect("a file");
     let lint = gaugefs(&["lint", &file]).done();
     for name in ["83, OCV Table 83", "84, OCV Table 84", "85, Chemistry 85", "108, Chemistry 108"] {
         assert!(lint.contains(&format!(" bytes of subclass {name};")), "{name}: {lint}");
@@ -715,9 +728,18 @@ fn a_chemistry_file_is_named_by_lint_and_applied_on_request() {
     assert!(lint.contains(" undocumented bytes of subclass 104;"), "{lint}");
     gaugefs(&["mount", "--sim", "bq27426", &at]).done();
     let gauge = format!("{at}/BAT0");
-    gaugefs(&["import", &gauge, &file]).failed(&["line 9: raw 83/0: 5353", "write them with --raw"]);
+    // Class 104 is calibration.
+    gaugefs(&["import", &gauge, &file]).failed(&["raw 104/32: ", "write them with --raw"]);
+    // Without the part or the firmware nothing shows that the chemistry is meant for this gauge.
+    let other = folder.file("other.gm.fs");
+    fs::write(&other, text.replace("W: AA 00 02 00\nC: AA 00 02 02\n", "")).expect("a file");
+    gaugefs(&["import", &gauge, &other]).failed(&["line 7: raw 83/0: 5353", "write them with --raw"]);
+    // The chemistry alone, as in TI's files for it.
+    fs::write(&other, text.replace(&block(blocks[6]), "")).expect("a file");
+    let written = gaugefs(&["import", &gauge, &other]).done();
+    assert_eq!(written.lines().count(), blocks.len() - 1, "{written}");
     let written = gaugefs(&["import", "--raw", &gauge, &file]).done();
-    assert_eq!(written.lines().count(), blocks.len(), "{written}");
+    assert_eq!(written.lines().count(), 1, "{written}");
     for (class, start, length) in [(83, 0, 43), (84, 0, 42), (85, 0, 17), (108, 0, 17), (104, 32, 26)] {
         let raw = fs::read(format!("{gauge}/df/{class}/raw")).expect("bytes");
         let (new, after) = raw[start..].split_at(length);
@@ -1158,8 +1180,8 @@ fn the_byte_order_is_chosen_with_the_mount() {
 }
 
 /// Every file of a gauge's folder that does not depend on this test's own accesses.
-fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "seal"];
+pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
         for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
@@ -1230,7 +1252,7 @@ fn a_file_that_is_not_a_recording_is_refused() {
     let replay = || gaugefs(&["mount", "--replay", &file, &at]);
     replay().failed(&["trace: cannot read it"]);
     fs::write(&file, "W: AA 00 01 00\n").expect("a file");
-    replay().failed(&["line 1", "only a file that --trace wrote"]);
+    replay().failed(&["line 1", "only a file that --trace or `gaugefs report` wrote"]);
     fs::write(&file, "; gaugefs: bq99 on a bus, now\n").expect("a file");
     replay().failed(&["unknown chip `bq99`"]);
     fs::write(&file, "; gaugefs: bq27441-g1 on a bus, now\nR: AA 02 2\n; 0.1 -> 01 0B\n").expect("a file");
@@ -1348,4 +1370,25 @@ fn without_space_for_the_journal_nothing_is_written() {
     assert_eq!(read_only, Err(Some(nix::libc::EROFS)));
     assert_eq!((&*written, &*value), ("0", "3000"));
     ended.done();
+}
+
+#[test]
+fn rescue_checks_its_file_before_anything_else() {
+    let file = crate::scratch::folder().join(format!("rescue-{}.df.fs", std::process::id()));
+    let path = file.to_str().expect("a path in UTF-8");
+    let rescue = ["rescue", path, "--bus", "/dev/i2c-none", "--chip", "bq34z100-g1", "--yes"];
+    // Data flash alone: its first command erases one page of the firmware.
+    fs::write(&file, "W: AA 00 00 0F\nX: 1000\nW: 16 00 03 00 00\nW: 16 64 03 00\nX: 20\nC: 16 66 00\n")
+        .expect("a file");
+    let Ran { code, err, .. } = gaugefs(&rescue);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("line 4") && err.contains(".bq.fs") && !err.contains("i2c-none"), "{err}");
+    fs::write(&file, "W: 16 00 04 00 00 00 83 DE\nW: 16 64 65 01\nX: 400\nC: 16 66 00\n").expect("a file");
+    let Ran { code, err, .. } = gaugefs(&rescue);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("cut short") && !err.contains("i2c-none"), "{err}");
+    // The part is never guessed, and only parts whose files are known can be named.
+    assert_eq!(gaugefs(&rescue[..4]).code, Some(2));
+    assert_eq!(gaugefs(&["rescue", path, "--bus", "/dev/i2c-none", "--chip", "bq35100"]).code, Some(2));
+    fs::remove_file(&file).expect("it is there");
 }

@@ -11,9 +11,11 @@ mod model;
 mod mount;
 mod others;
 mod over;
+mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
+mod romimage;
 mod scratch;
 mod semantics;
 mod service;

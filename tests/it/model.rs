@@ -151,6 +151,7 @@ enum Class {
     Settle,
     Interval,
     Refresh,
+    Report,
     Knob,
     Reading,
     Missing,
@@ -167,12 +168,14 @@ impl Class {
             | Class::Secret
             | Class::Transaction
             | Class::Seal
+            | Class::Control
             | Class::Authenticate
+            | Class::Report
             | Class::Settle
             | Class::Interval
             | Class::Knob => 0o660,
             Class::Raw | Class::SecretRaw | Class::Index | Class::Reading => 0o440,
-            Class::Control | Class::Refresh => 0o220,
+            Class::Refresh => 0o220,
             Class::Keys => 0o200,
             Class::Missing => return None,
         })
@@ -371,6 +374,7 @@ impl Model {
             ("gauge/settle", Class::Settle),
             ("gauge/poll_interval", Class::Interval),
             ("gauge/refresh", Class::Refresh),
+            ("gauge/report", Class::Report),
             ("sim/load_ma", Class::Knob),
             ("sim/transfers", Class::Reading),
             ("nothing", Class::Missing),
@@ -653,7 +657,13 @@ impl Model {
                 }
             },
             Class::Steady | Class::Measured if is_whole => bytes.is_empty() || text.ends_with('\n'),
-            Class::Control | Class::Keys | Class::Refresh => bytes.is_empty(),
+            Class::Control if is_whole => {
+                let bytes_of = |word: &str| ti_gauge::text::unhex(word.strip_prefix("0x")?.as_bytes());
+                let is_word = |word: &str| bytes_of(word).is_some_and(|bytes| bytes.len() == 2);
+                let words = text.strip_suffix('\n').and_then(|line| line.split_once(' '));
+                bytes.is_empty() || words.is_some_and(|(asked, answer)| is_word(asked) && is_word(answer))
+            }
+            Class::Keys | Class::Refresh => bytes.is_empty(),
             _ => true,
         };
         if !is_so {
@@ -742,7 +752,7 @@ impl Model {
                 1 => (random.pick(&["soon", " ", "NaN s"]).into(), fails(Errno::EINVAL)),
                 _ => (random.pick(&["30\n", "600", "3600"]).into(), Expected::success()),
             },
-            Class::Refresh => ("1\n".into(), Expected::success()),
+            Class::Refresh | Class::Report => ("1\n".into(), Expected::success()),
             Class::Knob => match random.below(3) {
                 0 => ("much\n".into(), fails(Errno::EINVAL)),
                 _ => ("0\n".into(), Expected::success()),
@@ -1246,6 +1256,7 @@ impl Model {
                         | Class::Keys
                         | Class::Refresh
                         | Class::Authenticate
+                        | Class::Report
                         | Class::Steady
                         | Class::Transaction
                 ) {

@@ -544,6 +544,34 @@ fn files_appear_and_disappear_with_their_values() {
 }
 
 /// A bus on which the gauge's owner panics during a write.
+/// Their absence is in the kernel's caches when the values become known.
+#[test]
+fn files_of_data_flash_appear_when_it_is_read() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let name = "voltage_max_design";
+    let listed = || {
+        let entries = fs::read_dir(mount.path("")).expect("a folder");
+        entries.map(|entry| entry.expect("an entry").file_name()).any(|entry| entry == name)
+    };
+    assert!(!mount.path(name).exists() && !listed());
+    assert_eq!(mount.cat("technology"), "Unknown");
+    let transfers = mount.transfers();
+    assert!(!mount.cat("uevent").contains("VOLTAGE_MAX_DESIGN"));
+    assert_eq!(mount.transfers(), transfers, "nothing is read for them");
+    mount.cat("df/48/19");
+    until("the technology", || mount.shows("technology", "Li-ion"));
+    assert!(!mount.path(name).exists(), "the number of cells is not known");
+    mount.cat("df/64/7");
+    until("a voltage", || mount.shows(name, "4200000") && listed());
+    assert!(mount.cat("uevent").contains("POWER_SUPPLY_VOLTAGE_MAX_DESIGN=4200000\n"));
+    // A write ends with a reset, after which nothing is believed that was read before.
+    mount.echo("4100", "df/48/19").expect("the default key");
+    until("no voltage", || !mount.path(name).exists() && !listed());
+    mount.cat("df/48/19");
+    mount.cat("df/64/7");
+    until("the new voltage", || mount.shows(name, "4100000") && listed());
+}
+
 struct Panics(gauge_sim::SimBus, Arc<AtomicBool>);
 
 impl Bus for Panics {
@@ -588,7 +616,7 @@ fn file_modes_restrict_other_users() {
     let mode = |name: &str| fs::metadata(mount.path(name)).expect("there").permissions().mode() & 0o777;
     assert_eq!(mode("df/80/53"), 0o600);
     assert_eq!(mode("df/80/raw"), 0o400);
-    assert_eq!(mode("gauge/control"), 0o200);
+    assert_eq!(mode("gauge/control"), 0o600);
     assert_eq!(mode("gauge/seal"), 0o600);
     assert_eq!(mode("gauge/age_ms"), 0o444);
     assert_eq!(mode("sim/load_ma"), 0o600);
@@ -784,7 +812,7 @@ fn an_unknown_firmware_shows_standard_commands_and_says_why() {
     let why = mount.cat("gauge/last_error");
     assert!(why.contains("Z: bq34z100-G1: firmware 0x0017, hardware 0x0008: "), "{why}");
     assert!(why.contains("proven only for firmware 0x0016, hardware 0x0008"), "{why}");
-    assert!(why.contains("gaugefs probe"), "{why}");
+    assert!(why.contains("gaugefs report"), "{why}");
     assert_eq!(mount.cat("model_name"), "bq34z100-G1");
     assert_eq!(mount.cat("gauge/firmware_version"), "0x0017");
     assert!(mount.cat("voltage_now").parse::<i64>().is_ok());

@@ -208,6 +208,26 @@ fn a_sealed_gauge_refuses_the_commit() {
     assert_eq!(tree.stage("commit"), Err(Errno::EPERM));
 }
 
+/// Reserved bits are compared when a line is staged, with the gauge's own, so that a transaction which is staged can be
+/// committed.
+#[test]
+fn reserved_bits_are_refused_when_they_are_staged() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.stage("begin\n80/53 3100\n64/0 0x1161\n"), Err(Errno::ERANGE));
+    let why = tree.read("gauge/last_error").expect("the reason");
+    assert!(why.contains("line 3: Pack Configuration (64/0): check: bits 0x1000 must not change"), "{why}");
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"), "nothing of it is staged");
+    assert_eq!(tree.stage("begin\n64/0 0x0121\n"), Ok(()));
+    assert_eq!(tree.stage("64/0 0x1121\n"), Err(Errno::ERANGE), "one that is kept");
+    assert_eq!(tree.stage("104/14 0\n"), Err(Errno::ERANGE), "a limit");
+    assert_eq!(tree.stage("commit"), Ok(()));
+    assert_eq!(tree.read("df/64/0").as_deref(), Ok("0x0121\n"));
+    // What cannot be read is compared by the commit.
+    let sealed = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
+    assert_eq!(sealed.stage("begin\n64/0 0x1161\n"), Ok(()));
+    assert_eq!(sealed.stage("commit"), Err(Errno::EPERM));
+}
+
 /// The bytes of Pack Configuration D's neighbours, and a subclass that the table does not have.
 #[test]
 fn undocumented_bytes_are_written_on_request() {

@@ -96,9 +96,14 @@ impl Adapter {
 
     /// Whether the adapter can transfer whole I2C messages. Asking sends nothing on the bus.
     pub fn speaks_i2c(&self) -> Result<bool> {
+        Ok(self.capabilities()? & I2C_FUNC_I2C != 0)
+    }
+
+    /// The bits of the kernel's I2C_FUNCS. Asking sends nothing on the bus.
+    pub fn capabilities(&self) -> Result<libc::c_ulong> {
         let asked = File::options().read(true).write(true).open(&self.path).map(|node| functions(&node));
         match asked {
-            Ok(Ok(functions)) => Ok(functions & I2C_FUNC_I2C != 0),
+            Ok(Ok(functions)) => Ok(functions),
             Ok(Err(errno)) => Err(Error::io(self.to_string(), "cannot read its capabilities", &errno.into())),
             Err(error) => Err(Error::io(self.to_string(), "cannot open it", &error)),
         }

@@ -44,7 +44,7 @@ pub struct Seals {
 }
 
 impl Recording {
-    /// Reads a file that `--trace` wrote.
+    /// Reads a file that `--trace` or `gaugefs report` wrote.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text =
@@ -53,7 +53,7 @@ impl Recording {
     }
 
     fn parse(text: &str) -> Result<Self> {
-        let only = "only a file that --trace wrote can be replayed";
+        let only = "only a file that --trace or `gaugefs report` wrote can be replayed";
         let refuse = |number: usize, why: &str| {
             Error::new(format!("line {number}"), ErrorKind::Invalid, format!("{why}; {only}"))
         };

@@ -15,6 +15,54 @@ use crate::clock::Clock;
 use crate::error::{Error, Result};
 use crate::{Bus, BusError, regular};
 
+/// What a recording keeps of one transfer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A transfer.
+    Transfer {
+        /// When it ended.
+        at: Duration,
+        /// The bytes that were written.
+        write: Vec<u8>,
+        /// How many bytes were to be read.
+        read: usize,
+        /// The bytes that were read.
+        answer: Result<Vec<u8>, BusError>,
+    },
+    /// A transfer that carried keys or security data.
+    Hidden,
+}
+
+impl Event {
+    /// Its lines in a trace of the gauge at that address.
+    fn lines(&self, address: u8) -> String {
+        match self {
+            Event::Hidden => "; hidden\n".to_string(),
+            Event::Transfer { at, write, read, answer } => {
+                lines(address, write, *read, answer.as_deref().map_err(|error| *error), at.as_secs_f64())
+            }
+        }
+    }
+}
+
+/// The line above the transfers.
+const FORM: &str = "; Below each transfer: seconds since the start, and the result.\n";
+
+/// The text of a trace: which gauge it is of, as for [`Trace::new`], then lines about it, which [`replay`] skips, and
+/// what was recorded of the gauge at that address.
+///
+/// [`replay`]: crate::replay
+pub fn text(head: &str, about: &[String], address: u8, events: &[Event]) -> String {
+    let about = about.iter().map(|line| format!("; {line}\n"));
+    let events = events.iter().map(|event| event.lines(address));
+    [format!("; gaugefs: {head}\n")]
+        .into_iter()
+        .chain(about)
+        .chain([FORM.to_string()])
+        .chain(events)
+        .collect()
+}
+
 /// A bus, and the file in which its transfers are recorded.
 pub struct Trace {
     bus: Box<dyn Bus>,
@@ -39,8 +87,7 @@ impl Trace {
         options.write(true).create(true).truncate(true).mode(0o600);
         let mut file = regular::open(&options, path).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
-        let form = "; Below each transfer: seconds since the start, and the result.";
-        writeln!(file, "; gaugefs: {head}\n{form}").map_err(failed)?;
+        file.write_all(text(head, &[], address, &[]).as_bytes()).map_err(failed)?;
         Ok(Self { bus, file: Some(file), clock, address, secret: false })
     }
 
@@ -49,7 +96,8 @@ impl Trace {
         let lines = if self.secret {
             "; hidden\n".to_string()
         } else {
-            lines(self.address, write, read, result, self.clock.now().as_secs_f64())
+            let answer = result.map(|()| read);
+            lines(self.address, write, read.len(), answer, self.clock.now().as_secs_f64())
         };
         if let Err(error) = file.write_all(lines.as_bytes()) {
             log::error!("trace: recording stopped: {error}");
@@ -83,11 +131,11 @@ impl Bus for Trace {
     }
 }
 
-fn lines(address: u8, write: &[u8], read: &[u8], result: Result<(), BusError>, at: f64) -> String {
+fn lines(address: u8, write: &[u8], read: usize, answer: Result<&[u8], BusError>, at: f64) -> String {
     let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
     // FlashStream writes the address with its direction bit. Transfers that it cannot express are comments.
     let target = address << 1;
-    let command = match (write, read.len()) {
+    let command = match (write, read) {
         (_, 0) => format!("W: {target:02X}{}", hex(write)),
         ([register], count) => format!("R: {target:02X} {register:02X} {count}"),
         ([], count) => format!("; R: {target:02X} {count}"),
@@ -95,9 +143,9 @@ fn lines(address: u8, write: &[u8], read: &[u8], result: Result<(), BusError>, a
     };
     let mut lines = format!("{command}\n; {at:12.6} ");
     // Writing to a String does not fail.
-    let _ = match result {
-        Ok(()) if read.is_empty() => writeln!(lines, "ok"),
-        Ok(()) => writeln!(lines, "->{}", hex(read)),
+    let _ = match answer {
+        Ok([]) => writeln!(lines, "ok"),
+        Ok(bytes) => writeln!(lines, "->{}", hex(bytes)),
         Err(error) => writeln!(lines, "failed: {error}"),
     };
     lines
@@ -115,6 +163,20 @@ mod tests {
             read.fill(0xa5);
             if write == [0xff] { Err(BusError::NoAck) } else { Ok(()) }
         }
+    }
+
+    #[test]
+    fn the_text_of_a_trace_has_lines_about_the_gauge_above_the_transfers() {
+        let read =
+            |answer| Event::Transfer { at: Duration::from_millis(250), write: vec![8], read: 2, answer };
+        let events = [read(Ok(vec![1, 0xa2])), Event::Hidden, read(Err(BusError::Short))];
+        assert_eq!(
+            text("bq99 on a bus, now", &["Kernel: Linux".into()], 0x55, &events),
+            "; gaugefs: bq99 on a bus, now\n; Kernel: Linux\n\
+             ; Below each transfer: seconds since the start, and the result.\n\
+             R: AA 08 2\n;     0.250000 -> 01 A2\n; hidden\n\
+             R: AA 08 2\n;     0.250000 failed: the adapter moved only part of the transfer\n"
+        );
     }
 
     #[test]

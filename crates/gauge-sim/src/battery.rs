@@ -48,6 +48,8 @@ const SHUT: f64 = 1e-9;
 #[derive(Clone, Debug)]
 pub(super) struct Battery {
     pub(super) cells: f64,
+    /// Cells that there really are, if that is not what data flash says.
+    pub(super) series: Option<f64>,
     pub(super) capacity_mah: f64,
     pub(super) charge_mah: f64,
     /// The load; negative for a charger.
@@ -71,6 +73,7 @@ impl Battery {
         let charge_mah = capacity_mah * soc / 100.0;
         Self {
             cells,
+            series: None,
             capacity_mah,
             charge_mah,
             load_ma: 0.0,
@@ -94,7 +97,7 @@ impl Battery {
     pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
         self.charge_mah *= capacity_mah / self.capacity_mah;
         self.capacity_mah = capacity_mah;
-        self.cells = cells;
+        self.cells = self.series.unwrap_or(cells);
     }
 
     pub(super) fn percent(&self) -> f64 {

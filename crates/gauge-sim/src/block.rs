@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use sha1::{Digest, Sha1};
 
+use super::analog::{BOARD_COUNTS, CC_COUNTS};
 use super::device::{Device, Gauge};
 use super::envelope::{Early, First, Lost};
 use super::error::{Error, Kind, Result};
@@ -19,6 +20,7 @@ use super::gauging::Gauging;
 use super::knob;
 use super::model::{Kept, Model, Registers, bits};
 use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
+use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
@@ -68,8 +70,8 @@ struct Ram {
     previous: u16,
     /// Bits of CONTROL_STATUS that subcommands have set.
     marks: Vec<Status>,
-    /// ROM mode, and what its boot loader was sent.
-    rom: Option<[u8; 3]>,
+    /// ROM mode, and the boot loader.
+    rom: Option<Boot>,
     full_sleep: bool,
     /// CAL_ENABLE.
     calibration: bool,
@@ -95,6 +97,7 @@ impl Ram {
             calibration: is_set(flash, part.own.calibration),
             locked_until: ready,
             initialized_from: initialized,
+            rom: flash.firmware.as_ref().and_then(|firmware| (!firmware.is_marked()).then(Boot::default)),
             ..Self::default()
         }
     }
@@ -175,6 +178,15 @@ impl Block {
             before: [0; 0x80],
         };
         Ok(Gauge::new(device, block, options.envelope))
+    }
+
+    /// Whether its firmware is one that never answers.
+    fn is_dead(&self, flash: &Flash) -> bool {
+        match (&self.ram.rom, &flash.firmware) {
+            (Some(boot), _) => boot.ruined,
+            (None, Some(firmware)) => !firmware.is_sound(),
+            (None, None) => false,
+        }
     }
 
     fn sealed(&self) -> bool {
@@ -421,6 +433,7 @@ impl Block {
             Action::CcOffset => self.ram.offset_until = Some(now + device.timing.calibrating),
             Action::WriteCcOffset => {
                 self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes());
+                self.gauging.take_offsets(&device.flash);
             }
             Action::AnswerOffset if self.is(device, Status::Calibrating) => {
                 self.ram.answer = own.cc_offset.map_or(0, |(id, offset)| device.flash.u16(id, offset));
@@ -469,7 +482,7 @@ impl Block {
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
             Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
             Action::Shutdown if self.is(device, Status::ShutdownArmed) => device.power_down(self, None),
-            Action::Rom => self.ram.rom = Some([0xFF; 3]),
+            Action::Rom => self.ram.rom = Some(Boot::default()),
             Action::Hdq => {
                 device.flash.hdq = true;
                 device.save();
@@ -483,16 +496,32 @@ impl Block {
         }
     }
 
-    /// A byte for the boot loader, of which only the way out is known: 0x0F at 0x00 and 0x000F at 0x64.
-    fn write_rom(&mut self, device: &mut Device, mut sent: [u8; 3], register: u8, byte: u8) {
-        match register {
-            0x00 => sent[0] = byte,
-            0x64 | 0x65 => sent[usize::from(register - 0x63)] = byte,
-            _ => {}
+    /// A byte for the boot loader.
+    fn write_rom(&mut self, device: &mut Device, register: u8, byte: u8) {
+        // Data flash counts when a command is started.
+        let data = if register == 0x65 { device.part.rom_data(&device.flash) } else { Vec::new() };
+        let effect = match (&mut self.ram.rom, &mut device.flash.firmware) {
+            (Some(boot), Some(firmware)) => boot.write(firmware, &data, register, byte, device.now),
+            _ => None,
+        };
+        self.affect(device, effect);
+        if register == 0x65 {
+            device.save();
         }
-        self.ram.rom = Some(sent);
-        if sent == [0x0F, 0x0F, 0x00] {
-            device.power_up(self);
+    }
+
+    /// What the boot loader does to the rest of the gauge.
+    fn affect(&mut self, device: &mut Device, effect: Option<Effect>) {
+        match effect {
+            Some(Effect::Data(parts)) => {
+                let mut data = device.part.rom_data(&device.flash);
+                for (at, bytes) in parts {
+                    data[at..at + bytes.len()].copy_from_slice(&bytes);
+                }
+                device.part.set_rom_data(&mut device.flash, data);
+            }
+            Some(Effect::Leave) => device.power_up(self),
+            None => {}
         }
     }
 
@@ -525,8 +554,11 @@ impl Block {
 
 impl Wire for Block {
     fn address(&self, flash: &Flash) -> Option<u8> {
-        let address = if self.ram.rom.is_some() { ROM_ADDRESS } else { GAUGE_ADDRESS };
-        (!flash.hdq).then_some(address)
+        match &self.ram.rom {
+            _ if flash.hdq || self.is_dead(flash) => None,
+            Some(_) => Some(ROM_ADDRESS),
+            None => Some(GAUGE_ADDRESS),
+        }
     }
 
     fn wake(&mut self, device: &Device) -> Duration {
@@ -549,8 +581,8 @@ impl Wire for Block {
     }
 
     fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool {
-        if let Some(sent) = self.ram.rom {
-            self.write_rom(device, sent, register, byte);
+        if self.ram.rom.is_some() {
+            self.write_rom(device, register, byte);
             return true;
         }
         if !self.writable(register) {
@@ -571,8 +603,8 @@ impl Wire for Block {
     }
 
     fn read(&mut self, device: &Device, register: u8) -> u8 {
-        if self.ram.rom.is_some() {
-            return 0;
+        if let Some(boot) = &self.ram.rom {
+            return boot.read(register);
         }
         let window = &self.ram.window;
         match register {
@@ -640,6 +672,13 @@ impl Wire for Block {
             self.gauging.first_voltage();
         }
         if device.is_on()
+            && let (Some(boot), Some(firmware)) = (&mut self.ram.rom, &mut device.flash.firmware)
+            && let Some(effect) = boot.run(firmware, device.now)
+        {
+            self.affect(device, effect);
+            device.save();
+        }
+        if device.is_on()
             && let Some((exit, at)) = self.ram.update.run(device.now)
         {
             let now = mem::replace(&mut device.now, at);
@@ -650,6 +689,7 @@ impl Wire for Block {
         device.pass(self, settle);
         if self.ram.board_until.take_if(|until| device.now >= *until).is_some() {
             self.store(device, self.part.own.board_offset, &[self.board_offset as u8]);
+            self.gauging.take_offsets(&device.flash);
         }
         self.ram.offset_until.take_if(|until| device.now >= *until);
         if self.gauges() {
@@ -690,6 +730,7 @@ impl Wire for Block {
     fn mode(&self, flash: &Flash) -> &'static str {
         match () {
             () if flash.hdq => "hdq",
+            () if self.is_dead(flash) => "dead",
             () if self.ram.rom.is_some() => "rom",
             () if self.ram.marks.contains(&Status::Calibrating) => "calibration",
             () if self.ram.update.shows() => "config-update",
@@ -703,6 +744,17 @@ impl Wire for Block {
             "cc_gain_inverted" => knob::CC_GAIN_INVERTED.show(device.flash.inverted),
             "sealed_writes" => knob::SEALED_WRITES.show(self.ignores_sealed),
             "auth_order" => knob::AUTH_ORDER.show(self.as_sent),
+            "cells" => knob::show_or_auto(self.gauging.battery().series),
+            "board_divider" => {
+                let fits = self.board == self.part.scale(&device.flash);
+                knob::show_or_auto(self.board.filter(|_| !fits).map(|board| board.divider.into()))
+            }
+            "shunt_error" => self.gauging.analog.shunt_error.to_string(),
+            "board_offset_ma" => knob::show_or_auto(self.gauging.analog.board_offset_ma),
+            "cc_offset_ma" => knob::show_or_auto(self.gauging.analog.cc_offset_ma),
+            "temperature_error" => self.gauging.analog.temperature.to_string(),
+            "noise_mv" => self.gauging.analog.noise_mv.to_string(),
+            "noise_ma" => self.gauging.analog.noise_ma.to_string(),
             _ => return None,
         })
     }
@@ -730,6 +782,44 @@ impl Wire for Block {
             }
             "sealed_writes" => {
                 self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?;
+                Ok(())
+            }
+            "cells" => {
+                self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?);
+                Ok(())
+            }
+            "board_divider" => {
+                let fits = self.part.scale(&device.flash);
+                if fits.is_none() {
+                    return Err(Error::new(name, Kind::NotPermitted, "the part has no external divider"));
+                }
+                let divider = knob::or_auto(name, text, 1.0, 65_535.0)?;
+                let board = divider.map(|divider| Scale { divider: divider as u16, external: true });
+                self.board = board.or(fits);
+                Ok(())
+            }
+            "board_offset_ma" => {
+                let offset = knob::or_auto(name, text, -31.0, 31.0)?;
+                self.gauging.analog.board_offset_ma = offset;
+                self.board_offset = offset.map_or(self.board_offset, |ma| (ma * BOARD_COUNTS).round() as i8);
+                Ok(())
+            }
+            "cc_offset_ma" => {
+                let offset = knob::or_auto(name, text, -15.0, 15.0)?;
+                self.gauging.analog.cc_offset_ma = offset;
+                self.cc_offset = offset.map_or(self.cc_offset, |ma| (ma * CC_COUNTS).round() as i16);
+                Ok(())
+            }
+            "shunt_error" | "temperature_error" | "noise_mv" | "noise_ma" => {
+                let (least, most) = if name.starts_with("noise") { (0.0, 1000.0) } else { (-500.0, 500.0) };
+                let number = knob::number(name, text, least, most)?;
+                let analog = &mut self.gauging.analog;
+                *match name {
+                    "shunt_error" => &mut analog.shunt_error,
+                    "temperature_error" => &mut analog.temperature,
+                    "noise_mv" => &mut analog.noise_mv,
+                    _ => &mut analog.noise_ma,
+                } = number;
                 Ok(())
             }
             _ => {

@@ -86,6 +86,7 @@ impl Device {
         prepare: impl FnOnce(&mut Flash),
     ) -> Result<Self> {
         let mut flash = Flash::new(part.image);
+        flash.firmware = part.firmware();
         let mut store = Store::new(options.state.clone(), part.name);
         if !store.load(&mut flash)? {
             prepare(&mut flash);
@@ -398,6 +399,12 @@ impl Gauge {
 
     pub(super) fn flash(&self) -> &Flash {
         &self.device.flash
+    }
+
+    /// Instruction flash, and data flash as the boot loader has it.
+    pub(super) fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
+        let flash = &self.device.flash;
+        Some((flash.firmware.as_ref()?.rows.to_vec(), self.device.part.rom_data(flash)))
     }
 
     /// Puts bytes into flash without programming it.

@@ -9,11 +9,13 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use gauge_bus::regular;
 use sha1::{Digest, Sha1};
 
 use super::error::{Error, Kind, Result};
+use super::rom::{DATA, Firmware};
 
 /// Bytes in a whole block.
 pub(super) const BLOCK: usize = 32;
@@ -38,6 +40,8 @@ pub(super) struct Flash {
     pub(super) itpor: bool,
     /// This specimen's ROM has a negative CC Gain.
     pub(super) inverted: bool,
+    /// Instruction flash, if the boot loader is simulated.
+    pub(super) firmware: Option<Firmware>,
 }
 
 impl Flash {
@@ -47,7 +51,8 @@ impl Flash {
             bytes: bytes.to_vec(),
             wear: vec![0; bytes.len().div_ceil(BLOCK)],
         };
-        Self { areas: image.iter().map(area).collect(), hdq: false, itpor: false, inverted: false }
+        let areas = image.iter().map(area).collect();
+        Self { areas, hdq: false, itpor: false, inverted: false, firmware: None }
     }
 
     fn area(&self, id: u16) -> Option<&Area> {
@@ -114,6 +119,14 @@ impl Flash {
     /// The same, signed.
     pub(super) fn i16(&self, id: u16, offset: usize) -> i16 {
         i16::from_be_bytes(self.get(id, offset))
+    }
+
+    /// Four bytes as TI's floating point: exponent, sign and 23 bits behind an implied 1 (SLUSBZ5D, F4).
+    pub(super) fn f4(&self, id: u16, offset: usize) -> f64 {
+        let [exponent, high, middle, low] = self.get::<4>(id, offset);
+        let mantissa = f64::from(u32::from_be_bytes([0, high | 0x80, middle, low]));
+        let sign = if high & 0x80 == 0 { 1.0 } else { -1.0 };
+        sign * libm::ldexp(mantissa, i32::from(exponent) - 128 - 24)
     }
 
     /// Restores all areas from `image` except one, as RAM is filled from ROM.
@@ -211,6 +224,23 @@ impl Store {
                 ["protocol", "hdq"] => new.hdq = true,
                 ["itpor"] => new.itpor = true,
                 ["cc-gain", "inverted"] => new.inverted = true,
+                ["instruction", row, digits] => {
+                    let bytes = from_hex(digits).and_then(|bytes| bytes.try_into().ok());
+                    let rows = new.firmware.as_mut().map(|firmware| Arc::make_mut(&mut firmware.rows));
+                    let place = rows.and_then(|rows| rows.get_mut(row.parse::<usize>().ok()?));
+                    match (place, bytes) {
+                        (Some(place), Some(bytes)) => *place = bytes,
+                        _ => {
+                            return Err(
+                                "it holds a row of instruction flash that the part does not have".into()
+                            );
+                        }
+                    }
+                }
+                ["rest", digits] => match (from_hex(digits), &mut new.firmware) {
+                    (Some(bytes), Some(firmware)) if bytes.len() == DATA => firmware.rest = bytes.into(),
+                    _ => return Err("it holds data flash that the part does not have".into()),
+                },
                 ["wear", area, ref counts @ ..] => {
                     let area = area.parse().ok().and_then(|id| new.area_mut(id));
                     let area = area.ok_or_else(|| format!("it holds an unknown line `{line}`"))?;
@@ -257,6 +287,14 @@ impl Store {
         }
         if flash.inverted {
             out.push_str("cc-gain inverted\n");
+        }
+        for (row, bytes) in flash.firmware.iter().flat_map(Firmware::changed) {
+            let _ = writeln!(out, "instruction {row} {}", hex(bytes));
+        }
+        if let Some(firmware) =
+            flash.firmware.as_ref().filter(|firmware| firmware.rest.iter().any(|byte| *byte != 0xFF))
+        {
+            let _ = writeln!(out, "rest {}", hex(&firmware.rest));
         }
         for area in &flash.areas {
             let _ = write!(out, "wear {}", area.id);

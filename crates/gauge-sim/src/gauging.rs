@@ -4,6 +4,7 @@
 
 use std::mem;
 
+use super::analog::Analog;
 use super::battery::Battery;
 use super::flash::Flash;
 use super::learning::{LEARNED, Learning, Lesson, Ocv, QMAX_AND_RA, settled};
@@ -151,6 +152,10 @@ pub(super) struct Settings {
     pub(super) relax_s: (f64, f64),
     pub(super) internal_offset: f64,
     pub(super) external_offset: f64,
+    /// CC Gain, and the counts of Board Offset and CC Offset.
+    pub(super) gain: f64,
+    pub(super) board_offset: f64,
+    pub(super) cc_offset: f64,
     pub(super) deadband_ma: f64,
     pub(super) standby_ma: f64,
     pub(super) max_load_ma: f64,
@@ -188,6 +193,7 @@ impl Settings {
             charge_ma: 75.0,
             quit_ma: 40.0,
             relax_s: (60.0, 60.0),
+            gain: 1.0,
             deadband_ma: 5.0,
             cells: 1.0,
             qmax_mah: 1000.0,
@@ -210,6 +216,7 @@ enum State {
 pub(super) struct Gauging {
     map: &'static Map,
     battery: Battery,
+    pub(super) analog: Analog,
     settings: Settings,
     /// Voltage() has been measured since power came.
     measured: bool,
@@ -264,7 +271,8 @@ impl Gauging {
         let settings = (map.settings)(flash);
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
         let ram = Ram { max_error: 2, state_s: 3600.0, dod_s: 1800.0, flags: OCVTAKEN, ..Ram::default() };
-        let mut new = Self { map, battery, settings, measured: true, ram };
+        let analog = Analog::fitting(settings.gain);
+        let mut new = Self { map, battery, analog, settings, measured: true, ram };
         new.load(flash);
         new.begin_learning();
         new
@@ -361,8 +369,9 @@ impl Gauging {
 
     /// Voltage() of the whole stack.
     pub(super) fn voltage_mv(&self) -> u16 {
-        let model = self.battery.cell_mv() * self.battery.cells;
-        if self.measured { self.battery.forced_mv.unwrap_or(whole(model)) } else { 0 }
+        let pack = self.battery.cell_mv() * self.battery.cells;
+        let there = self.battery.forced_mv.map_or(pack, f64::from);
+        if self.measured { whole(self.analog.voltage_mv(there)) } else { 0 }
     }
 
     fn cell_mv(&self) -> f64 {
@@ -371,9 +380,23 @@ impl Gauging {
 
     /// Current as the coulomb counter shows it: 0 within the deadband.
     fn current_ma(&self) -> f64 {
+        let s = &self.settings;
         let current = self.battery.current_ma();
+        let current = self.analog.current_ma(current, s.gain, s.board_offset, s.cc_offset);
         let current = if self.settings.inverted { -current } else { current };
         if current.abs() < self.settings.deadband_ma { 0.0 } else { current }
+    }
+
+    /// Takes over the offsets that the gauge has just measured and stored.
+    pub(super) fn take_offsets(&mut self, flash: &Flash) {
+        let settings = (self.map.settings)(flash);
+        (self.settings.board_offset, self.settings.cc_offset) = (settings.board_offset, settings.cc_offset);
+    }
+
+    /// Cells that there really are; `None` for as many as data flash says.
+    pub(super) fn set_series(&mut self, series: Option<f64>) {
+        self.battery.series = series;
+        self.battery.cells = series.unwrap_or(self.settings.cells);
     }
 
     /// Whether the average current is low enough for SLEEP.
@@ -539,8 +562,13 @@ impl Gauging {
         true
     }
 
+    /// What a sensor makes of the temperature before its offset is added, in 0.1 K.
+    fn sensed(&self) -> f64 {
+        self.battery.temperature() * 10.0 + FREEZING + self.analog.temperature
+    }
+
     fn die(&self) -> f64 {
-        self.battery.temperature() * 10.0 + FREEZING + self.settings.internal_offset
+        self.sensed() + self.settings.internal_offset
     }
 
     /// Temperature() in 0.1 K, before rounding.
@@ -551,7 +579,7 @@ impl Gauging {
         if !self.settings.thermistor {
             return self.die();
         }
-        self.battery.temperature() * 10.0 + FREEZING + self.settings.external_offset
+        self.sensed() + self.settings.external_offset
     }
 
     /// ChargeVoltage() and ChargeCurrent() for the present temperature.
@@ -701,9 +729,9 @@ impl Model for Gauging {
 
     /// After a full reset the error is not known (table 7-4).
     fn restart(&mut self, flash: &Flash) {
-        let (battery, measured) = (self.battery.clone(), self.measured);
+        let (battery, analog, measured) = (self.battery.clone(), self.analog.clone(), self.measured);
         *self = Self::new(self.map, flash, 0.0);
-        (self.battery, self.measured) = (battery, measured);
+        (self.battery, self.analog, self.measured) = (battery, analog, measured);
         (self.ram.max_error, self.ram.state_s, self.ram.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
         // What is measured now is not known to be at rest.
@@ -717,6 +745,7 @@ impl Model for Gauging {
 
     fn step(&mut self, seconds: f64) -> Vec<Kept> {
         let before = self.battery.charge_mah;
+        self.analog.measure();
         self.battery.step(seconds);
         let mut moved = self.battery.charge_mah - before;
         if self.settings.inverted {

@@ -53,8 +53,23 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("soc", "state of charge in percent"),
     Of::Gauge
         .set("voltage_mv", "what Voltage() shows in mV with the present calibration; `auto` for the model's"),
+    Of::Block.set("cells", "cells in series that the pack really has; `auto` for as many as data flash says"),
+    Of::Block.set(
+        "board_divider",
+        "the Voltage Divider that fits the board in mV, with the internal divider off; `auto` if data flash fits it",
+    ),
+    Of::Block.set("shunt_error", "by how much the shunt is larger than data flash says, in thousandths"),
+    Of::Block.set(
+        "board_offset_ma",
+        "current in mA that the board adds, from which Board Offset is subtracted; `auto` if that fits",
+    ),
+    Of::Block
+        .set("cc_offset_ma", "current in mA that the gauge adds, from which CC Offset is subtracted; `auto` if that fits"),
+    Of::Block.set("temperature_error", "error of the temperature sensors in 0.1 K"),
+    Of::Block.set("noise_mv", "largest noise of Voltage() in mV"),
+    Of::Block.set("noise_ma", "largest noise of Current() in mA"),
     Of::Gauge.set("power", "`on` or `off`: without it the gauge loses its RAM and does not answer"),
-    Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, hdq or off"),
+    Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, dead, hdq or off"),
     Of::Block.set("protocol", "`i2c` or `hdq`: the interface the gauge listens on"),
     Of::Gauge.show("seal", "sealed, unsealed or full-access"),
     Of::Gauge.show("wear", "blocks that were programmed and how often: subclass/block count ..."),
@@ -230,6 +245,16 @@ impl Switch {
         let expected = || format!("`{text}` is not one of: {}", self.0.join(", "));
         found.map(|at| at == 1).ok_or_else(|| Error::new(name, Kind::Invalid, expected()))
     }
+}
+
+/// A number within bounds, or `auto`.
+pub(super) fn or_auto(name: &str, text: &str, min: f64, max: f64) -> Result<Option<f64>> {
+    if text == "auto" { Ok(None) } else { number(name, text, min, max).map(Some) }
+}
+
+/// Shows a number, or `auto`.
+pub(super) fn show_or_auto(value: Option<f64>) -> String {
+    value.map_or_else(|| "auto".into(), |value| value.to_string())
 }
 
 /// A number within bounds.

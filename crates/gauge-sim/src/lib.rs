@@ -46,6 +46,7 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
 
+mod analog;
 mod battery;
 mod block;
 mod device;
@@ -63,6 +64,7 @@ mod part;
 mod parts;
 mod random;
 mod register;
+mod rom;
 mod seal;
 mod timing;
 mod update;
@@ -189,6 +191,11 @@ impl Sim {
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
+    /// Whether there is such a gauge to simulate.
+    pub fn knows(chip: &str) -> bool {
+        parts::all().any(|part| part.name == chip)
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -248,6 +255,12 @@ impl Sim {
     /// All flash, subclass after subclass.
     pub fn flash(&self) -> Vec<u8> {
         self.lock().gauge.flash().bytes()
+    }
+
+    /// Instruction flash by rows, and data flash as the boot loader has it; `None` for a part whose boot loader is not
+    /// simulated.
+    pub fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
+        self.lock().gauge.firmware()
     }
 
     /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0

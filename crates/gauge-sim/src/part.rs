@@ -3,6 +3,7 @@
 use super::flash::{Flash, Image};
 use super::gauging::Map;
 use super::model::MacModel;
+use super::rom::{Firmware, Layout};
 use super::seal::Level;
 use super::timing::Timing;
 use super::update::Exit;
@@ -24,6 +25,44 @@ impl Part {
             Scheme::Block(part) => part.data_memory.is_none(),
             Scheme::Mac(part) => part.data_memory.is_none(),
             Scheme::Registers(_) => false,
+        }
+    }
+}
+
+impl Part {
+    fn layout(&self) -> Option<Layout> {
+        match self.scheme {
+            Scheme::Block(part) => part.rom,
+            Scheme::Mac(_) | Scheme::Registers(_) => None,
+        }
+    }
+
+    /// The firmware of a new part, if its boot loader is simulated.
+    pub(super) fn firmware(&self) -> Option<Firmware> {
+        self.layout()?;
+        let Scheme::Block(part) = self.scheme else { return None };
+        part.subcommands.iter().find_map(|subcommand| match subcommand {
+            (0x0002, _, Action::Answer(version)) => Some(Firmware::new(*version)),
+            _ => None,
+        })
+    }
+
+    /// Data flash as the boot loader has it.
+    pub(super) fn rom_data(&self, flash: &Flash) -> Vec<u8> {
+        let mut data = flash.firmware.as_ref().map(|firmware| firmware.rest.to_vec()).unwrap_or_default();
+        for &(id, at, length) in self.layout().unwrap_or_default() {
+            data[at..at + length].copy_from_slice(flash.bytes_at(id, 0, length));
+        }
+        data
+    }
+
+    /// Changes data flash as the boot loader does.
+    pub(super) fn set_rom_data(&self, flash: &mut Flash, data: Vec<u8>) {
+        for &(id, at, length) in self.layout().unwrap_or_default() {
+            flash.set(id, 0, &data[at..at + length]);
+        }
+        if let Some(firmware) = &mut flash.firmware {
+            firmware.rest = data.into();
         }
     }
 }
@@ -73,6 +112,8 @@ pub(super) struct BlockPart {
     /// Class, offset and bit by which a pin detects the battery, and BAT_INSERT has no effect.
     pub(super) battery_insert: Option<(u16, usize, u8)>,
     pub(super) own: Own,
+    /// Where the boot loader has the classes in data flash, if it is simulated.
+    pub(super) rom: Option<Layout>,
 }
 
 /// Data memory that is RAM, filled from ROM when power comes.

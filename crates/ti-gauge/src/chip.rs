@@ -20,12 +20,14 @@ pub mod bq34z100_r2;
 pub mod bq35100;
 pub mod kernel;
 
+mod calibration;
 mod identity;
 mod names;
 mod parameter;
 mod preflight;
 mod recognise;
 
+pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
@@ -56,10 +58,13 @@ pub struct Chip {
     pub model: &'static str,
     /// The documents behind the table, with revision.
     pub documents: &'static [&'static str],
-    /// How far the table has been checked.
-    pub evidence: Evidence,
+    /// What the table has been checked with.
+    pub evidence: &'static [Evidence],
     /// The answers that identify the part.
     pub identity: Identity,
+    /// How a firmware file of the part is recognised, for a gauge that is left in ROM mode; `None` where no source shows
+    /// a whole one.
+    pub rom: Option<Rom>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
     /// Standard commands, by address.
@@ -78,6 +83,8 @@ pub struct Chip {
     pub access: Access,
     /// The voltage that a data-flash write needs.
     pub gate: Option<Gate>,
+    /// How it is calibrated; `None` where no document has it whole.
+    pub calibration: Option<&'static Calibration>,
     /// SHA-1 authentication at AuthenticateData(); `None` where no source has the part's sequence.
     pub authentication: Option<Authentication>,
     /// Data flash, in the manual's order.
@@ -92,19 +99,85 @@ pub struct Chip {
     pub volatile: Option<u16>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
+    /// Where images for ROM mode hold its data flash; `None` where no source has the layout.
+    pub rom_image: Option<RomImage>,
     /// What is checked before a write.
     pub preflight: Preflight,
 }
 
-/// How far a table or a row has been checked.
+/// Something that a table was written from, or has been checked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// Printed in TI's manual for this part.
+    /// TI's documents for this part print what is not marked as unproven.
     Manual,
-    /// Also seen in byte-level transcripts of this part.
+    /// Documents of a sibling were taken where those of this part are not public.
+    Sibling,
+    /// Drivers that were written for this part.
+    Drivers,
+    /// Byte-level transcripts: TI's worked transfers, or traces of parts that their owners have published.
     Transcript,
-    /// Inferred from a sibling or from one driver only: read-only unless the user insists.
-    Unproven,
+    /// Images of configurations, of packs or of TI, fit the table.
+    Image,
+    /// The kernel's driver, in a virtual machine, shows the same values of the simulated gauge.
+    Kernel,
+    /// A report of real hardware replays, and is one of the tests.
+    RealPart,
+}
+
+impl Evidence {
+    /// A word or two for it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Evidence::Manual => "manual",
+            Evidence::Sibling => "siblings",
+            Evidence::Drivers => "drivers",
+            Evidence::Transcript => "transcripts",
+            Evidence::Image => "images",
+            Evidence::Kernel => "kernel's driver",
+            Evidence::RealPart => "real part",
+        }
+    }
+
+    /// The same for many, with commas.
+    pub fn list(all: &[Evidence]) -> String {
+        all.iter().map(|one| one.as_str()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// What it proves.
+    pub fn meaning(self) -> &'static str {
+        match self {
+            Evidence::Manual => "TI's documents for this part print what is not marked as uncertain",
+            Evidence::Sibling => "documents of a sibling, where those of this part are not public",
+            Evidence::Drivers => "drivers that were written for this part",
+            Evidence::Transcript => "TI's worked transfers, or published traces of parts, byte for byte",
+            Evidence::Image => "images of packs or of TI's tools fit the table",
+            Evidence::Kernel => "the kernel's driver shows the same values of the simulated gauge",
+            Evidence::RealPart => "seen on a real part: its report is one of the tests",
+        }
+    }
+}
+
+/// The layout of data flash in images that are written in ROM mode: 32 rows of 32 bytes, in which subclasses
+/// follow each other without regard to the blocks of normal mode.
+#[derive(Debug)]
+pub struct RomImage {
+    /// The subclasses whose place is known, by id, and the index of their first byte. All of their length is there.
+    pub subclasses: &'static [(u8, u16)],
+    /// The data of the chemistry and private data around them: the first byte, and one behind the last.
+    pub chemistry: (u16, u16),
+    /// The index of the word, most significant byte first, that is the checksum of the chemistry's data. It is inferred
+    /// from values; so it may prove that two chemistries are the same, and never that they differ.
+    pub chemistry_sum: u16,
+}
+
+/// The Device Name in the data flash of a firmware file. Only that and the version of the firmware show which part a
+/// file is for.
+#[derive(Debug)]
+pub struct Rom {
+    /// Index of its length byte in the 32 rows.
+    pub name: usize,
+    /// What TI's files have there. A user may have changed it.
+    pub names: &'static [&'static str],
 }
 
 /// A defect of some parts that a byte of data flash reveals.
@@ -137,7 +210,8 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds. Units are those before [`Scaling`] apply.
+/// The power_supply property that a register feeds, or a parameter of data flash. Units are those before
+/// [`Scaling`] apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -168,12 +242,33 @@ pub enum Role {
     EnergyNow,
     /// `power_avg`, mW.
     PowerAvg,
+    /// `charge_counter`, mAh; rises while charging.
+    ChargeCounter,
+    /// `voltage_min_design`, mV: the voltage of an empty cell or pack.
+    VoltageMinDesign,
+    /// `voltage_max_design`, mV: the voltage to which a cell or pack is charged at moderate temperatures.
+    VoltageMaxDesign,
+    /// The number of cells in series. Where a parameter has it, design voltages are a cell's, and no document says
+    /// whether [`Role::ChargeVoltage`] is a cell's or the pack's.
+    Cells,
+    /// `constant_charge_voltage`, mV.
+    ChargeVoltage,
+    /// `constant_charge_current`, mA.
+    ChargeCurrent,
+    /// `internal_resistance`, mΩ.
+    InternalResistance,
     /// `cycle_count`.
     CycleCount,
     /// `state_of_health`, %.
     StateOfHealth,
     /// The flags that `status`, `health` and `capacity_level` follow from.
     Flags,
+    /// `technology`: the short name of the chemistry as Smart Battery Data prints it, such as `LION`.
+    Technology,
+    /// `manufacture_year`, `manufacture_month` and `manufacture_day`: day + month * 32 + (year - 1980) * 512.
+    ManufactureDate,
+    /// `serial_number`.
+    SerialNumber,
 }
 
 /// A standard command.
@@ -251,6 +346,10 @@ pub struct Condition {
     pub overheat: u16,
     /// Under temperature.
     pub cold: u16,
+    /// The voltage is above the limit that the pack's maker has set; 0 where no flag shows that.
+    pub over_voltage: u16,
+    /// The voltage is below the limit that the pack's maker has set; 0 where no flag shows that.
+    pub under_voltage: u16,
     /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
@@ -276,6 +375,8 @@ pub struct Primary {
     pub mode_mask: u8,
     /// The modes in which the gauge computes StateOfHealth().
     pub health_modes: &'static [u8],
+    /// The modes in which the gauge measures the cell's resistance.
+    pub resistance_modes: &'static [u8],
 }
 
 /// By what the host multiplies a part's values. Parameters of data flash are in the units of the registers.
@@ -628,6 +729,14 @@ impl Chip {
         self.access.scheme != Scheme::None
     }
 
+    /// The register that distinguishes packs. A chemistry ID is no serial number.
+    pub fn serial_register(&self) -> Option<u8> {
+        match self.preflight.pack.as_ref()?.word {
+            Word::Register(code) => Some(code),
+            Word::ControlStatus | Word::Answer(_) => None,
+        }
+    }
+
     /// The register at an address.
     pub fn register_at(&self, code: u8) -> Option<&'static Register> {
         self.registers.iter().find(|register| register.code == code)
@@ -636,6 +745,24 @@ impl Chip {
     /// The register that feeds a property.
     pub fn register(&self, role: Role) -> Option<&'static Register> {
         self.registers.iter().find(|register| register.role == Some(role))
+    }
+
+    /// The parameter that feeds a property, with its subclass.
+    pub fn stored(&self, role: Role) -> Option<(&'static Subclass, &'static Parameter)> {
+        let rows = |row: &'static Subclass| row.parameters.iter().map(move |parameter| (row, parameter));
+        self.subclasses.iter().flat_map(rows).find(|(_, parameter)| parameter.role == Some(role))
+    }
+
+    /// The places in data flash (subclass and offset) that say something about the pack or the gauge: what feeds
+    /// properties, what proves the addresses, and what defects show in.
+    pub fn places(&self) -> impl Iterator<Item = (u8, u16)> + '_ {
+        let rows = |row: &'static Subclass| row.parameters.iter().map(move |parameter| (row.id, parameter));
+        let stored = self.subclasses.iter().flat_map(rows).filter(|(_, parameter)| parameter.role.is_some());
+        let stored = stored.map(|(id, parameter)| (id, parameter.offset));
+        let primary = self.condition.primary.iter().flat_map(|primary| [primary.alerts, primary.mode]);
+        let signature = self.signature.iter().map(|row| (row.subclass, row.offset));
+        let quirks = self.quirks.iter().map(|quirk| (quirk.subclass, quirk.offset));
+        stored.chain(primary).chain(signature).chain(quirks).chain(self.scaling.in_flash())
     }
 
     /// The folder of a subclass in `df/by-name`: its name, preceded by the manual's class if two subclasses

@@ -24,7 +24,9 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal};
 use crate::value::Value;
 
+mod anonymous;
 mod blocks;
+mod calmode;
 mod checks;
 mod io;
 mod keychange;
@@ -35,11 +37,13 @@ mod session;
 mod settle;
 mod wear;
 
+pub use anonymous::{anonymous, sample};
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
 use io::{read_subclass, reload, still_open, store, verify_written};
 use pack::Known;
+pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack};
 use schemes::sequence;
 use session::{Session, in_time};
@@ -118,6 +122,8 @@ pub struct DataFlash {
     ours: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
     gate: Option<(i16, u16)>,
+    /// A session of ours may have left calibration mode on.
+    in_calibration: bool,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: bool,
     /// Records each write before it starts.
@@ -187,8 +193,32 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
+        let read = self.read_found(gauge, wanted, waited, |_| true);
+        read.map(Option::unwrap_or_default)
+    }
+
+    /// The same of a gauge that is open. `None` from one that is sealed: it is left alone.
+    pub fn read_if_open(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[&'static Subclass],
+    ) -> Result<Option<Vec<Vec<u8>>>> {
+        self.read_found(gauge, wanted, Duration::ZERO, |found| found != Seal::Sealed)
+    }
+
+    /// Reads subclasses if the seal state that the gauge is found in allows it.
+    fn read_found(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[&'static Subclass],
+        waited: Duration,
+        allowed: impl Fn(Seal) -> bool,
+    ) -> Result<Option<Vec<Vec<u8>>>> {
         let outcome = in_time(gauge, waited, |gauge, asked| {
             let found = gauge.seal()?;
+            if !allowed(found) {
+                return Ok(None);
+            }
             let mut session = Session::new(found, asked);
             // While something is pending its own entry owes the seal.
             if found == Seal::Sealed && self.find_pending().is_none() {
@@ -212,7 +242,7 @@ impl DataFlash {
                 wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
-            self.end(session, gauge, read)
+            self.end(session, gauge, read).map(Some)
         });
         self.noted(outcome)
     }
@@ -237,12 +267,23 @@ impl DataFlash {
 
     /// Makes all changes, or none, in one transaction.
     pub fn write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
+        self.write_with(gauge, changes, Extras::default(), waited)
+    }
+
+    /// The same with what a calibration needs besides.
+    pub(crate) fn write_with(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        extras: Extras<'_>,
+        waited: Duration,
+    ) -> Result<Outcome> {
         if let Some(change) = changes.iter().find(|change| change.kind(gauge.chip) == Kind::Security) {
             let why = "keys cannot be changed like other parameters";
             return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
         }
         let outcome = self.check_wear(gauge).and_then(|()| {
-            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, waited))
+            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, extras, waited))
         });
         let outcome = self.noted(outcome);
         self.learn_from(gauge, changes, &outcome);
@@ -253,8 +294,40 @@ impl DataFlash {
         }
     }
 
+    /// Settles an interrupted write and makes sure that the gauge is the one whose values were read, and in no mode in
+    /// which nothing is written.
+    pub(crate) fn ready(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
+        let waited = self.settle_first(gauge, waited)?;
+        in_time(gauge, waited, |gauge, _| {
+            gauge.claim()?;
+            self.preflight(gauge, &[]).map(drop)
+        })
+    }
+
+    /// Leaves calibration mode, whoever has entered it, and restores the seal state. Returns whether it was on.
+    pub(crate) fn leave_calibration(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<bool> {
+        let Some(calibration) = gauge.chip.calibration else { return Ok(false) };
+        let waited = self.settle_first(gauge, waited)?;
+        in_time(gauge, waited, |gauge, asked| {
+            gauge.claim()?;
+            let found = gauge.seal()?;
+            let mut session = Session::new(found, asked);
+            self.owe(gauge, &mut session, 0)?;
+            session.now = None;
+            let left = calmode::leave(gauge, calibration);
+            self.in_calibration &= left.is_err();
+            self.end(session, gauge, left)
+        })
+    }
+
     /// Settles an interrupted write, then runs one session.
-    fn transact(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
+    fn transact(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        extras: Extras<'_>,
+        waited: Duration,
+    ) -> Result<Outcome> {
         let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
@@ -262,8 +335,8 @@ impl DataFlash {
             self.check_key(gauge, found.seal, changes)?;
             let mut session = Session::new(found.seal, asked);
             self.owe(gauge, &mut session, blocks(changes))?;
-            let outcome =
-                session.open(gauge).and_then(|()| self.change(gauge, changes, &found, &mut session));
+            let opened = session.open(gauge);
+            let outcome = opened.and_then(|()| self.change(gauge, changes, &found, extras, &mut session));
             let outcome = self.end(session, gauge, outcome);
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
@@ -288,6 +361,7 @@ impl DataFlash {
     /// Ends a session, and keeps what it leaves to be settled.
     fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
         let (outcome, left) = session.close(gauge, outcome);
+        self.in_calibration |= session.calibrating.is_some();
         match left {
             None => session.remove_journal(),
             Some(left) => self.keep(session.entry.take(), left),
@@ -301,10 +375,14 @@ impl DataFlash {
         gauge: &mut Gauge,
         changes: &[Change],
         found: &Found,
+        extras: Extras<'_>,
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
         self.check_signature(gauge)?;
+        if extras.calibrate {
+            session.enter_calibration(gauge)?;
+        }
         self.check_gate(gauge, voltage_mv)?;
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
@@ -342,7 +420,7 @@ impl DataFlash {
         self.identity = None;
         let change =
             Planned { dirty: &dirty, neighbours: &neighbours, in_window, reset, was_lost: found.lost };
-        let programmed = program(gauge, session, &change);
+        let programmed = program(gauge, session, &change, extras.accept);
         for block in &dirty {
             match programmed {
                 Ok(()) => self.known.note(gauge.chip, block.place, block.new),
@@ -426,6 +504,18 @@ impl DataFlash {
     }
 }
 
+/// Judges the gauge that works with the new values.
+pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
+
+/// What a calibration needs besides the write.
+#[derive(Default)]
+pub(crate) struct Extras<'a> {
+    /// Enter calibration mode first, in which the gauge ignores its gate, and leave it before the reset.
+    pub(crate) calibrate: bool,
+    /// After the reset: if this fails, the old values go back. The write has to need a reset.
+    pub(crate) accept: Option<Accept<'a>>,
+}
+
 /// A change that has been checked and recorded.
 struct Planned<'a> {
     dirty: &'a [Dirty],
@@ -439,7 +529,12 @@ struct Planned<'a> {
 }
 
 /// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
-fn program(gauge: &mut Gauge, session: &mut Session, change: &Planned<'_>) -> Result<()> {
+fn program(
+    gauge: &mut Gauge,
+    session: &mut Session,
+    change: &Planned<'_>,
+    accept: Option<Accept<'_>>,
+) -> Result<()> {
     let &Planned { dirty, neighbours, in_window, reset, was_lost } = change;
     gauge.statistics.progress.begin(dirty.len());
     session.begin(gauge)?;
@@ -453,9 +548,11 @@ fn program(gauge: &mut Gauge, session: &mut Session, change: &Planned<'_>) -> Re
         if !reset && !sequence(gauge).always_finishes() {
             return still_open(gauge);
         }
+        session.leave_calibration(gauge)?;
         finished = true;
         session.finish(gauge)?;
-        dirty.iter().try_for_each(|block| verify_written(gauge, block))
+        dirty.iter().try_for_each(|block| verify_written(gauge, block))?;
+        accept.map_or(Ok(()), |accept| accept(gauge))
     });
     let Err(error) = forward else { return Ok(()) };
     if touched == 0 {
@@ -509,6 +606,20 @@ impl Change {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.
+    pub fn check_reserved(&self, stored: &[u8]) -> Result<()> {
+        let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
+            return Ok(());
+        };
+        let old = integer(parameter, stored);
+        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
+        if differ == 0 {
+            return Ok(());
+        }
+        let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
+        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
     }
 
     /// Name for the log: the parameter's name, or the place of undocumented bytes.

@@ -13,6 +13,7 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_stack};
 pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
+use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};
 
 /// Address of Control().
@@ -178,6 +179,8 @@ pub struct Gauge {
     proven: bool,
     /// Transfers are not recorded while this is not 0.
     secrets: u32,
+    /// The transfers since [`Self::record`].
+    recording: Option<Vec<Event>>,
     /// Transfers that failed.
     failures: u64,
     /// When the last transfer ended.
@@ -212,6 +215,7 @@ impl Gauge {
             refused: false,
             proven: false,
             secrets: 0,
+            recording: None,
             failures: 0,
             stopped: None,
             answered: Duration::ZERO,
@@ -263,6 +267,7 @@ impl Gauge {
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
         let outcome = self.bus.transfer(write, read);
         self.stopped = Some(self.clock.now());
+        self.note(write, read, outcome);
         match outcome {
             Ok(()) => {
                 self.silence = self.longest_silence();
@@ -271,6 +276,28 @@ impl Gauge {
             Err(_) => self.failures += 1,
         }
         outcome
+    }
+
+    /// Starts recording the transfers.
+    pub fn record(&mut self) {
+        self.recording = Some(Vec::new());
+    }
+
+    /// Stops recording, and returns what was transferred since [`Self::record`]. Keys are left out; serial numbers are
+    /// not, see [`anonymous`](crate::dataflash::anonymous).
+    pub fn recorded(&mut self) -> Vec<Event> {
+        self.recording.take().unwrap_or_default()
+    }
+
+    fn note(&mut self, write: &[u8], read: &[u8], outcome: Result<(), BusError>) {
+        let is_secret = self.secrets > 0;
+        let Some(recording) = &mut self.recording else { return };
+        recording.push(if is_secret {
+            Event::Hidden
+        } else {
+            let answer = outcome.map(|()| read.to_vec());
+            Event::Transfer { at: self.clock.now(), write: write.to_vec(), read: read.len(), answer }
+        });
     }
 
     /// Starts measuring the longest silence of the gauge.
@@ -345,6 +372,13 @@ impl Gauge {
     pub fn command(&mut self, code: u16) -> Result<()> {
         let subject = self.subcommand_name(code);
         self.write(CONTROL, &code.to_le_bytes()).map_err(|error| error.about(subject).at(Step::Control))
+    }
+
+    /// Sends a subcommand whose effect must not happen twice.
+    pub fn command_once(&mut self, code: u16) -> Result<()> {
+        self.may_write()?;
+        let sent = self.write_once(CONTROL, &code.to_le_bytes());
+        sent.map_err(|bus| Error::new(self.subcommand_name(code), Cause::Bus(bus)).at(Step::Control))
     }
 
     /// Sends a subcommand and reads the word that it answers with.
@@ -686,7 +720,7 @@ impl Gauge {
     pub fn start_over(&mut self) {
         self.forget_refusal();
         self.limit_until(None);
-        (self.expected, self.secrets) = (None, 0);
+        (self.expected, self.secrets, self.recording) = (None, 0, None);
         self.bus.set_secret(false);
         self.statistics.progress.end();
     }

@@ -15,6 +15,7 @@ use crate::value::Value;
 
 pub mod flashstream;
 pub mod ggcsv;
+mod romimage;
 pub mod toml;
 
 /// The formats of an image.
@@ -45,6 +46,10 @@ pub struct Image {
     pub left_out: Vec<LeftOut>,
     /// Whether the file names the chip that it is for, or its device type.
     pub names_chip: bool,
+    /// The checksum of the chemistry's data, of an image for ROM mode.
+    pub chemistry_sum: Option<u16>,
+    /// The first line that writes the gauge's firmware as a whole; `None` for an image of data flash only.
+    pub firmware_line: Option<usize>,
 }
 
 /// Something that is not part of an image although its file or its gauge has it.
@@ -52,8 +57,15 @@ pub struct Image {
 pub struct LeftOut {
     /// What it is, where it is from, and why it is left out.
     pub text: String,
-    /// It is a key.
-    pub is_key: bool,
+    /// The group that it belongs to; an import that excludes that group does not ask for it.
+    pub group: Option<Group>,
+}
+
+impl LeftOut {
+    /// Whether a comparison or an import without these groups asks for it.
+    pub fn counts(&self, exclude: &[Group]) -> bool {
+        !self.group.is_some_and(|group| exclude.contains(&group))
+    }
 }
 
 /// Parameters that an import can leave as they are.
@@ -73,10 +85,9 @@ pub enum Group {
 
 impl Group {
     fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
-        let of_one_pack = ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"];
         match self {
             Group::Calibration => subclass.class == "Calibration",
-            Group::Serial => of_one_pack.contains(&parameter.name),
+            Group::Serial => parameter.names_pack(),
             Group::Learned => parameter.learned,
             Group::Undocumented | Group::Keys => false,
         }
@@ -150,7 +161,7 @@ pub struct Changes<'a> {
 }
 
 /// An error about a line of a file.
-fn at_line(line: usize, why: impl Into<String>) -> Error {
+pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     Error::new(format!("line {line}"), Cause::Invalid(why.into()))
 }
 
@@ -180,11 +191,11 @@ impl Entry {
         text::render(self.parameter.kind, &self.value)
     }
 
-    /// Why an import does not write it: its address is uncertain, or it is a learned value outside the range. Any
+    /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
     /// other value outside its range is an error, with line and parameter.
-    pub fn not_imported(&self) -> Result<Option<&'static str>> {
+    pub fn not_imported(&self, allow_unproven: bool) -> Result<Option<&'static str>> {
         match text::parse(self.parameter, self.text().as_bytes()) {
-            _ if self.parameter.unproven => Ok(Some("its address or range is unproven")),
+            _ if self.parameter.unproven && !allow_unproven => Ok(Some("its address or range is unproven")),
             Ok(_) => Ok(None),
             Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
             Err(error) => Err(error.within(&format!("line {}", self.line))),
@@ -242,6 +253,8 @@ impl Image {
             notes: Vec::new(),
             left_out: Vec::new(),
             names_chip: false,
+            chemistry_sum: None,
+            firmware_line: None,
         }
     }
 
@@ -262,6 +275,14 @@ impl Image {
         Some(at_line(line, why))
     }
 
+    /// Whether these are bytes of the chemistry, in a file that is for this part and firmware: it was made to
+    /// write them.
+    fn is_chemistry(&self, raw: &Raw) -> bool {
+        let is_for_part = self.names_chip && self.firmware.is_some();
+        let is_named = |row: &Subclass| row.class == "Chemistry" || row.name == "Chem Data";
+        is_for_part && self.chip.subclass(raw.subclass).is_some_and(is_named)
+    }
+
     /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
     pub fn undocumented(&self) -> String {
         let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
@@ -275,13 +296,17 @@ impl Image {
                 }
                 _ => format!("{count} undocumented {bytes} of subclass {id}"),
             };
-            format!("line {number}: {what}; refused if the gauge has other values\n")
+            let outcome = match self.is_chemistry(line[0]) {
+                true => "written if the gauge has other values",
+                false => "refused if the gauge has other values",
+            };
+            format!("line {number}: {what}; {outcome}\n")
         });
         told.collect()
     }
 
     /// What the undocumented bytes of a file would change on a gauge. `stored` returns a whole subclass of it, by
-    /// id. Unless `allowed`, the first such change is an error.
+    /// id. Unless `allowed`, or of the chemistry of this part and firmware, the first such change is an error.
     pub fn raw_changes(
         &self,
         stored: impl Fn(u8) -> Result<Vec<u8>>,
@@ -302,6 +327,7 @@ impl Image {
                 let why = format!("subclass {} ends with offset {}", subclass.id, stored.len() - 1);
                 return Err(at_line(raw.line, why));
             };
+            let allowed = allowed || self.is_chemistry(raw);
             let differs = |at: &usize| stored[*at] != raw.bytes[*at];
             let range = 0..raw.bytes.len();
             let (Some(from), Some(to)) = (range.clone().find(differs), range.clone().rfind(differs)) else {
@@ -319,10 +345,28 @@ impl Image {
         Ok(changes)
     }
 
+    /// Refuses an image that holds the gauge's firmware as well, unless only its data flash is asked for.
+    pub fn check_firmware(&self, data_flash_only: bool) -> Result<()> {
+        match self.firmware_line {
+            Some(line) if !data_flash_only => {
+                let why = "it also holds the gauge's firmware, which gaugefs never writes; take only its data \
+                           flash with --data-flash";
+                Err(at_line(line, why))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Reads a file of any format. `chip` is the chip that it is for, if the file does not name one.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        let is_dfi = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
+        if is_dfi || is_binary(&bytes) {
+            let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
+                       with them, or a .df.fs for a bq34z100";
+            return Err(Error::new(name, Cause::Invalid(why.into())));
+        }
         // Tools use other encodings in comments and units, which are not needed here.
         let text = String::from_utf8_lossy(&bytes);
         Self::parse(&text, chip).map_err(|error| error.within(&name))
@@ -364,7 +408,12 @@ impl Image {
 
     /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
     /// passed over. A value that may not be written is an error.
-    pub fn changes<'a>(&'a self, file: &'a Image, exclude: &[Group]) -> Result<Changes<'a>> {
+    pub fn changes<'a>(
+        &'a self,
+        file: &'a Image,
+        exclude: &[Group],
+        allow_unproven: bool,
+    ) -> Result<Changes<'a>> {
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
         {
@@ -372,16 +421,15 @@ impl Image {
             return Err(Error::new("", Cause::Invalid(why)));
         }
         let Comparison { differences, only_second, .. } = self.compare(file, exclude)?;
-        let counts = |left: &&LeftOut| !(left.is_key && exclude.contains(&Group::Keys));
-        let mut passed_over: Vec<_> =
-            file.left_out.iter().filter(counts).map(|left| left.text.clone()).collect();
+        let asked_for = file.left_out.iter().filter(|left| left.counts(exclude));
+        let mut passed_over: Vec<_> = asked_for.map(|left| left.text.clone()).collect();
         for entry in only_second {
             let (line, name) = (entry.line, file.name(entry));
             passed_over.push(format!("line {line}: {name}: the gauge does not show its value"));
         }
         let mut changes = Vec::new();
         for difference in differences {
-            match difference.new.not_imported()? {
+            match difference.new.not_imported(allow_unproven)? {
                 None => changes.push(difference),
                 Some(why) => passed_over.push(format!("line {}: {difference}: {why}", difference.new.line)),
             }
@@ -436,8 +484,8 @@ impl Image {
         self.entries.push(Entry { subclass, parameter, value, line });
     }
 
-    fn leave_out(&mut self, line: usize, why: impl fmt::Display, is_key: bool) {
-        self.left_out.push(LeftOut { text: format!("line {line}: {why}"), is_key });
+    fn leave_out(&mut self, line: usize, why: impl fmt::Display, group: Option<Group>) {
+        self.left_out.push(LeftOut { text: format!("line {line}: {why}"), group });
     }
 
     /// The name of a parameter as `df/by-name` has it.
@@ -482,6 +530,12 @@ fn twice(name: &str, first: usize, second: usize) -> Error {
 
 fn also_in(name: &str, first: usize) -> String {
     format!("{name} is also in line {first}; remove one of the two")
+}
+
+/// Whether these bytes are no text in any encoding that tools write, as those of a .dfi. UTF-16 begins with a mark.
+fn is_binary(bytes: &[u8]) -> bool {
+    let is_utf16 = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
+    !is_utf16 && bytes.contains(&0)
 }
 
 /// The format of a text, by its first line that is not blank.
@@ -799,7 +853,12 @@ mod tests {
                     assert_eq!(differ, None, "{} {limit:?} {format:?}", chip.name);
                     assert_eq!(text.len(), second.len(), "{} {limit:?} {format:?}", chip.name);
                     for entry in &again.entries {
-                        assert!(entry.not_imported().is_ok(), "{} {limit:?}: {}", chip.name, entry.text());
+                        assert!(
+                            entry.not_imported(false).is_ok(),
+                            "{} {limit:?}: {}",
+                            chip.name,
+                            entry.text()
+                        );
                     }
                 }
             }
@@ -945,7 +1004,7 @@ mod tests {
              Gas Gauging,IT Cfg,Ra Filter,500\nSecurity,Codes,Sealed to Unsealed,36720414\n",
         );
         let passed_over = |exclude: &[Group]| {
-            let Changes { changes, passed_over } = gauge.changes(&file, exclude).expect("one chip");
+            let Changes { changes, passed_over } = gauge.changes(&file, exclude, false).expect("one chip");
             assert_eq!(changes.len(), 1);
             passed_over
         };
@@ -961,7 +1020,9 @@ mod tests {
         let entry = file.entries.iter_mut().find(|entry| entry.parameter.unproven).expect("an unproven row");
         let Value::Int(value) = &mut entry.value else { panic!("{}", entry.parameter.name) };
         *value += 1;
-        let Changes { changes, passed_over } = gauge.changes(&file, &[]).expect("one chip");
+        let all = gauge.changes(&file, &[], true).expect("one chip");
+        assert_eq!((all.changes.len(), all.passed_over.len()), (1, 0));
+        let Changes { changes, passed_over } = gauge.changes(&file, &[], false).expect("one chip");
         assert!(changes.is_empty());
         assert_eq!(passed_over.len(), 1, "{passed_over:?}");
         assert!(passed_over[0].ends_with(": its address or range is unproven"), "{passed_over:?}");

@@ -8,8 +8,8 @@
 //! [owed](dataflash::DataFlash::owed), and the caller tries it again. [`image`] reads and writes configurations as
 //! TOML, gg.csv and FlashStream; [`probe`] finds a gauge without disturbing other devices.
 //!
-//! What it is not: it polls nothing, has no threads, no FUSE and no errno. The program `gaugefs` has those. It does
-//! not program firmware or chemistry.
+//! What it is not: it polls nothing, has no threads, no FUSE and no errno. The program `gaugefs` has those. It
+//! programs no chemistry, and firmware only to bring back a gauge in ROM mode ([`rom`]).
 //!
 //! ```
 //! use std::sync::Arc;
@@ -41,6 +41,7 @@
 //! ```
 
 pub mod authentication;
+pub mod calibration;
 pub mod chip;
 pub mod codec;
 pub mod dataflash;
@@ -52,5 +53,6 @@ pub mod keys;
 pub mod learning;
 pub mod probe;
 pub mod registers;
+pub mod rom;
 pub mod text;
 pub mod value;

@@ -5,11 +5,13 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 
+use super::by_part::read_places;
 use super::*;
 use crate::owner::rig::{INTERVAL, Rig};
 use crate::owner::{Request, Settings, Startup};
 
-/// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power`).
+/// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
+/// `Documentation/power/power_supply_class.rst`).
 const ABI: &[&str] = &[
     "authentic",
     "calibrate",
@@ -26,6 +28,10 @@ const ABI: &[&str] = &[
     "charge_full_design",
     "charge_now",
     "charge_type",
+    "constant_charge_current",
+    "constant_charge_current_max",
+    "constant_charge_voltage",
+    "constant_charge_voltage_max",
     "current_avg",
     "current_max",
     "current_now",
@@ -87,17 +93,17 @@ fn names_are_unique() {
 }
 
 /// A simulated gauge that has been identified and polled.
-fn open(chip: &str) -> Rig {
+pub(super) fn open(chip: &str) -> Rig {
     let mut rig = Rig::of(chip, Settings::default(), Startup::default());
     rig.start().expect("it answers");
     rig
 }
 
-fn turn(rig: &Rig, knob: &str, text: &str) {
+pub(super) fn turn(rig: &Rig, knob: &str, text: &str) {
     rig.sim.set(knob, text).unwrap_or_else(|error| panic!("{knob} {text}: {error}"));
 }
 
-fn show(rig: &Rig, name: &str) -> Option<String> {
+pub(super) fn show(rig: &Rig, name: &str) -> Option<String> {
     show_scaled(rig, name, &Scales::default())
 }
 
@@ -264,14 +270,15 @@ fn power_has_the_sign_of_the_current() {
     }
 }
 
-/// The attributes of the driver of Linux 6.12 that are not the same for all.
+/// The attributes of the driver of Linux 6.12 that are not the same for all, and `time_to_empty_avg` of the parts whose
+/// register for it only the driver's other parts show.
 #[rustfmt::skip]
 const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
-    (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
-    (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
     (&["bq27521"], "current_now temp voltage_now"),
     (&["bq27530", "bq27531", "bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
@@ -613,4 +620,206 @@ fn a_gauge_that_asks_for_an_update_of_its_capacity_says_so() {
     turn(&rig, "power", "on");
     rig.poll_after(Duration::from_secs(2));
     assert_shows(&rig, &[("health", Some("Calibration required"))]);
+}
+
+/// What a bq34z100-G1 has in data flash of a pack of three NiMH cells that was made on 23 May 2012.
+fn of_three_cells() -> Rig {
+    let rig = open("bq34z100-g1");
+    rig.sim.set_flash(64, 7, &[3]);
+    rig.sim.set_flash(48, 2, &(23_u16 + 5 * 32 + 32 * 512).to_be_bytes());
+    rig.sim.set_flash(48, 55, b"\x04NiMH");
+    rig
+}
+
+const OF_THREE_CELLS: [(&str, Option<&str>); 6] = [
+    ("voltage_min_design", Some("9000000")),
+    ("voltage_max_design", Some("12600000")),
+    ("manufacture_year", Some("2012")),
+    ("manufacture_month", Some("5")),
+    ("manufacture_day", Some("23")),
+    ("technology", Some("NiMH")),
+];
+
+fn assert_shows_nothing_stored(rig: &Rig) {
+    for (name, _) in OF_THREE_CELLS {
+        assert_eq!(show(rig, name).as_deref(), (name == "technology").then_some("Unknown"), "{name}");
+    }
+}
+
+/// The cycle count, which the gauge rewrites, is in the same subclass as the date.
+#[test]
+fn what_data_flash_holds_is_shown_from_its_reading_to_the_first_failed_poll() {
+    let mut rig = of_three_cells();
+    rig.poll_after(INTERVAL);
+    assert_shows_nothing_stored(&rig);
+    read_places(&mut rig);
+    for _ in 0..3 {
+        assert_shows(&rig, &OF_THREE_CELLS);
+        rig.poll_after(INTERVAL);
+    }
+    let scales = Scales { voltage: 2.0, ..Scales::default() };
+    assert_eq!(show_scaled(&rig, "voltage_min_design", &scales).as_deref(), Some("18000000"));
+    turn(&rig, "power", "off");
+    rig.poll_after(INTERVAL);
+    assert_shows(&rig, &[("present", Some("1"))]);
+    assert_shows_nothing_stored(&rig);
+    turn(&rig, "power", "on");
+    for _ in 0..3 {
+        rig.poll_after(INTERVAL);
+    }
+    // Another pack may be there now, and it is sealed.
+    assert_shows_nothing_stored(&rig);
+}
+
+#[test]
+fn a_value_of_data_flash_that_cannot_be_one_is_not_shown() {
+    let mut rig = of_three_cells();
+    // 31 February 1985; no cell; a chemistry that the kernel does not know.
+    rig.sim.set_flash(48, 2, &(31_u16 + 2 * 32 + 5 * 512).to_be_bytes());
+    rig.sim.set_flash(64, 7, &[0]);
+    rig.sim.set_flash(48, 55, b"\x04PbA ");
+    read_places(&mut rig);
+    assert_shows_nothing_stored(&rig);
+    assert_shows(&rig, &[("constant_charge_voltage", None)]);
+}
+
+#[test]
+fn data_flash_at_other_addresses_than_the_tables_is_not_shown() {
+    for (shifted, expected) in [(false, Some("4200000")), (true, None)] {
+        let mut rig = open("bq34z100-r2");
+        if shifted {
+            rig.sim.set_flash(48, 33, b"B");
+        }
+        read_places(&mut rig);
+        assert_shows(&rig, &[("voltage_max_design", expected)]);
+    }
+}
+
+#[test]
+fn a_part_without_the_register_has_its_design_capacity_from_data_memory() {
+    for chip in ["bq27426", "bq27427"] {
+        let mut rig = open(chip);
+        assert_shows(&rig, &[("charge_full_design", None)]);
+        rig.sim.set_flash(82, 6, &1500_u16.to_be_bytes());
+        read_places(&mut rig);
+        assert_shows(
+            &rig,
+            &[("charge_full_design", Some("1500000")), ("voltage_min_design", Some("3200000"))],
+        );
+        let scales = Scales { current: 2.0, ..Scales::default() };
+        assert_eq!(show_scaled(&rig, "charge_full_design", &scales).as_deref(), Some("3000000"));
+    }
+}
+
+#[test]
+fn the_charger_gets_the_voltage_of_the_whole_pack() {
+    let mut rig = of_three_cells();
+    rig.poll_after(INTERVAL);
+    let current = ("constant_charge_current", Some("500000"));
+    assert_shows(&rig, &[("constant_charge_voltage", None), current]);
+    read_places(&mut rig);
+    assert_shows(&rig, &[("constant_charge_voltage", Some("12600000")), current]);
+    // One cell needs no data flash.
+    let mut rig = open("bq27220");
+    rig.poll_after(INTERVAL);
+    assert!(show(&rig, "constant_charge_voltage").is_some());
+}
+
+#[test]
+fn a_charging_voltage_far_above_a_cells_is_the_packs() {
+    assert_eq!(pack_voltage(4200, 4200, 3), 12600);
+    // Reduced in the cold, and none at all.
+    assert_eq!([pack_voltage(3900, 4200, 3), pack_voltage(0, 4200, 3)], [11700, 0]);
+    assert_eq!([pack_voltage(12600, 4200, 3), pack_voltage(8400, 4200, 2)], [12600, 8400]);
+}
+
+#[test]
+fn a_charge_counter_falls_while_discharging() {
+    for chip in ["bq34110", "bq27220", "bq35100"] {
+        let mut rig = open(chip);
+        let start = 0x0011;
+        if chip == "bq35100" {
+            rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+        }
+        if chip == "bq34110" {
+            // Mfg Status Init: it counts in both directions.
+            rig.sim.set_flash(0, 0xd7, &[0x00, 0x03]);
+            turn(&rig, "power", "off");
+            turn(&rig, "power", "on");
+        }
+        turn(&rig, "load_ma", "100");
+        turn(&rig, "speed", "100");
+        rig.poll_after(Duration::from_secs(2));
+        let counter =
+            |rig: &Rig| show(rig, "charge_counter").expect("counted").parse::<i64>().expect("a number");
+        let before = counter(&rig);
+        rig.poll_after(Duration::from_secs(36));
+        // An hour at 100 mA.
+        let taken = before - counter(&rig);
+        assert!((95_000..=105_000).contains(&taken), "{chip}: {taken} µAh");
+    }
+}
+
+#[test]
+fn a_resistance_is_shown_in_the_mode_that_measures_it() {
+    for mode in [0x01, 0x02] {
+        let mut rig = open("bq35100");
+        rig.sim.set_flash(0, 0x1b1, &[0x80 | mode, 0xfb]);
+        turn(&rig, "power", "off");
+        turn(&rig, "power", "on");
+        rig.poll_after(INTERVAL);
+        let (start, stop) = (0x0011, 0x0012);
+        rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+        turn(&rig, "load_ma", "100");
+        rig.poll_after(Duration::from_secs(3));
+        rig.ask(|done| Request::Control(stop, done)).expect("a sealed gauge takes it");
+        for _ in 0..12 {
+            rig.poll_after(INTERVAL);
+        }
+        assert_shows(&rig, &[("internal_resistance", None)]);
+        read_places(&mut rig);
+        let published = rig.handle.published();
+        let register = rig.handle.chip().register(Role::InternalResistance).expect("a register");
+        let milliohms =
+            published.snapshot.as_ref().and_then(|snapshot| snapshot.value(register)).expect("read");
+        let expected = (mode == 0x02).then(|| (milliohms * 1000).to_string());
+        assert_eq!(show(&rig, "internal_resistance"), expected, "{milliohms} mΩ");
+        assert!(mode != 0x02 || milliohms > 0, "it was measured");
+    }
+}
+
+#[test]
+fn the_serial_number_is_that_of_the_register() {
+    for chip in ["bq34z100-g1", "bq34z100-r2"] {
+        let rig = open(chip);
+        let published = rig.handle.published();
+        let register = rig.handle.chip().register(Role::SerialNumber).expect("a register");
+        let number = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(register)).expect("read");
+        assert_eq!(show(&rig, "serial_number"), Some(format!("{number:04x}")), "{chip}");
+    }
+}
+
+#[test]
+fn voltages_beyond_the_limits_of_the_pack_are_its_health() {
+    let mut rig = open("bq34z100-g1");
+    let mut at = |millivolts| {
+        turn(&rig, "voltage_mv", millivolts);
+        for _ in 0..4 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        show(&rig, "health").expect("known")
+    };
+    assert_eq!([at("3900"), at("4400"), at("3900")], ["Good", "Over voltage", "Good"]);
+    // Cell BL Set Volt Threshold, Time and Clear Volt Threshold.
+    let mut rig = open("bq34z100-g1");
+    rig.sim.set_flash(49, 8, &[0x0e, 0x10, 2, 0x0e, 0x74]);
+    turn(&rig, "power", "off");
+    turn(&rig, "power", "on");
+    for (millivolts, health) in [("3900", "Good"), ("3500", "Under voltage"), ("3900", "Good")] {
+        turn(&rig, "voltage_mv", millivolts);
+        for _ in 0..4 {
+            rig.poll_after(Duration::from_secs(2));
+        }
+        assert_shows(&rig, &[("health", Some(health))]);
+    }
 }

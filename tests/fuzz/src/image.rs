@@ -39,7 +39,7 @@ fn check(input: &[u8], format: Format) {
     drop(image.to_restore());
     drop(image.undocumented());
     drop(image.raw_changes(|id| Ok(stored(&image, id)), true));
-    drop(image.changes(&image, &[]).map(|changes| assert!(changes.changes.is_empty())));
+    drop(image.changes(&image, &[], false).map(|changes| assert!(changes.changes.is_empty())));
     for format in [Format::Toml, Format::GgCsv, Format::FlashStream] {
         reads_back(&image, format);
     }

@@ -52,6 +52,7 @@ pub(super) const SCHEME: BlockPart = BlockPart {
     sealed_writes: None,
     battery_insert: Some((64, 0, 0x20)),
     own: Own { sleep: Some(((64, 0, 0x0020), (82, 23))), ..OWN },
+    rom: None,
 };
 
 /// The table of 5.1. The firmware version is what parts answer.

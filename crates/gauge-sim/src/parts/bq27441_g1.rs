@@ -66,6 +66,7 @@ const SCHEME: BlockPart = BlockPart {
     // OpConfig [BIE], table 6-7.
     battery_insert: Some((64, 0, 0x20)),
     own: OWN,
+    rom: None,
 };
 
 /// Bit 7 of Update Status (6.4.2.3.2).

@@ -9,6 +9,7 @@ use super::gauging::Quantity as Q;
 use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG};
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status};
+use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
@@ -61,7 +62,11 @@ static SCHEME: BlockPart = BlockPart {
         settle: None,
         chemistry: None,
     },
+    rom: Some(LAYOUT),
 };
+
+/// Only the device name is known to be in its place in the rows of an image for ROM mode.
+static LAYOUT: Layout = &[];
 
 /// SLUSAB7A. The firmware version is the third generation's. Hardware version and chemistry are not known.
 #[rustfmt::skip]

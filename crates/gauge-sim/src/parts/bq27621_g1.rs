@@ -47,6 +47,7 @@ static SCHEME: BlockPart = BlockPart {
     battery_insert: Some((64, 0, 0x20)),
     // No bit of OpConfig is known to allow SLEEP.
     own: Own { load_mode: Some((82, 2)), sleep: None, ..OWN },
+    rom: None,
 };
 
 /// The firmware version is what TI's image expects.

@@ -12,6 +12,7 @@ use super::gauging::{
 };
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
+use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
@@ -69,7 +70,17 @@ static SCHEME: BlockPart = BlockPart {
         settle: Some((68, 11)),
         chemistry: Some(88),
     },
+    rom: Some(LAYOUT),
 };
+
+/// Where rows of an image for ROM mode have the classes (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for the G1,
+/// BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
+#[rustfmt::skip]
+static LAYOUT: Layout = &[
+    (104, 0, 16), (82, 68, 17), (80, 85, 93), (32, 400, 6), (34, 406, 14), (36, 420, 27), (64, 447, 8),
+    (68, 459, 12), (81, 471, 11), (112, 482, 24), (67, 506, 1), (59, 507, 12), (60, 519, 2), (66, 521, 5),
+    (2, 571, 10), (48, 602, 60), (49, 662, 22), (58, 684, 32), (88, 768, 32), (89, 832, 32),
+];
 
 /// SLUSBZ5D table 7-2. Answers are those of SLUA790 section 2.3, versions those of production parts.
 #[rustfmt::skip]
@@ -204,6 +215,9 @@ fn settings(flash: &Flash) -> Settings {
         relax_s: (f64::from(u16(81, 6)), u8(81, 8)),
         internal_offset: f64::from(i8(104, 11)),
         external_offset: f64::from(i8(104, 12)),
+        gain: flash.f4(104, 0),
+        board_offset: f64::from(i8(104, 10)),
+        cc_offset: i16(104, 8),
         deadband_ma: u8(107, 1),
         cells: u8(64, 7).max(1.0),
         qmax_mah: i16(82, 0).max(1.0),

@@ -15,6 +15,7 @@ use super::gauging::{
 };
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
+use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
@@ -68,7 +69,17 @@ static SCHEME: BlockPart = BlockPart {
         settle: Some((68, 11)),
         chemistry: Some(88),
     },
+    rom: Some(LAYOUT),
 };
+
+/// Where rows of an image for ROM mode have the classes (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for the G1,
+/// BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
+#[rustfmt::skip]
+static LAYOUT: Layout = &[
+    (104, 0, 16), (82, 68, 17), (80, 85, 93), (32, 405, 6), (34, 411, 14), (36, 425, 27), (64, 452, 8),
+    (68, 464, 12), (81, 476, 11), (112, 487, 24), (67, 511, 1), (59, 512, 12), (60, 524, 2), (66, 526, 5),
+    (2, 576, 10), (48, 607, 62), (49, 669, 22), (58, 691, 32), (88, 768, 32), (89, 832, 32),
+];
 
 /// The codes of SLUUCO5A 2.1.1, with the effects of the bq34z100-G1 (SLUSBZ5D table 7-2). The hardware is that of a
 /// bq34z100-G1 which was given firmware 2.02.
@@ -209,6 +220,9 @@ fn settings(flash: &Flash) -> Settings {
         relax_s: (f64::from(u16(81, 6)), u8(81, 8)),
         internal_offset: f64::from(i8(104, 11)),
         external_offset: f64::from(i8(104, 12)),
+        gain: flash.f4(104, 0),
+        board_offset: f64::from(i8(104, 10)),
+        cc_offset: i16(104, 8),
         deadband_ma: u8(107, 1),
         cells: u8(64, 7).max(1.0),
         qmax_mah: i16(82, 0).max(1.0),

@@ -737,6 +737,43 @@ mod reset {
     }
 
     #[test]
+    fn a_board_has_errors_that_a_calibration_corrects() {
+        let bench = Bench::unsealed();
+        let word = |register| bench.signed(register);
+        bench.set("load_ma", "1000");
+        assert_eq!(word(0x10), -1000);
+        bench.set("shunt_error", "50");
+        assert_eq!(word(0x10), -1050);
+        // CC Gain 0.4768 / 1.05, which a reset takes over.
+        bench.sim.set_flash(104, 0, &[0x7F, 0x68, 0x7F, 0x8E]);
+        bench.reset();
+        bench.sleep(2);
+        assert_eq!(word(0x10), -1000);
+        bench.set("load_ma", "0");
+        bench.set("board_offset_ma", "8");
+        assert_eq!(word(0x10), 8);
+        bench.replay("W 00 09 00");
+        bench.sleep(4);
+        assert_eq!(word(0x10), 0);
+        bench.set("temperature_error", "30");
+        assert_eq!(word(0x0C), 2981 + 30);
+        // Seven cells behind a divider that nobody has set.
+        bench.set("cells", "7");
+        bench.set("board_divider", "33000");
+        let there = 3855.0 * 7.0 * 5000.0 / (33_000.0 * 5.0);
+        assert!((f64::from(word(0x08)) - there).abs() < 2.0, "{} for {there}", word(0x08));
+        bench.set("board_divider", "auto");
+        bench.set("noise_mv", "20");
+        let mut seen = std::collections::BTreeSet::new();
+        for _ in 0..20 {
+            bench.sleep(1);
+            seen.insert(word(0x08));
+        }
+        let (least, most) = (seen.first().unwrap(), seen.last().unwrap());
+        assert!(seen.len() > 5 && (5..=40).contains(&(most - least)), "{seen:?}");
+    }
+
+    #[test]
     fn impedance_track_stays_on() {
         let bench = Bench::unsealed();
         assert_eq!(bench.status() & 3, 0);

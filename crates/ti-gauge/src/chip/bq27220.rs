@@ -32,9 +32,10 @@ pub static CHIP: Chip = Chip {
     name: "bq27220",
     model: "BQ27220",
     documents: &["SLUUBD4A (November 2022)", "SLUSCB7A (April 2016)"],
-    evidence: Evidence::Manual,
+    evidence: &[Evidence::Manual, Evidence::Drivers],
     // Every driver asks for this type. No source gives a firmware or hardware version.
     identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -46,6 +47,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x8006, // [FD], [TDA], [SYSDWN]
         overheat: 0x0C00, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0,
+        under_voltage: 0,
         present: 0x0008, // [BATTPRES]
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), not in CONTROL_STATUS.
@@ -84,6 +87,7 @@ pub static CHIP: Chip = Chip {
     // SLUSCB7A 6.11.
     byte_writes_above_hz: Some(100_000),
     // One address lower, the high byte of each would be the low byte of the row before: a value out of range.
+    calibration: None,
     signature: &[
         Signature::new(FLAT, 0x91FD, I2, 0, 4600),
         Signature::new(FLAT, 0x9201, I2, 0, 1000),
@@ -93,6 +97,7 @@ pub static CHIP: Chip = Chip {
     // they want there.
     volatile: Some(0),
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         // It has neither a serial number nor a chemistry that could be asked for.
         pack: None,
@@ -122,7 +127,7 @@ pub static CHIP: Chip = Chip {
     },
 };
 
-/// Table 3-1. The poll reads 0x06 to 0x19 and 0x24 to 0x2F whole. The raw readings from 0x79 on are in drivers only;
+/// Table 3-1. The poll reads 0x06 to 0x19 and 0x22 to 0x2F whole. The raw readings from 0x79 on are in drivers only;
 /// the datasheet has no address above 0x6B acknowledged, so they are left out.
 #[rustfmt::skip]
 static REGISTERS: &[Register] = &[
@@ -142,14 +147,15 @@ static REGISTERS: &[Register] = &[
     Register::new(0x1C, U2, "StandbyTimeToEmpty", "min", Slow),
     Register::new(0x1E, I2, "MaxLoadCurrent", "mA", Slow),
     Register::new(0x20, U2, "MaxLoadTimeToEmpty", "min", Slow),
-    Register::new(0x22, U2, "RawCoulombCount", "mAh", Slow),
+    // 2.17: what was taken out since the last full charge.
+    Register::new(0x22, U2, "RawCoulombCount", "mAh", Poll).role(Role::ChargeCounter).step(-1, 1),
     Register::new(0x24, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
     Register::new(0x28, U2, "InternalTemperature", "0.1K", Poll),
     Register::new(0x2A, U2, "CycleCount", "num", Poll).role(Role::CycleCount),
     Register::new(0x2C, U2, "RelativeStateOfCharge", "%", Poll).role(Role::Capacity),
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
-    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow),
-    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow),
+    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow).role(Role::ChargeVoltage),
+    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x34, U2, "BTPDischargeSet", "mAh", Slow),
     Register::new(0x36, U2, "BTPChargeSet", "mAh", Slow),
     Register::new(0x3A, U2, "OperationStatus", "", Slow).bits(OPERATION_STATUS),
@@ -344,7 +350,7 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Charge", id: FLAT, length: 8, kind: Reset,
                parameters: &[
         P::int(0x91FB, I2, "Charging Current", 0, 1000,  200, "mA"),
-        P::int(0x91FD, I2, "Charging Voltage", 0, 4600, 4200, "mV"),
+        P::int(0x91FD, I2, "Charging Voltage", 0, 4600, 4200, "mV").role(Role::VoltageMaxDesign),
         P::int(0x9201, I2, "Taper Current",    0, 1000,  100, "mA"),
     ] },
     Subclass { class: "Configuration", name: "Registers", id: FLAT, length: 7, kind: Reset,

@@ -10,7 +10,7 @@ use super::bq27441_g1::{
     ACCESS, CAPACITY, CONDITION, CONTROL_STATUS, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG, OP_CONFIG_B,
     REGISTERS, SECURITY, SUBCOMMANDS, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, Scaling, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, Scaling, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The bq27421-G1 as far as it is known.
@@ -18,7 +18,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27421-g1",
     model: "bq27421-G1",
     documents: &["SLUUAC9A (May 2015), of the bq27441-G1"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Kernel],
     // Its DM_CODE is printed nowhere that we found: any code that is not another part's.
     identity: Identity {
         device_type: 0x0421,
@@ -27,6 +27,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -39,9 +40,11 @@ pub static CHIP: Chip = Chip {
     authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: preflight(&[]),
 };
 
@@ -134,7 +137,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(10, I2, "Design Capacity",         0,  8000,  1340, "mAh").safe(CAPACITY),
         P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh"),
         P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh"),
-        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(22, I2, "T Rise",                  0, 32767,    20, "Num"),
         P::int(24, I2, "T Time Constant",         0, 32767,  1000, "s"),
         P::int(26, U1, "SOCI Delta",              0,   100,     1, "%"),

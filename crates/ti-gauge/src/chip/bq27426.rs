@@ -18,7 +18,7 @@ use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, 
 use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, Scaling, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, Scaling, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The BQ27426 as far as it is known.
@@ -26,7 +26,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27426",
     model: "BQ27426",
     documents: &["SLUUCD5 (January 2023), of the BQ27427"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Image, Evidence::Kernel],
     // The firmware is what all images expect.
     identity: Identity {
         device_type: 0x0426,
@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -48,9 +49,11 @@ pub static CHIP: Chip = Chip {
     authentication: None,
     subclasses: SUBCLASSES,
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };
@@ -135,9 +138,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 2, H1, "Update Status",       0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",        0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",    0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY),
+        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY).role(Role::ChargeFullDesign),
         P::int( 8, I2, "Design Energy",          0, 32767,  4960, "mWh"),
-        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV"),
+        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(16, I2, "T Rise",                 0, 32767,    20, "Num"),
         P::int(18, I2, "T Time Constant",        0, 32767,  1000, "s"),
         P::int(20, U1, "SOCI Delta",             0,   100,     1, "%"),

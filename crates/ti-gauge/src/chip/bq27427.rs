@@ -30,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "BQ27427",
     documents: &["SLUUCD5 (January 2023)", "SLUUCD5A", "SLUSEB5B (September 2025)"],
     // Traces of parts: identity, CONFIG UPDATE and the State block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The firmware is what parts answer.
     identity: Identity {
         device_type: 0x0427,
@@ -39,6 +39,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -54,6 +55,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // The rule of the family, SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[Quirk {
@@ -64,6 +66,7 @@ pub static CHIP: Chip = Chip {
         effect: "CC Gain is negative, as many parts have it in ROM: current has the wrong sign",
         remedy: "write CC Gain (105/4) again without its minus, and after each loss of power once more",
     }],
+    rom_image: None,
     // OpConfigD [ChemID1], [ChemID0].
     preflight: preflight(&[(64, 4)]),
 };
@@ -289,9 +292,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 2, H1, "Update Status",       0x00,  0xFF,  0x00, "hex").safe(KEEP_STATE).learned(),
         P::int( 3, I2, "Reserve Cap-mAh",        0,  9000,     0, "mAh"),
         P::int( 5, H1, "Load Select/Mode",    0x00,  0xFF,  0x81, "hex").bits(LOAD_SELECT),
-        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY),
+        P::int( 6, I2, "Design Capacity",        0,  8000,  1340, "mAh").safe(CAPACITY).role(Role::ChargeFullDesign),
         P::int( 8, I2, "Design Energy",          0, 32767,  4960, "mWh"),
-        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV"),
+        P::int(10, I2, "Terminate Voltage",   2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(16, I2, "T Rise",                 0, 32767,    20, "Num"),
         P::int(18, I2, "T Time Constant",        0, 32767,  1000, "s"),
         P::int(20, U1, "SOCI Delta",             0,   100,     1, "%"),

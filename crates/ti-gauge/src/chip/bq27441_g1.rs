@@ -25,7 +25,7 @@ pub static CHIP: Chip = Chip {
     model: "bq27441-G1",
     documents: &["SLUUAC9A (May 2015)", "SLUSBH1C", "SLUA801"],
     // SLUUAC9A 3.1's worked transfers and a tablet's shipped image, block for block.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     // The bq27421-G1 and the bq27411-G1 have the same type (4.1.2) and firmware; the codes of the two
     // flavours are printed in SLUSBH1C's device comparison.
     identity: Identity {
@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[0x48, G1B],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -48,9 +49,11 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: preflight(&[]),
 };
 
@@ -105,7 +108,9 @@ pub(super) const CONDITION: Condition = Condition {
     critical: 0x0002, // [SOCF]
     overheat: 0x8000, // [OT]
     cold: 0x4000,     // [UT]
-    present: 0x0008,  // [BAT_DET]
+    over_voltage: 0,
+    under_voltage: 0,
+    present: 0x0008, // [BAT_DET]
     uncertain: 0,
     complete: 0x0080, // [INITCOMP]
     primary: None,
@@ -351,7 +356,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(10, I2, "Design Capacity",         0,  8000,  1340, "mAh").flavour(G1B, 1000).safe(CAPACITY),
         P::int(12, I2, "Design Energy",           0, 32767,  4960, "mWh").flavour(G1B, 3800),
         P::int(14, I2, "Default Design Cap",      0, 32767,  1340, "mAh").flavour(G1B, 5580),
-        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int(16, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(22, I2, "T Rise",                  0, 32767,    20, "Num"),
         P::int(24, I2, "T Time Constant",         0, 32767,  1000, "s"),
         P::int(26, U1, "SOCI Delta",              0,   100,     1, "%"),

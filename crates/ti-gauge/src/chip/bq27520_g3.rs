@@ -29,7 +29,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27520-g3",
     model: "bq27520-G3",
     documents: &["SLUSAP0", "SLUSAB7A, of the bq27520-G2", "SLUS914A (December 2009), of the bq27500-V130"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Kernel],
     // All generations have one type; the firmware, which can be exchanged in the field, tells them apart.
     identity: Identity {
         device_type: 0x0520,
@@ -38,6 +38,8 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    // bq_bqfs_g3.h of github.com/pelotoncycle/opensource-quartz (firmware 3.24, whole).
+    rom: Some(super::Rom { name: 670, names: &["bq27520"] }),
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -49,6 +51,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x0002, // [SYSDOWN]
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0,
+        under_voltage: 0,
         present: 0x0008, // [BAT_DET]
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
@@ -100,9 +104,11 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // The rule of the family, SLUSBH1C 9.5.4.3.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: SIGNATURE,
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],
@@ -153,7 +159,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x20, U2, "MaxLoadTimeToEmpty", "min", Slow),
     Register::new(0x22, U2, "AvailableEnergy", "mWh", Poll).role(Role::EnergyNow),
     Register::new(0x24, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
-    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll),
+    Register::new(0x26, U2, "TTEatConstantPower", "min", Poll).role(Role::TimeToEmptyAvg),
     // One command of two bytes, a percentage and what stands behind it.
     Register::new(0x28, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x29, U1, "StateOfHealthStatus", "", Poll),
@@ -485,7 +491,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(33, I2, "Q Invalid MinV", "mV").unproven(),
         // SLUSAP0, page 19, prints the place, where a shipped driver for this part writes it; limits and default are
         // the ancestor's.
-        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE),
+        P::int(45, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE).role(Role::VoltageMinDesign),
     ] },
     Subclass { class: "Fuel Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

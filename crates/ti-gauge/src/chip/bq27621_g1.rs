@@ -25,7 +25,7 @@ pub static CHIP: Chip = Chip {
     name: "bq27621-g1",
     model: "bq27621-G1",
     documents: &["SLUUAD4C (August 2014), as drivers quote it", "SLUSBB3E (January 2016)"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Sibling, Evidence::Drivers, Evidence::Image, Evidence::Kernel],
     // The firmware is what TI's image expects.
     identity: Identity {
         device_type: 0x0621,
@@ -34,6 +34,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    rom: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -48,9 +49,11 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     // Chromium's driver allows no faster bus.
     byte_writes_above_hz: Some(100_000),
+    calibration: None,
     signature: &[],
     volatile: Some(ITPOR),
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[(82, 36)] }),
         // Without a sense resistor there is no calibration of the current, and no serial number is known.
@@ -258,7 +261,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int( 3, I2, "Design Capacity",         0,  8000,  1340, "mAh").safe(CAPACITY),
         P::int( 5, I2, "Design Energy",           0, 32767,  4960, "mWh"),
         P::within( 7, I2, "Default Design Cap",   0, 32767, "mAh"),
-        P::int( 9, I2, "Terminate Voltage",    2500,  3700,  3200, "mV"),
+        P::int( 9, I2, "Terminate Voltage",    2500,  3700,  3200, "mV").role(Role::VoltageMinDesign),
         P::int(19, U1, "SOCI Delta",              0,   100,     1, "%"),
         P::int(20, I2, "Taper Rate",              0,  2000,   100, "0.1 Hr rate"),
         P::int(22, I2, "Taper Voltage",           0,  5000,  4100, "mV"),

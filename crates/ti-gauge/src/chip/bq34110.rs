@@ -31,9 +31,10 @@ pub static CHIP: Chip = Chip {
     model: "bq34110",
     documents: &["SLUSCI1B", "SLUA790"],
     // Bytes of real parts are known for the identity, the keys and CC Gain; the rest is the drivers'.
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Drivers, Evidence::Transcript],
     // All drivers; nobody tells a firmware or hardware version.
     identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
+    rom: None,
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -41,11 +42,13 @@ pub static CHIP: Chip = Chip {
     control_status: &[Bit::new(0x0020, "CCA"), Bit::new(0x0010, "BCA")],
     // SOC Flag Config tells when [FC], [FD] and [TDA] are set. No bit tells that a battery is present.
     condition: Condition {
-        full: 0x0010,     // [FC]
-        low: 0x4000,      // [SOCLOW]
-        critical: 0x0024, // [FD], [TDA]
-        overheat: 0x0C00, // [OTC], [OTD]
-        cold: 0x3000,     // [UTC], [UTD]
+        full: 0x0010,          // [FC]
+        low: 0x4000,           // [SOCLOW]
+        critical: 0x0024,      // [FD], [TDA]
+        overheat: 0x0C00,      // [OTC], [OTD]
+        cold: 0x3000,          // [UTC], [UTD]
+        over_voltage: 0x0200,  // [BATHIGH]
+        under_voltage: 0x0100, // [BATLOW]
         present: 0,
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
@@ -97,6 +100,7 @@ pub static CHIP: Chip = Chip {
     // From somewhere on an owner's part had all one address lower. Each row has a first byte that its second
     // one cannot stand in for: CC Delta's exponent, which a positive
     // mantissa is not; the voltage's high byte; a coefficient of the internal sensor that nobody changes.
+    calibration: None,
     signature: &[
         Signature { subclass: FLAT, offset: 0x4004, kind: H4, min: 0x8F00_0000, max: 0x977F_FFFF },
         Signature { subclass: FLAT, offset: 0x4157, kind: I2, min: 0, max: 5000 },
@@ -104,6 +108,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         // No driver knows a serial number or a chemistry of it that could be asked while SEALED.
         pack: None,
@@ -124,7 +129,7 @@ pub static CHIP: Chip = Chip {
     },
 };
 
-/// Standard commands. The poll reads 0x06 to 0x19 and 0x2A to 0x2F whole. One driver has RawExtTemp at
+/// Standard commands. The poll reads 0x06 to 0x1B and 0x2A to 0x2F whole. One driver has RawExtTemp at
 /// 0x80, where the parts of this family do not acknowledge.
 #[rustfmt::skip]
 static REGISTERS: &[Register] = &[
@@ -139,7 +144,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x14, I2, "AverageCurrent", "mA", Poll).role(Role::CurrentAvg),
     Register::new(0x16, U2, "TimeToEmpty", "min", Poll).role(Role::TimeToEmptyNow),
     Register::new(0x18, U2, "TimeToFull", "min", Poll).role(Role::TimeToFullNow),
-    Register::new(0x1A, I2, "AccumulatedCharge", "mAh", Slow),
+    Register::new(0x1A, I2, "AccumulatedCharge", "mAh", Poll).role(Role::ChargeCounter),
     Register::new(0x1C, U2, "AccumulatedTime", "5min", Slow),
     Register::new(0x1E, I2, "LastAccumulatedCharge", "mAh", Slow),
     Register::new(0x20, U2, "LastAccumulatedTime", "5min", Slow),
@@ -149,8 +154,8 @@ static REGISTERS: &[Register] = &[
     Register::new(0x2A, U2, "CycleCount", "Num", Poll).role(Role::CycleCount),
     Register::new(0x2C, U2, "RelativeStateOfCharge", "%", Poll).role(Role::Capacity),
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
-    Register::new(0x30, U2, "ChargingVoltage", "mV", Slow),
-    Register::new(0x32, U2, "ChargingCurrent", "mA", Slow),
+    Register::new(0x30, U2, "ChargingVoltage", "mV", Slow).role(Role::ChargeVoltage),
+    Register::new(0x32, U2, "ChargingCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x3A, U2, "OperationStatus", "", Slow).bits(OPERATION_STATUS),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U2, "ManufacturerAccessControl", "", Window),
@@ -381,7 +386,7 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Data", id: FLAT, length: 1, kind: Plain,
                parameters: &[
-        P::within(0x4155, U1, "Number of Series Cells", 1, 100, "Num"),
+        P::within(0x4155, U1, "Number of Series Cells", 1, 100, "Num").role(Role::Cells),
     ] },
     Subclass { class: "Configuration", name: "Power", id: FLAT, length: 2, kind: Plain,
                parameters: &[

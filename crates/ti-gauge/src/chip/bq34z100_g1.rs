@@ -10,9 +10,9 @@ use super::Effect::{Answers, Guarded, Never, Safe as Allowed};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Safe, Scale, Scaling,
-    Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Access, Authentication, Bit, Calibration, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock,
+    KeyOrder, KeyStorage, Learning, Mode, Offset, Pack, Parameter as P, Preflight, Register, Role, RomImage,
+    Safe, Scale, Scaling, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -23,7 +23,7 @@ pub static CHIP: Chip = Chip {
     model: "bq34z100-G1",
     documents: &["SLUSBZ5D (April 2021)", "SLUA790"],
     // SLUA790's worked transfers; none of it from our own hardware.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Transcript, Evidence::Kernel],
     // DEVICE_TYPE is printed in SLUA790, 2.3; the versions are those that owners read from parts. The
     // bq35100 has the same type and hardware 0x00A8, the bq34z100-R2 firmware 0x0202.
     identity: Identity {
@@ -33,6 +33,8 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    // bq34z100_dffs.h of github.com/tibms/kernel-4.4 (firmware 0.16).
+    rom: Some(super::Rom { name: 633, names: &["bq34z100-G1"] }),
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -45,6 +47,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x0002, // [SOCF]
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0x2000,  // [BATHI]
+        under_voltage: 0x1000, // [BATLOW]
         present: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
@@ -107,9 +111,11 @@ pub static CHIP: Chip = Chip {
     }),
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
+    calibration: Some(&CALIBRATION),
     signature: &[],
     volatile: None,
     quirks: &[],
+    rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
         pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
@@ -119,7 +125,7 @@ pub static CHIP: Chip = Chip {
                 Word::ControlStatus,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
-                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+                "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
             ),
             Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
             Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
@@ -139,6 +145,42 @@ pub static CHIP: Chip = Chip {
     },
 };
 
+/// Table 7-2 has the subcommands and Table 7-3 their bits; TI's tool sends BOARD_OFFSET, waits for [BCA] and [CCA],
+/// and sends CC_OFFSET_SAVE. A pack that TI's tool has calibrated holds CC Delta = CC Gain x 1193046 (4 x 298261.6178,
+/// TI's usual constant), which differs from Table 7-12 by 0.2 %. 7.3.8 has the divider's formula.
+pub(super) static CALIBRATION: Calibration = Calibration {
+    enable: 0x002D,
+    enter: 0x0081,
+    exit: 0x0080,
+    enabled: (0x3A, 0x4000),
+    mode: 0x1000,
+    board_offset: Offset { start: 0x0009, running: 0x0C00, row: (104, 10) },
+    cc_offset: Offset { start: 0x000A, running: 0x0800, row: (104, 8) },
+    save: 0x000B,
+    divider: (104, 14),
+    gain: (104, 0),
+    delta: (104, 4),
+    ratio: 1_193_046.471_2,
+    internal: (104, 11),
+    external: (104, 12),
+    thermistor: (0x3A, 0x0001),
+};
+
+/// Found by laying Table 7-11 over an image of firmware 0.16 (github.com/tibms/kernel-4.4,
+/// drivers/power/bq34z100/bq34z100_dffs.h): all 198 rows are in their ranges there. The places of 56 and 107 are not
+/// known.
+#[rustfmt::skip]
+const ROM_IMAGE: RomImage = RomImage {
+    subclasses: &[
+        (104, 0), (82, 68), (80, 85), (32, 400), (34, 406), (36, 420), (64, 447), (68, 459),
+        (81, 471), (112, 482), (67, 506), (59, 507), (60, 519), (66, 521), (2, 571), (48, 602),
+        (49, 662), (58, 684), (88, 768), (89, 832),
+    ],
+    chemistry: (178, 400),
+    // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
+    chemistry_sum: 600,
+};
+
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The
 /// poll reads 0x02 to 0x13, 0x18 to 0x1B and 0x24 to 0x2F whole, so all in there count as polled.
 #[rustfmt::skip]
@@ -154,7 +196,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x0E, U2, "Flags", "", Poll).role(Role::Flags).bits(FLAGS),
     Register::new(0x10, I2, "Current", "mA", Poll).role(Role::CurrentNow),
     Register::new(0x12, U2, "FlagsB", "", Poll).bits(FLAGS_B),
-    Register::new(0x18, U2, "AverageTimeToEmpty", "min", Poll).role(Role::TimeToEmptyNow),
+    Register::new(0x18, U2, "AverageTimeToEmpty", "min", Poll).role(Role::TimeToEmptyAvg),
     Register::new(0x1A, U2, "AverageTimeToFull", "min", Poll).role(Role::TimeToFullNow),
     Register::new(0x1C, I2, "PassedCharge", "mAh", Slow),
     Register::new(0x1E, U2, "DOD0Time", "min", Slow),
@@ -162,12 +204,12 @@ static REGISTERS: &[Register] = &[
     // times Design Energy Scale (Table 7-15). The text has no negative power.
     Register::new(0x24, U2, "AvailableEnergy", "mWh", Poll).role(Role::EnergyNow),
     Register::new(0x26, U2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
-    Register::new(0x28, U2, "SerialNumber", "", Poll),
+    Register::new(0x28, U2, "SerialNumber", "", Poll).role(Role::SerialNumber),
     Register::new(0x2A, U2, "InternalTemperature", "0.1K", Poll),
     Register::new(0x2C, U2, "CycleCount", "Counts", Poll).role(Role::CycleCount),
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
-    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow),
-    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow),
+    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow).role(Role::ChargeVoltage),
+    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x3A, U2, "PackConfiguration", "", Static).bits(PACK_CONFIG),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U1, "DataFlashClass", "", Window),
@@ -413,7 +455,7 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Data", id: 48, length: 60, kind: Reset,
                parameters: &[
         // The manual prints *256 here, which makes days and months overlap.
-        P::int( 2, U2, "Manufacture Date",               0,  65535,      0, "Day+Mo*32+(Yr-1980)*512"),
+        P::int( 2, U2, "Manufacture Date",               0,  65535,      0, "Day+Mo*32+(Yr-1980)*512").role(Role::ManufactureDate),
         P::int( 4, H2, "Serial Number",             0x0000, 0xFFFF, 0x0001, "hex"),
         P::int( 6, U2, "Cycle Count",                    0,  65535,      0, "Counts").learned(),
         P::int( 8, I2, "CC Threshold",                 100,  32767,    900, "mAh"),
@@ -422,7 +464,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(13, I2, "Design Energy",                  0,  32767,   5400, "mWh"),
         P::int(15, I2, "SOH Load I",                -32767,      0,   -400, "mA"),
         P::int(17, U2, "Cell Charge Voltage T1-T2",      0,   4600,   4200, "mV"),
-        P::int(19, U2, "Cell Charge Voltage T2-T3",      0,   4600,   4200, "mV"),
+        P::int(19, U2, "Cell Charge Voltage T2-T3",      0,   4600,   4200, "mV").role(Role::VoltageMaxDesign),
         P::int(21, U2, "Cell Charge Voltage T3-T4",      0,   4600,   4100, "mV"),
         P::int(23, U1, "Charge Current T1-T2",           0,    100,     10, "%"),
         P::int(24, U1, "Charge Current T2-T3",           0,    100,     50, "%"),
@@ -435,7 +477,7 @@ static SUBCLASSES: &[Subclass] = &[
         // Parts answer in lower case: the checksum worked out in SLUA790, 2.4 fits no other spelling.
         P::text(31, 12, "Device Name",       "BQ34Z100-G1"),
         P::text(43, 12, "Manufacturer Name", "Texas Inst."),
-        P::text(55,  5, "Device Chemistry",  "LION"),
+        P::text(55,  5, "Device Chemistry",  "LION").role(Role::Technology),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 22, kind: Reset,
                parameters: &[
@@ -482,7 +524,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(3, H1, "Pack Configuration C",     0x00,   0xFF,   0x30, "flags").bits(PACK_CONFIG_C),
         P::int(4, H1, "LED_Comm Configuration",   0x00,   0xFF,   0x00, "flags").bits(LED_COMM).safe(KEEP_I2C),
         P::int(5, H2, "Alert Configuration",    0x0000, 0xFFFF, 0x0000, "flags").bits(ALERT_CONFIG),
-        P::int(7, U1, "Number of series cell",       0,    100,      1, "Num").safe(CELLS),
+        P::int(7, U1, "Number of series cell",       0,    100,      1, "Num").safe(CELLS).role(Role::Cells),
     ] },
     Subclass { class: "Configuration", name: "Lifetime Resolution", id: 66, length: 5, kind: Reset,
                parameters: &[
@@ -548,7 +590,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(47, U1, "Min PassedChg NiMH-LA 1st Qmax",      1,   100,    50, "%").no_default(),
         P::int(49, U1, "Maximum Qmax Change",                 0,   255,   100, "%"),
         // 7.3.3.1 has it at 48; the table is right.
-        P::int(53, I2, "Cell Terminate Voltage",           1000,  3700,  3000, "mV"),
+        P::int(53, I2, "Cell Terminate Voltage",           1000,  3700,  3000, "mV").role(Role::VoltageMinDesign),
         P::int(55, I2, "Cell Term V Delta",                   0,  4200,   200, "mV"),
         P::int(58, U2, "ResRelax Time",                       0, 65534,   500, "s"),
         P::int(62, I2, "User Rate-mA",                   -32767, 32767,     0, "mA"),

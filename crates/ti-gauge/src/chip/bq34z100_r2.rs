@@ -10,13 +10,13 @@ use std::time::Duration;
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::bq34z100_g1::{
-    ALERT_CONFIG, CAPACITY, CELLS, CONTROL_STATUS, DIVIDER, FLAGS, FLAGS_B, GATE, KEEP_I2C, LEARNED_STATUS,
-    LED_COMM, PACK_CONFIG_B, PACK_CONFIG_C, SUBCOMMANDS,
+    ALERT_CONFIG, CALIBRATION, CAPACITY, CELLS, CONTROL_STATUS, DIVIDER, FLAGS, FLAGS_B, GATE, KEEP_I2C,
+    LEARNED_STATUS, LED_COMM, PACK_CONFIG_B, PACK_CONFIG_C, SUBCOMMANDS,
 };
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
-    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, Scale, Scaling, Scheme,
-    SealStatus, Security, Signature, Subclass, Word,
+    KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, RomImage, Scale, Scaling,
+    Scheme, SealStatus, Security, Signature, Subclass, Word,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -26,7 +26,7 @@ pub static CHIP: Chip = Chip {
     name: "bq34z100-r2",
     model: "bq34z100-R2",
     documents: &["SLUUCO5A (August 2023)", "SLUSBZ5D (April 2021), of the bq34z100-G1"],
-    evidence: Evidence::Unproven,
+    evidence: &[Evidence::Manual, Evidence::Sibling, Evidence::Image],
     // Only the firmware distinguishes it from the bq34z100-G1, and TI lets it be loaded into all bq34z100 parts, so it
     // runs on any of their hardware. The bq35100 has the same type and hardware 0x00A8.
     identity: Identity {
@@ -36,6 +36,8 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
+    // BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files (firmware 2.02, all 512 rows).
+    rom: Some(super::Rom { name: 640, names: &["bq34z100-G1"] }),
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -47,6 +49,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x0002, // [SOCF]
         overheat: 0xC000, // [OTC], [OTD]
         cold: 0,
+        over_voltage: 0x2000,  // [BATHI]
+        under_voltage: 0x1000, // [BATLOW]
         present: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
@@ -110,6 +114,7 @@ pub static CHIP: Chip = Chip {
     subclasses: SUBCLASSES,
     byte_writes_above_hz: None,
     // The lengths of the three names, which are elsewhere in firmware 0.16: data flash is known from one image only.
+    calibration: Some(&CALIBRATION),
     signature: &[
         Signature::new(48, 33, U1, 0, 11),
         Signature::new(48, 45, U1, 0, 11),
@@ -117,6 +122,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
         pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
@@ -125,7 +131,7 @@ pub static CHIP: Chip = Chip {
                 Word::ControlStatus,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
-                "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
+                "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
             ),
             Mode::measuring(0x0800, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
             Mode::measuring(0x0400, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
@@ -143,6 +149,20 @@ pub static CHIP: Chip = Chip {
     },
 };
 
+/// Found by laying this table over an image of firmware 2.02 (github.com/DmitrijSarychev/Handy_Files,
+/// BQ34Z100_DFI.c): 197 of 198 rows are in their ranges there. The places of 56 and 107 are not known.
+#[rustfmt::skip]
+const ROM_IMAGE: RomImage = RomImage {
+    subclasses: &[
+        (104, 0), (82, 68), (80, 85), (32, 405), (34, 411), (36, 425), (64, 452), (68, 464),
+        (81, 476), (112, 487), (67, 511), (59, 512), (60, 524), (66, 526), (2, 576), (48, 607),
+        (49, 669), (58, 691), (88, 768), (89, 832),
+    ],
+    chemistry: (178, 405),
+    // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
+    chemistry_sum: 605,
+};
+
 /// Standard commands and extended ones (SLUUCO5A 2.1 and 2.2); types and signs are those of the bq34z100-G1. The
 /// poll reads 0x02 to 0x13, 0x18 to 0x1B and 0x20 to 0x2F whole, so all in there count as polled.
 #[rustfmt::skip]
@@ -158,7 +178,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x0E, U2, "Flags", "", Poll).role(Role::Flags).bits(FLAGS),
     Register::new(0x10, I2, "Current", "mA", Poll).role(Role::CurrentNow),
     Register::new(0x12, U2, "FlagsB", "", Poll).bits(FLAGS_B),
-    Register::new(0x18, U2, "AverageTimeToEmpty", "min", Poll).role(Role::TimeToEmptyNow),
+    Register::new(0x18, U2, "AverageTimeToEmpty", "min", Poll).role(Role::TimeToEmptyAvg),
     Register::new(0x1A, U2, "AverageTimeToFull", "min", Poll).role(Role::TimeToFullNow),
     Register::new(0x1C, I2, "PassedCharge", "mAh", Slow),
     Register::new(0x1E, U2, "DOD0Time", "min", Slow),
@@ -168,12 +188,12 @@ static REGISTERS: &[Register] = &[
     Register::new(0x22, U1, "EnergyScale", "", Poll),
     Register::new(0x24, U2, "AvailableEnergy", "cWh", Poll).role(Role::EnergyNow).step(10, 1),
     Register::new(0x26, U2, "AveragePower", "cW", Poll).role(Role::PowerAvg).step(10, 1),
-    Register::new(0x28, U2, "SerialNumber", "", Poll),
+    Register::new(0x28, U2, "SerialNumber", "", Poll).role(Role::SerialNumber),
     Register::new(0x2A, U2, "InternalTemperature", "0.1K", Poll),
     Register::new(0x2C, U2, "CycleCount", "Counts", Poll).role(Role::CycleCount),
     Register::new(0x2E, U2, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
-    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow),
-    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow),
+    Register::new(0x30, U2, "ChargeVoltage", "mV", Slow).role(Role::ChargeVoltage),
+    Register::new(0x32, U2, "ChargeCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x3A, U2, "PackConfiguration", "", Slow).bits(PACK_CONFIG),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U1, "DataFlashClass", "", Window),
@@ -267,7 +287,7 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Data", id: 48, length: 62, kind: Reset,
                parameters: &[
         // The manual prints *256 here, which makes days and months overlap.
-        P::int( 2, U2, "Manufacture Date",               0,  65535,      0, "Day+Mo*32+(Yr-1980)*512"),
+        P::int( 2, U2, "Manufacture Date",               0,  65535,      0, "Day+Mo*32+(Yr-1980)*512").role(Role::ManufactureDate),
         P::int( 4, H2, "Serial Number",             0x0000, 0xFFFF, 0x0001, "hex"),
         P::int( 6, U2, "Cycle Count",                    0,  65535,      0, "Counts").learned(),
         P::int( 8, I2, "CC Threshold",                 100,  32767,    900, "mAh"),
@@ -276,7 +296,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(13, I2, "Design Energy",                  0,  32767,   5400, "mWh"),
         P::int(15, I2, "SOH Load I",                -32767,      0,   -400, "mA"),
         P::int(17, U2, "Cell Charge Voltage T1-T2",      0,   4600,   4200, "mV"),
-        P::int(19, U2, "Cell Charge Voltage T2-T3",      0,   4600,   4200, "mV"),
+        P::int(19, U2, "Cell Charge Voltage T2-T3",      0,   4600,   4200, "mV").role(Role::VoltageMaxDesign),
         P::int(21, U2, "Cell Charge Voltage T3-T4",      0,   4600,   4100, "mV"),
         P::int(23, U1, "Charge Current T1-T2",           0,    100,     10, "%"),
         P::int(24, U1, "Charge Current T2-T3",           0,    100,     50, "%"),
@@ -291,7 +311,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(32, U1, "Energy Scale",                   1,    255,      1, "").unproven(),
         P::text(33, 12, "Device Name",       "BQ34Z100-G1"),
         P::text(45, 12, "Manufacturer Name", "Texas Inst."),
-        P::text(57,  5, "Device Chemistry",  "LION"),
+        P::text(57,  5, "Device Chemistry",  "LION").role(Role::Technology),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 22, kind: Reset,
                parameters: &[
@@ -340,7 +360,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(3, H1, "Pack Configuration C",     0x00,   0xFF,   0x30, "flags").bits(PACK_CONFIG_C),
         P::int(4, H1, "LED_Comm Configuration",   0x00,   0xFF,   0x00, "flags").bits(LED_COMM).safe(KEEP_I2C),
         P::int(5, H2, "Alert Configuration",    0x0000, 0xFFFF, 0x0000, "flags").bits(ALERT_CONFIG),
-        P::int(7, U1, "Number of series cell",       0,    100,      1, "Num").safe(CELLS),
+        P::int(7, U1, "Number of series cell",       0,    100,      1, "Num").safe(CELLS).role(Role::Cells),
     ] },
     Subclass { class: "Configuration", name: "Lifetime Resolution", id: 66, length: 5, kind: Reset,
                parameters: &[
@@ -406,7 +426,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(47, U1, "Min PassedChg NiMH-LA 1st Qmax",      1,   100,    50, "%").no_default(),
         P::int(49, U1, "Maximum Qmax Change",                 0,   255,   100, "%"),
         // 7.3.3.1 of SLUSBZ5D has it at 48; its table is right.
-        P::int(53, I2, "Cell Terminate Voltage",           1000,  3700,  3000, "mV"),
+        P::int(53, I2, "Cell Terminate Voltage",           1000,  3700,  3000, "mV").role(Role::VoltageMinDesign),
         P::int(55, I2, "Cell Term V Delta",                   0,  4200,   200, "mV"),
         P::int(58, U2, "ResRelax Time",                       0, 65534,   500, "s"),
         P::int(62, I2, "User Rate-mA",                   -32767, 32767,     0, "mA"),

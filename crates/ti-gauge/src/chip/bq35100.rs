@@ -30,7 +30,7 @@ pub static CHIP: Chip = Chip {
     model: "bq35100",
     documents: &["SLUUBH1C (March 2018)", "SLUSCM6E (April 2019)", "SLUA790", "SLUAAL7"],
     // SLUA790's and 12.1's worked transfers, and those of owners; none of it from our own hardware.
-    evidence: Evidence::Transcript,
+    evidence: &[Evidence::Manual, Evidence::Drivers, Evidence::Transcript],
     // Table 11-2; SLUSCM6E prints 0x40 for the type. pilotak/BQ35100 knows a part by the hardware version,
     // and only that tells it from a bq34z100-G1. Nobody tells a firmware version.
     identity: Identity {
@@ -41,6 +41,7 @@ pub static CHIP: Chip = Chip {
         answer: 0x40,
     },
     // Li-MnO2 and Li-SOCl2 are primary cells, for which the kernel has no name.
+    rom: None,
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
@@ -52,6 +53,8 @@ pub static CHIP: Chip = Chip {
         critical: 0x08, // [EOS]
         overheat: 0x20, // [TEMPHIGH]
         cold: 0x40,     // [TEMPLOW]
+        over_voltage: 0,
+        under_voltage: 0x80, // [BATLOW]
         present: 0,
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
@@ -61,6 +64,7 @@ pub static CHIP: Chip = Chip {
             mode: (FLAT, 0x41B1),   // Operation Config A [GMSEL1], [GMSEL0]
             mode_mask: 0x03,
             health_modes: &[0b01, 0b10],
+            resistance_modes: &[0b10],
         }),
     },
     scaling: Scaling::NONE,
@@ -113,6 +117,7 @@ pub static CHIP: Chip = Chip {
     // An owner's part had its keys, at least, one address lower (E2E 668766). Each row has a first byte that
     // its second one cannot stand in for: CC Delta's exponent, which a positive mantissa is not; then the
     // high bytes of numbers whose range leaves most of them out.
+    calibration: None,
     signature: &[
         Signature { subclass: FLAT, offset: 0x4004, kind: H4, min: 0x8F00_0000, max: 0x977F_FFFF },
         Signature { subclass: FLAT, offset: 0x41DB, kind: I2, min: 0, max: 5000 },
@@ -121,6 +126,7 @@ pub static CHIP: Chip = Chip {
     ],
     volatile: None,
     quirks: &[],
+    rom_image: None,
     preflight: Preflight {
         pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
@@ -149,7 +155,7 @@ pub static CHIP: Chip = Chip {
 static REGISTERS: &[Register] = &[
     Register::new(0x00, U2, "Control", "", Window),
     // Counts down from 0 (pilotak/BQ35100). SLUUBH1C prints it signed with a range of 4.29E9.
-    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll),
+    Register::new(0x02, I4, "AccumulatedCapacity", "µAh", Poll).role(Role::ChargeCounter).step(1, 1000),
     // Unsigned, with a negative minimum; SLUSCM6E has it signed. Kelvin need no sign.
     Register::new(0x06, U2, "Temperature", "0.1K", Poll).role(Role::Temp),
     // Signed, with a maximum of 65535; SLUSCM6E has it unsigned.
@@ -159,7 +165,7 @@ static REGISTERS: &[Register] = &[
     // Of the last second, and only between GAUGE_START and GAUGE_STOP.
     Register::new(0x0C, I2, "Current", "mA", Poll).role(Role::CurrentNow),
     Register::new(0x16, U2, "ScaledR", "mΩ", Slow),
-    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow),
+    Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow).role(Role::InternalResistance),
     Register::new(0x28, U2, "InternalTemperature", "0.1K", Slow),
     Register::new(0x2E, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),

@@ -77,6 +77,11 @@ impl Signature {
     pub const fn new(subclass: u8, offset: u16, kind: Type, min: i64, max: i64) -> Self {
         Self { subclass, offset, kind, min, max }
     }
+
+    /// Whether a value is plausible there.
+    pub fn holds(&self, value: i64) -> bool {
+        (self.min..=self.max).contains(&value)
+    }
 }
 
 /// A known part without a table.

@@ -97,7 +97,19 @@ impl Flavour {
             Z561 => (0x0020, 0, 0x0010, 0, 0, 0),
             Plain => (0, 0, 0, 0, 0, 0),
         };
-        Condition { full, low, critical, overheat, cold, present: 0, uncertain, complete: 0, primary: None }
+        Condition {
+            full,
+            low,
+            critical,
+            overheat,
+            cold,
+            over_voltage: 0,
+            under_voltage: 0,
+            present: 0,
+            uncertain,
+            complete: 0,
+            primary: None,
+        }
     }
 
     #[rustfmt::skip]
@@ -143,8 +155,9 @@ const fn gauge(
         name,
         model,
         documents: &["Linux 6.12, bq27xxx_battery.c"],
-        evidence: Evidence::Unproven,
+        evidence: &[Evidence::Drivers, Evidence::Kernel],
         identity: Identity::NONE,
+        rom: None,
         technology: "Li-ion",
         registers,
         subcommands: &[],
@@ -157,9 +170,11 @@ const fn gauge(
         authentication: None,
         subclasses: &[],
         byte_writes_above_hz: None,
+        calibration: None,
         signature: &[],
         volatile: None,
         quirks: &[],
+        rom_image: None,
         preflight: Preflight::NONE,
     }
 }
@@ -264,13 +279,13 @@ static REGISTERS_27Z561: &[Register] = &[
 #[rustfmt::skip]
 static REGISTERS_27000: &[Register] = &[
     kelvin_quarters(0x06), voltage(0x08), byte_flags(0x0a), byte_percent(0x0b), available(0x0c), measured(0x12), magnitude(0x14), to_empty(0x16), to_full(0x18),
-    zero_energy(0x22), zero_power(0x24), to_empty_avg(0x26), cycles(0x2a), byte_design(0x76),
+    zero_energy(0x22), zero_power(0x24), at_constant_power(0x26), cycles(0x2a), byte_design(0x76),
 ];
 
 #[rustfmt::skip]
 static REGISTERS_27010: &[Register] = &[
     kelvin_quarters(0x06), voltage(0x08), byte_flags(0x0a), byte_percent(0x0b), available(0x0c), measured(0x12), magnitude(0x14), to_empty(0x16), to_full(0x18),
-    to_empty_avg(0x26), cycles(0x2a), byte_design(0x76),
+    at_constant_power(0x26), cycles(0x2a), byte_design(0x76),
 ];
 
 const fn word(code: u8, kind: Type, name: &'static str, unit: &'static str, role: Role) -> Register {
@@ -321,10 +336,6 @@ const fn standby(code: u8) -> Register {
 
 /// Between two registers that are needed. The driver shows it for the bq27000 and the bq27010 only.
 const fn at_constant_power(code: u8) -> Register {
-    Register::new(code, U(2), "TimeToEmptyAtConstantPower", "min", Tier::Poll)
-}
-
-const fn to_empty_avg(code: u8) -> Register {
     word(code, U(2), "TimeToEmptyAtConstantPower", "min", Role::TimeToEmptyAvg)
 }
 

@@ -1,6 +1,6 @@
 //! Data flash as the manual lists it: subclasses and their parameters.
 
-use super::Bit;
+use super::{Bit, Role};
 use crate::codec::WINDOW;
 use crate::value::Type;
 
@@ -81,6 +81,8 @@ pub struct Parameter {
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
+    /// The property it feeds.
+    pub role: Option<Role>,
 }
 
 impl Parameter {
@@ -96,6 +98,7 @@ impl Parameter {
             learned: false,
             safe: None,
             unproven: false,
+            role: None,
         }
     }
 
@@ -145,6 +148,11 @@ impl Parameter {
     pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
         let (min, max) = kind.bounds().expect("an integer type");
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+    }
+
+    /// Whether it is there to distinguish packs: serial number, date and lots.
+    pub fn names_pack(&self) -> bool {
+        ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"].contains(&self.name)
     }
 
     /// Sources disagree about the default, or none is known.
@@ -212,6 +220,13 @@ impl Parameter {
     #[must_use]
     pub const fn unproven(mut self) -> Self {
         self.unproven = true;
+        self
+    }
+
+    /// The property it feeds.
+    #[must_use]
+    pub const fn role(mut self, role: Role) -> Self {
+        self.role = Some(role);
         self
     }
 }

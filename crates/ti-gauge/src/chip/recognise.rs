@@ -57,9 +57,8 @@ impl Limited {
         let proven: Vec<_> = firmware.into_iter().chain(hardware).collect();
         format!(
             "{found}: the table was proven only for {}, so only standard commands are read, and there is no df. To have \
-             this version added, report the output of `gaugefs probe --bus BUS --address ADDRESS`, the files \
-             gauge/*_version, gauge/device_type, gauge/chem_id and gauge/registers/*, and, if there is one, a gg.csv \
-             that bqStudio exported from this gauge",
+             this version added, send the file that `gaugefs report` writes, and, if there is one, a gg.csv that bqStudio \
+             exported from this gauge",
             proven.join(", ")
         )
     }

@@ -22,7 +22,7 @@ impl DataFlash {
             let (place, at) = locate(row.subclass, row.offset);
             let window = sequence(gauge).load(gauge, place)?;
             let Value::Int(found) = codec::decode(row.kind, &window[at..at + size]) else { continue };
-            if !(row.min..=row.max).contains(&found) {
+            if !row.holds(found) {
                 let why = format!(
                     "{} holds {found}, which cannot be: this firmware keeps its data flash elsewhere, and nothing \
                      is written to it",
@@ -153,22 +153,13 @@ impl DataFlash {
 
     /// Checks the safety limits of one value, which are narrower than the manual's.
     pub(super) fn check_safe(&self, change: &Change, dirty: &[Dirty]) -> Result<()> {
-        let refuse = |why: String| Err(Error::new(change.subject(), Cause::OutOfRange(why)).at(Step::Check));
         let Some((_, parameter)) = change.row else { return Ok(()) };
-        let number = integer(parameter, &change.bytes);
         match &parameter.safe {
             Some(Safe::AtLeast(..)) => change.check_least(),
             // `check_gate_after` judges it together with the other values.
             Some(Safe::BelowVoltage(_)) | None => Ok(()),
             Some(Safe::Keep(..)) if change.saved => Ok(()),
-            Some(Safe::Keep(mask, why)) => {
-                let old = integer(parameter, &old_bytes(change, dirty));
-                let differ = (old ^ number) & i64::from(*mask);
-                if differ == 0 {
-                    return Ok(());
-                }
-                refuse(format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}"))
-            }
+            Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, dirty)),
         }
     }
 }
@@ -324,15 +315,15 @@ fn remedy(gate: &Gate) -> String {
     let Some(divider) = gate.divider else { return String::new() };
     let (limit, divider) = (Place::from(gate.limit), Place::from(divider));
     let external = gate.external.as_ref().map_or("", |external| external.name);
-    let enabled = match gate.calibration {
+    let bring_up = match gate.calibration {
         Some(_) => {
-            ", or enable calibration with another tool (CAL_ENABLE, 0x002d), which opens flash until the next reset"
+            "run `gaugefs bringup`, which enables calibration (CAL_ENABLE, 0x002d) and so opens flash, or "
         }
         None => "",
     };
     format!(
-        "; if Voltage() is low because the divider is not set, raise the voltage at the gauge until {limit} is \
-         lowered{enabled}, and then write {divider}, {external} and {limit} in one transaction"
+        "; if Voltage() is low because the divider is not set, {bring_up}raise the voltage at the gauge until {limit} is \
+         lowered, and then write {divider}, {external} and {limit} in one transaction"
     )
 }
 

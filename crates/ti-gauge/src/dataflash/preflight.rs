@@ -327,7 +327,7 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-pub(super) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
+pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     match word {
         Word::ControlStatus => Ok(gauge.control_status()?.1),
         Word::Answer(code) => gauge.ask(code),
@@ -382,6 +382,6 @@ fn in_rom(chip: &Chip, error: Error) -> Error {
         return error;
     }
     let why = "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode \
-               answers at 0x0b only: finish the programming there";
+               answers at 0x0b only: `gaugefs rescue` brings it back";
     Error::new(chip.model, Cause::NoAnswer(why.into())).at(Step::Identify)
 }

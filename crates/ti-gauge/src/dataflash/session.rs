@@ -5,9 +5,10 @@ use std::time::Duration;
 use gauge_bus::BusError;
 
 use super::blocks::{Bytes, Dirty};
+use super::calmode;
 use super::io::{reload, store};
 use super::schemes::sequence;
-use crate::chip::Bit;
+use crate::chip::{Bit, Calibration};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
@@ -41,6 +42,8 @@ pub(super) struct Session {
     pub(super) decided: bool,
     /// A mode was started that must be ended on every exit.
     begun: bool,
+    /// Calibration mode was entered and must be left on every exit.
+    pub(super) calibrating: Option<&'static Calibration>,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     /// The same on disk.
@@ -57,7 +60,16 @@ pub(super) struct Left {
 impl Session {
     /// A session with a gauge in the state `found`, requested at the time `asked`.
     pub(super) fn new(found: Seal, asked: Duration) -> Self {
-        Self { found, now: Some(found), asked, decided: false, begun: false, entry: None, journal: None }
+        Self {
+            found,
+            now: Some(found),
+            asked,
+            decided: false,
+            begun: false,
+            calibrating: None,
+            entry: None,
+            journal: None,
+        }
     }
 
     /// Removes the journal: nothing is left to settle. One that remains is settled before the next write or at the
@@ -76,6 +88,30 @@ impl Session {
             self.now = Some(Seal::Unsealed);
         }
         sequence(gauge).enable(gauge)
+    }
+
+    /// Enters calibration mode, in which the gauge ignores its gate.
+    pub(super) fn enter_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let Some(calibration) = gauge.chip.calibration else {
+            let why = "no document describes the calibration mode of this part";
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check));
+        };
+        self.calibrating = Some(calibration);
+        calmode::enter(gauge, calibration)
+    }
+
+    /// Leaves calibration mode, if a session has entered it.
+    pub(super) fn leave_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let Some(calibration) = self.calibrating else { return Ok(()) };
+        let left = calmode::leave(gauge, calibration).map_err(|error| {
+            let why = format!("the gauge may still be in calibration mode: {error}");
+            Error::new("", Cause::StateUnknown(why)).at(Step::Restore)
+        });
+        if left != Ok(false) {
+            // The gauge may have been unsealed for it.
+            self.now = None;
+        }
+        left.map(|_| self.calibrating = None)
     }
 
     /// Makes data flash writable.
@@ -178,7 +214,8 @@ impl Session {
     /// two. Returns what is left to be settled.
     pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
         gauge.limit_until(Some((self.asked + ANSWER).max(gauge.clock.now() + LEAST_CLOSE)));
-        let finished = if self.begun { self.finish(gauge) } else { Ok(()) };
+        let left = self.leave_calibration(gauge);
+        let finished = left.and_then(|()| if self.begun { self.finish(gauge) } else { Ok(()) });
         let unfinished = finished.is_err();
         // After a failure the state is read again: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {

@@ -281,6 +281,8 @@ impl DataFlash {
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
         let mut session = Session::new(goal, asked);
         (session.now, session.decided) = (None, decision.is_some());
+        // No write is begun in calibration mode, but one may have entered it.
+        session.calibrating = gauge.chip.calibration.filter(|_| self.in_calibration || entry.plan.is_some());
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
             && journal.exists()
@@ -298,6 +300,7 @@ impl DataFlash {
             }
         };
         let (outcome, left) = session.close(gauge, outcome);
+        self.in_calibration &= session.calibrating.is_some();
         match (&outcome, left) {
             (Ok(Verdict::Done(_)), None) => session.remove_journal(),
             (Ok(Verdict::Plausible(message)), None) => {
@@ -348,18 +351,9 @@ pub(super) fn plan(
     Plan { reset, reset_sent: false, marks, blocks: blocks.collect() }
 }
 
-/// The register that distinguishes packs. A chemistry ID is no serial number.
-fn serial(chip: &Chip) -> Option<u8> {
-    let pack = chip.preflight.pack.as_ref()?;
-    match pack.word {
-        Word::Register(code) => Some(code),
-        Word::ControlStatus | Word::Answer(_) => None,
-    }
-}
-
 /// The serial number, read until two reads agree because I2C has no error detection.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some(register) = serial(gauge.chip) else { return Ok(0) };
+    let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
     let mut read = || read_word(gauge, Word::Register(register));
     let mut last = read()?;
     for _ in 0..3 {

@@ -5,20 +5,20 @@
 
 use std::collections::BTreeMap;
 
-use super::{Image, Raw, also_in, at_line, check_count, chip_of, parameter_name};
+use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, parameter_name, romimage};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
-const GAUGE: u8 = 0xaa;
+pub(crate) const GAUGE: u8 = 0xaa;
 /// The address of a gauge in ROM mode, likewise.
-const ROM: u8 = 0x16;
+pub(crate) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.
-const ROM_MODE: u16 = 0x0f00;
-const DEVICE_TYPE: u16 = 0x0001;
-const FW_VERSION: u16 = 0x0002;
+pub(super) const ROM_MODE: u16 = 0x0f00;
+pub(super) const DEVICE_TYPE: u16 = 0x0001;
+pub(super) const FW_VERSION: u16 = 0x0002;
 const SET_CFGUPDATE: u16 = 0x0013;
 const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
@@ -51,15 +51,26 @@ const NOT_READ: u16 = 0xffa5;
 
 /// One line of a FlashStream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Command {
-    Write { address: u8, register: u8, bytes: Vec<u8> },
-    Compare { address: u8, register: u8, bytes: Vec<u8> },
-    Read { address: u8 },
-    Wait,
+pub(crate) enum Command {
+    Write {
+        address: u8,
+        register: u8,
+        bytes: Vec<u8>,
+    },
+    Compare {
+        address: u8,
+        register: u8,
+        bytes: Vec<u8>,
+    },
+    Read {
+        address: u8,
+    },
+    /// For at least this time, in milliseconds.
+    Wait(u32),
 }
 
 /// The lines that are commands, with their numbers.
-fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
+pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
     for (number, line) in (1..).zip(text.lines()) {
@@ -79,7 +90,7 @@ fn command(line: &str) -> Result<Command, String> {
     };
     if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
-        return decimal.map(|_| Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
+        return decimal.map(Command::Wait).map_err(|_| "X: needs a number of milliseconds".into());
     }
     if !["W", "C", "R"].iter().any(|known| letter.trim().eq_ignore_ascii_case(known)) {
         return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
@@ -111,6 +122,9 @@ fn byte(digits: &str) -> Option<u8> {
 /// Reads what a FlashStream would change.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let commands = commands(text)?;
+    if romimage::is_one(&commands) && told.is_none_or(|chip| chip.rom_image.is_some()) {
+        return romimage::parse(&commands, told);
+    }
     for (number, command) in &commands {
         check_address(*number, command)?;
     }
@@ -164,7 +178,7 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
         Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
             *address
         }
-        Command::Wait => return Ok(()),
+        Command::Wait(_) => return Ok(()),
     };
     match address {
         GAUGE => match command {
@@ -186,10 +200,10 @@ fn check_address(number: usize, command: &Command) -> Result<()> {
 }
 
 /// A word that the file expects, and the line that says so.
-type Expected = Option<(usize, u16)>;
+pub(super) type Expected = Option<(usize, u16)>;
 
 /// Device type and firmware that the file expects.
-fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
+pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
     let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
@@ -212,7 +226,8 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     };
     let at = commands.iter().position(|(_, command)| asks(command))?;
     // There may be waits in between.
-    let (number, next) = commands[at + 1..].iter().find(|(_, command)| *command != Command::Wait)?;
+    let (number, next) =
+        commands[at + 1..].iter().find(|(_, command)| !matches!(command, Command::Wait(_)))?;
     match next {
         // The echo of ManufacturerAccessControl() comes first.
         Command::Compare { register: SELECT, bytes, .. } if bytes.len() >= 4 => Some((*number, &bytes[2..])),
@@ -239,9 +254,11 @@ struct Stream {
     /// Data flash by subclass and offset: each byte, and the line that it is from.
     stored: BTreeMap<(u8, u16), (u8, usize)>,
     sums: BTreeMap<(u8, u8), u8>,
+    /// Lines with a sum that covers bytes which the file does not set.
+    unchecked: Vec<usize>,
     notes: Vec<String>,
-    /// Lines that an import does not carry out, with the reason, and whether they hold keys.
-    left_out: Vec<(usize, String, bool)>,
+    /// Lines that an import does not carry out, with the reason, and the group that they belong to.
+    left_out: Vec<(usize, String, Option<Group>)>,
 }
 
 impl Stream {
@@ -258,6 +275,7 @@ impl Stream {
             update: None,
             stored: BTreeMap::new(),
             sums: BTreeMap::new(),
+            unchecked: Vec::new(),
             notes: Vec::new(),
             left_out: Vec::new(),
         }
@@ -370,7 +388,7 @@ impl Stream {
                 Ok(())
             }
             Effect::Safe | Effect::Guarded => {
-                self.left_out.push((line, format!("{}; an import does not send it", subcommand.name), false));
+                self.left_out.push((line, format!("{}; an import does not send it", subcommand.name), None));
                 Ok(())
             }
         }
@@ -383,11 +401,13 @@ impl Stream {
         if window.len() == WINDOW {
             let bytes: Vec<u8> = window.values().copied().collect();
             check_sum(sum, checksum(&bytes))?;
+        } else {
+            self.unchecked.push(line);
         }
         self.sums.insert((class, self.block), sum);
         if let Some(subclass) = self.chip.subclass(class) {
             if subclass.kind == Kind::Security {
-                self.left_out.push((line, "keys; left out".into(), true));
+                self.left_out.push((line, "keys; left out".into(), Some(Group::Keys)));
                 return Ok(());
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
@@ -427,7 +447,7 @@ impl Stream {
             let kind = at.next().map(|subclass| subclass.kind);
             documented |= kind.is_some();
             if kind == Some(Kind::Security) {
-                let keys = (line, "keys; left out".into(), true);
+                let keys = (line, "keys; left out".into(), Some(Group::Keys));
                 if self.left_out.last() != Some(&keys) {
                     self.left_out.push(keys);
                 }
@@ -484,8 +504,20 @@ impl Stream {
             }
         }
         image.notes.append(&mut self.notes);
-        for (line, why, is_key) in self.left_out {
-            image.leave_out(line, why, is_key);
+        if !self.unchecked.is_empty() {
+            let (what, which) = if self.unchecked.len() == 1 {
+                ("line", "checksum covers")
+            } else {
+                ("lines", "checksums cover")
+            };
+            let lines: Vec<_> = self.unchecked.iter().map(usize::to_string).collect();
+            let lines = lines.join(", ");
+            image
+                .notes
+                .push(format!("{what} {lines}: not checked: the {which} bytes that the file does not set"));
+        }
+        for (line, why, group) in self.left_out {
+            image.leave_out(line, why, group);
         }
         for ((subclass, offset), (byte, line)) in self.stored {
             match image.raw.last_mut() {
@@ -695,6 +727,16 @@ mod tests {
             line(27, "undocumented bytes of subclass 104"),
         ];
         assert_eq!(image.undocumented(), lines.concat());
+        // A file that names part and firmware was made to write the chemistry.
+        let identity = "W: AA 00 01 00\nC: AA 00 26 04\nW: AA 00 02 00\nC: AA 00 02 02\n";
+        let image =
+            parse(&(identity.to_string() + &block("53", "0") + &block("6D", "0") + &block("68", "1")), None);
+        let told = image.expect("an image").undocumented();
+        let outcomes: Vec<_> =
+            told.lines().map(|line| line.rsplit("; ").next().expect("an outcome")).collect();
+        let (written, refused) =
+            ("written if the gauge has other values", "refused if the gauge has other values");
+        assert_eq!(outcomes, [written, written, refused], "{told}");
         let beyond =
             parse(&block("55", "1"), Chip::by_name("bq27426")).expect_err("beyond the end").to_string();
         assert_eq!(beyond, "line 3: block 1 of subclass 85, whose last block is 0");
@@ -730,6 +772,8 @@ mod tests {
             ("it-cfg/cell-terminate-voltage".into(), "3100".into())
         );
         assert_eq!((image.entries.len(), image.raw.len(), entry.line), (1, 0, 5));
+        let unchecked = "line 5: not checked: the checksum covers bytes that the file does not set";
+        assert!(image.notes.iter().any(|note| note == unchecked), "{:?}", image.notes);
     }
 
     /// A gauge with MACData() returns device type and version in one answer, the most significant byte first.

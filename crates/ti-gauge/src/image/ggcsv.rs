@@ -1,7 +1,7 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
-use super::{Image, at_line, check_count, chip_of, cut_short, word};
+use super::{Group, Image, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::error::{Cause, Error, Result};
@@ -188,15 +188,11 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         Some((subclass, parameter))
     });
     let Some((subclass, parameter)) = row else {
-        image.leave_out(
-            number,
-            format_args!("{class}/{name}/{parameter}: not in the table; left out"),
-            false,
-        );
+        image.leave_out(number, format_args!("{class}/{name}/{parameter}: not in the table; left out"), None);
         return Ok(());
     };
     if subclass.kind == Kind::Security {
-        image.leave_out(number, format_args!("{}: a key; left out", parameter.name), true);
+        image.leave_out(number, format_args!("{}: a key; left out", parameter.name), Some(Group::Keys));
         return Ok(());
     }
     if shown.is_empty() && !matches!(parameter.kind, Type::S(_)) {
@@ -216,7 +212,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         let why = format!(
             "shown in {unit}, stored in {stored}, and the file does not give the conversion; left out"
         );
-        image.leave_out(number, format_args!("{name}: {why}"), false);
+        image.leave_out(number, format_args!("{name}: {why}"), None);
         return Ok(());
     };
     let hexadecimal = match parameter.kind {

@@ -1,5 +1,7 @@
 //! The tables and the engine against simulated gauges.
 
+mod anonymous;
+mod calibration;
 mod defaults;
 mod ensemble;
 mod faults;
@@ -12,6 +14,7 @@ mod power;
 mod preflight;
 mod probe;
 mod recovery;
+mod rescue;
 mod rig;
 mod rules;
 mod rules_gauge;

@@ -1,0 +1,65 @@
+//! What the board and the specimen do to what a gauge measures: errors that a calibration finds, and noise that it does
+//! not. Without a knob that says otherwise there are none: the calibration in flash fits the board.
+
+use super::random::Random;
+
+/// Counts of Board Offset in a milliampere, as in the offset that the gauge measures itself.
+pub(super) const BOARD_COUNTS: f64 = 4.0;
+/// The same of CC Offset. TI's tools show a count as 0.00048.
+pub(super) const CC_COUNTS: f64 = 1.0 / 0.00048;
+
+/// The errors of one board.
+#[derive(Clone, Debug)]
+pub(super) struct Analog {
+    /// CC Gain at which a shunt without an error is measured right.
+    pub(super) gain: f64,
+    /// By how much the shunt is larger than that, in thousandths.
+    pub(super) shunt_error: f64,
+    /// Offsets in mA that are there before Board Offset and CC Offset are subtracted; `None` while what is stored
+    /// fits.
+    pub(super) board_offset_ma: Option<f64>,
+    pub(super) cc_offset_ma: Option<f64>,
+    /// Error of both temperature sensors, in 0.1 K.
+    pub(super) temperature: f64,
+    /// Largest noise of a measurement.
+    pub(super) noise_mv: f64,
+    pub(super) noise_ma: f64,
+    /// The noise of the present measurement, from -1 to 1.
+    noise: [f64; 2],
+    random: Random,
+}
+
+impl Analog {
+    /// A board that the stored CC Gain fits.
+    pub(super) fn fitting(gain: f64) -> Self {
+        Self {
+            gain,
+            shunt_error: 0.0,
+            board_offset_ma: None,
+            cc_offset_ma: None,
+            temperature: 0.0,
+            noise_mv: 0.0,
+            noise_ma: 0.0,
+            noise: [0.0; 2],
+            random: Random::new(1),
+        }
+    }
+
+    /// Measures anew.
+    pub(super) fn measure(&mut self) {
+        self.noise = [(); 2].map(|()| self.random.roll(2001) as f64 / 1000.0 - 1.0);
+    }
+
+    /// A current as it is measured with the calibration in flash: CC Gain, Board Offset and CC Offset.
+    pub(super) fn current_ma(&self, true_ma: f64, gain: f64, board: f64, cc: f64) -> f64 {
+        let board = self.board_offset_ma.map_or(0.0, |offset| offset - board / BOARD_COUNTS);
+        let cc = self.cc_offset_ma.map_or(0.0, |offset| offset - cc / CC_COUNTS);
+        let shunt = 1.0 + self.shunt_error / 1000.0;
+        (true_ma * shunt + board + cc) * gain / self.gain + self.noise[0] * self.noise_ma
+    }
+
+    /// A voltage in mV with its noise.
+    pub(super) fn voltage_mv(&self, voltage_mv: f64) -> f64 {
+        voltage_mv + self.noise[1] * self.noise_mv
+    }
+}

@@ -1,0 +1,257 @@
+//! Instruction flash, and the boot loader that answers in ROM mode.
+//!
+//! No manual describes it. Commands, sums and the mark that makes firmware valid are those of whole files for bq27520-G3
+//! and bq27510 (github.com/pelotoncycle/opensource-quartz, octathorp/Kepler_CM7), which agree with what is public for
+//! bq34z100. Where they leave a choice, the gauge does what is worst for a programmer: what it is doing when power is
+//! lost is left half done, and firmware that is marked as whole and is not whole never answers again. But an erase that
+//! is interrupted has erased the mark: where it has not, no order of rows would help.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::random::Random;
+
+/// Rows of instruction flash and of data flash, and their bytes.
+const ROWS: usize = 512;
+const ROW: usize = 96;
+const DATA_ROWS: usize = 32;
+const DATA_ROW: usize = 32;
+/// Bytes of data flash.
+pub(super) const DATA: usize = DATA_ROWS * DATA_ROW;
+/// The mark of valid firmware in row 0.
+const MARK: [u8; 3] = [0x54, 0x54, 0x15];
+const MARK_AT: usize = 15;
+const ERASED: [u8; 3] = [0xFF, 0xFF, 0x3F];
+/// Where row 0 has the version, the low byte first.
+const VERSION_AT: usize = 48;
+/// What 0x66 reads: done; the magic word is wrong; the sum is wrong; not done yet, which no source has.
+const DONE: u8 = 0x00;
+const REFUSED: u8 = 0x02;
+const WRONG_SUM: u8 = 0x04;
+const WORKING: u8 = 0xFF;
+
+/// A row of instruction flash.
+pub(super) type Row = [u8; ROW];
+
+/// Where data flash of the boot loader has a class: class, index, length.
+pub(super) type Layout = &'static [(u16, usize, usize)];
+
+fn erased() -> Row {
+    std::array::from_fn(|at| ERASED[at % 3])
+}
+
+/// Instruction flash, and the bytes of data flash that belong to no class.
+#[derive(Clone, Debug)]
+pub(super) struct Firmware {
+    /// What the part leaves the factory with, and runs.
+    own: Arc<Vec<Row>>,
+    pub(super) rows: Arc<Vec<Row>>,
+    pub(super) rest: Arc<[u8]>,
+}
+
+impl Firmware {
+    /// Words that stand for firmware of a version: TI's own are TI's.
+    pub(super) fn new(version: u16) -> Self {
+        let mut random = Random::new(u64::from(version));
+        let mut rows: Vec<Row> = vec![erased(); ROWS];
+        for row in &mut rows[..ROWS - 12] {
+            for (at, byte) in row.iter_mut().enumerate() {
+                *byte = random.roll(256) as u8 & ERASED[at % 3];
+            }
+        }
+        rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
+        rows[0][VERSION_AT..VERSION_AT + 2].copy_from_slice(&version.to_le_bytes());
+        let rows = Arc::new(rows);
+        Self { own: rows.clone(), rows, rest: vec![0xFF; DATA].into() }
+    }
+
+    /// Whether the gauge starts its firmware, instead of staying in ROM mode.
+    pub(super) fn is_marked(&self) -> bool {
+        self.rows[0][MARK_AT..MARK_AT + 3] == MARK
+    }
+
+    /// Whether it works.
+    pub(super) fn is_sound(&self) -> bool {
+        self.rows == self.own
+    }
+
+    /// The rows that are not as in a new part.
+    pub(super) fn changed(&self) -> impl Iterator<Item = (usize, &Row)> {
+        let rows = self.rows.iter().zip(&*self.own).enumerate();
+        rows.filter(|(_, (row, own))| row != own).map(|(at, (row, _))| (at, row))
+    }
+
+    fn sum(&self) -> u32 {
+        let words = self.rows.iter().flat_map(|row| row.chunks(3));
+        words.fold(0, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])))
+    }
+}
+
+/// What a command leaves when it is done.
+#[derive(Clone, Debug)]
+enum Work {
+    Rows(Vec<(usize, Row)>),
+    Data(Vec<(usize, Vec<u8>)>),
+    Answer(Vec<u8>),
+}
+
+/// What the boot loader asks of the gauge around it.
+pub(super) enum Effect {
+    /// Bytes of data flash, by index.
+    Data(Vec<(usize, Vec<u8>)>),
+    Leave,
+}
+
+/// The boot loader: its RAM.
+#[derive(Clone, Debug)]
+pub(super) struct Boot {
+    buffer: [u8; 0x64],
+    /// How far the buffer was written since the last command.
+    sent: [bool; 0x64],
+    sum: u8,
+    result: u8,
+    working: Option<(Duration, Work)>,
+    /// It was told to ruin the gauge.
+    pub(super) ruined: bool,
+}
+
+impl Default for Boot {
+    fn default() -> Self {
+        let (buffer, sent) = ([0xFF; 0x64], [false; 0x64]);
+        Self { buffer, sent, sum: 0xFF, result: DONE, working: None, ruined: false }
+    }
+}
+
+impl Boot {
+    pub(super) fn read(&self, register: u8) -> u8 {
+        match register {
+            0x66 => self.result,
+            _ => self.buffer.get(usize::from(register)).copied().unwrap_or(0),
+        }
+    }
+
+    /// Takes a byte. `data` is data flash as it is. What is returned happens at once, and is what a loss of power would
+    /// leave.
+    pub(super) fn write(
+        &mut self,
+        firmware: &mut Firmware,
+        data: &[u8],
+        register: u8,
+        byte: u8,
+        now: Duration,
+    ) -> Option<Effect> {
+        match usize::from(register) {
+            0x64 => self.sum = byte,
+            0x65 => return self.execute(firmware, data, u16::from_le_bytes([self.sum, byte]), now),
+            at if at < self.buffer.len() && self.working.is_none() => {
+                self.buffer[at] = byte;
+                self.sent[at] = true;
+            }
+            _ => {}
+        }
+        None
+    }
+
+    fn execute(&mut self, firmware: &mut Firmware, data: &[u8], sum: u16, now: Duration) -> Option<Effect> {
+        if self.working.is_some() {
+            return None;
+        }
+        let sent = std::mem::replace(&mut self.sent, [false; 0x64]);
+        let bytes = self.buffer.iter().zip(sent).filter(|(_, sent)| *sent);
+        let all = bytes.fold(0_u16, |sum, (byte, _)| sum.wrapping_add((*byte).into()));
+        if sum != all {
+            self.result = WRONG_SUM;
+            return None;
+        }
+        let row = usize::from(u16::from_le_bytes([self.buffer[1], self.buffer[2]]));
+        let magic = self.buffer[4..6] == [0x83, 0xDE];
+        let ms = Duration::from_millis;
+        let mut torn = None;
+        let (time, work) = match self.buffer[0] {
+            0x00 if row < ROWS => (ms(2), Work::Answer(firmware.rows[row].to_vec())),
+            0x01 if row < ROWS && self.buffer[3] < 32 => {
+                let mut new = firmware.rows[row];
+                let at = usize::from(self.buffer[3]) * 3;
+                for (old, byte) in new[at..at + 3].iter_mut().zip(&self.buffer[4..7]) {
+                    *old &= byte;
+                }
+                (ms(2), Work::Rows(vec![(row, new)]))
+            }
+            0x02 if row < ROWS => {
+                // Programming clears bits; only an erase sets them.
+                let new = std::array::from_fn(|at| firmware.rows[row][at] & self.buffer[4 + at]);
+                (ms(2), Work::Rows(vec![(row, new)]))
+            }
+            0x03 if row < ROWS / 2 => {
+                (ms(20), Work::Rows(vec![(row * 2, erased()), (row * 2 + 1, erased())]))
+            }
+            0x04 if magic => (ms(200), Work::Rows((0..ROWS).map(|row| (row, erased())).collect())),
+            0x05 => (ms(170), Work::Answer(firmware.sum().to_le_bytes().to_vec())),
+            0x08 => {
+                let sum = data.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+                (ms(2), Work::Answer(sum.to_le_bytes().to_vec()))
+            }
+            0x0A if row < DATA_ROWS => {
+                let at = row * DATA_ROW;
+                let new: Vec<u8> =
+                    (0..DATA_ROW).map(|byte| data[at + byte] & self.buffer[4 + byte]).collect();
+                torn = Some(Effect::Data(vec![(at, [&new[..7], &data[at + 7..at + DATA_ROW]].concat())]));
+                (ms(2), Work::Data(vec![(at, new)]))
+            }
+            0x0C if magic => {
+                torn = Some(Effect::Data(vec![(0, data.iter().map(|byte| byte | 0x5A).collect())]));
+                (ms(200), Work::Data(vec![(0, vec![0xFF; DATA])]))
+            }
+            0x0F => return Some(Effect::Leave),
+            // A gauge that was sent this never answered again (E2E 171568).
+            0x06 => {
+                let rows = Arc::make_mut(&mut firmware.rows);
+                rows[0] = erased();
+                rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
+                self.ruined = true;
+                return None;
+            }
+            _ => {
+                self.result = REFUSED;
+                return None;
+            }
+        };
+        if let Work::Rows(new) = &work {
+            let rows = Arc::make_mut(&mut firmware.rows);
+            for (at, (row, new)) in new.iter().enumerate() {
+                // Half of the words of a row, and half of the rows; the mark is the first to be lost and the last to be there.
+                for (byte, new) in
+                    rows[*row].iter_mut().zip(new).skip(if at % 2 == 0 { ROW / 2 } else { ROW })
+                {
+                    *byte = *new;
+                }
+                if *row == 0 && rows[0][MARK_AT..MARK_AT + 3] == MARK && new[MARK_AT..MARK_AT + 3] != MARK {
+                    rows[0][MARK_AT] = 0xD5;
+                }
+            }
+        }
+        self.result = WORKING;
+        self.working = Some((now + time, work));
+        torn
+    }
+
+    /// Lets time pass. What a command has come to, if one is done now.
+    pub(super) fn run(&mut self, firmware: &mut Firmware, now: Duration) -> Option<Option<Effect>> {
+        let (_, work) = self.working.take_if(|(until, _)| now >= *until)?;
+        self.result = DONE;
+        Some(match work {
+            Work::Rows(new) => {
+                let rows = Arc::make_mut(&mut firmware.rows);
+                for (row, new) in new {
+                    rows[row] = new;
+                }
+                None
+            }
+            Work::Data(new) => Some(Effect::Data(new)),
+            Work::Answer(bytes) => {
+                self.buffer[4..4 + bytes.len()].copy_from_slice(&bytes);
+                None
+            }
+        })
+    }
+}

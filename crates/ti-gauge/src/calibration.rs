@@ -1,0 +1,577 @@
+//! Calibration of a gauge: many readings, their spread, the new values through a transaction, and the error that
+//! remains. A calibration that makes the error larger is put back by the transaction itself, before its journal is
+//! removed.
+//!
+//! The gauge must not be polled meanwhile. All figures are in the units of the registers.
+
+use std::time::Duration;
+
+use crate::chip::{Calibration, Chip, Offset, Role, Word};
+use crate::codec;
+use crate::dataflash::{Change, DataFlash, Extras, Outcome, Place, Row};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::Gauge;
+use crate::text;
+use crate::value::Value;
+
+/// Readings for a mean, and the time between two. Gauges measure once a second, and the watchdog of some resets them
+/// after more than two standard commands a second.
+const READINGS: usize = 8;
+const INTERVAL: Duration = Duration::from_millis(600);
+/// The same around the measurement of an offset, which itself takes up to 16 s.
+const FEW_READINGS: usize = 4;
+/// From a reset until the first reading.
+const AFTER_RESET: Duration = Duration::from_millis(1500);
+/// From a request until its first commit there are 16 s; the readings leave some of them.
+const READ_LIMIT: Duration = Duration::from_secs(12);
+/// Until an offset measurement must show, and the longest time that it may take.
+const BEGINS: Duration = Duration::from_secs(2);
+const ENDS: Duration = Duration::from_secs(22);
+const LOOK: Duration = Duration::from_millis(100);
+/// The largest current at which an offset is measured, in mA. Board Offset has 8 bits, and a real load's shunt voltage
+/// would not fit.
+const NO_CURRENT_MA: f64 = 10.0;
+/// The smallest current that calibrates a gain, in mA.
+const LEAST_CURRENT_MA: i32 = 100;
+/// The largest change of a gain or divider.
+const LARGEST_CHANGE: f64 = 0.2;
+/// What Voltage() may differ from the measured voltage with a divider from resistors, which have tolerances.
+const DIVIDER_TOLERANCE: f64 = 0.1;
+/// A cell's voltage, in mV, where nobody has measured it.
+const CELL_MV: (f64, f64) = (1500.0, 4600.0);
+/// Flash Update OK Cell Volt of a cell (SLUSBZ5D 8.2.2.1.3).
+const UPDATE_OK_MV: i64 = 2800;
+
+/// What is calibrated, and what a meter shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Job {
+    /// The offset of the board and the converter, while no current flows.
+    BoardOffset,
+    /// The offset of the converter.
+    CcOffset,
+    /// Voltage(), in mV.
+    Voltage(f64),
+    /// Current(), in mA; negative while discharging.
+    Current(f64),
+    /// Temperature(), in degrees Celsius.
+    Temperature(f64),
+    /// Leaves calibration mode.
+    Leave,
+    /// A new board of several cells with an external divider.
+    BringUp {
+        /// Cells in series.
+        cells: u8,
+        /// Voltage Divider: the voltage at the full scale of the converter, in mV.
+        divider: u16,
+        /// The pack's voltage in mV, if it was measured.
+        voltage_mv: Option<f64>,
+    },
+}
+
+/// Carries out a job. Each step is told before it is done; the text that is returned says what was reached.
+pub fn run(
+    dataflash: &mut DataFlash,
+    gauge: &mut Gauge,
+    job: &Job,
+    waited: Duration,
+    tell: &mut dyn FnMut(&str),
+) -> Result<String> {
+    let Some(calibration) = gauge.chip.calibration else {
+        return Err(not_documented(gauge.chip));
+    };
+    let began = gauge.clock.now();
+    if *job == Job::Leave {
+        tell("leaving calibration mode");
+        return dataflash.leave_calibration(gauge, waited).map(|was_on| match was_on {
+            true => "calibration mode was on; it is off now".into(),
+            false => "calibration mode was off already".into(),
+        });
+    }
+    dataflash.ready(gauge, waited)?;
+    let mut task = Task { dataflash, gauge, calibration, asked: began.saturating_sub(waited), tell };
+    match *job {
+        Job::BoardOffset => task.offset(&calibration.board_offset),
+        Job::CcOffset => task.offset(&calibration.cc_offset),
+        Job::Voltage(actual) => task.voltage(actual),
+        Job::Current(actual) => task.current(actual),
+        Job::Temperature(actual) => task.temperature(actual),
+        Job::BringUp { cells, divider, voltage_mv } => task.bring_up(cells, divider, voltage_mv),
+        Job::Leave => Ok(String::new()),
+    }
+}
+
+/// Whether a gauge is in calibration mode, from its CONTROL_STATUS.
+pub fn is_on(chip: &Chip, control_status: u16) -> bool {
+    chip.calibration.is_some_and(|calibration| control_status & calibration.mode != 0)
+}
+
+/// The error for a part whose calibration no document has.
+pub fn not_documented(chip: &Chip) -> Error {
+    let why = "no document describes the calibration of this part";
+    Error::new(chip.model, Cause::NotPermitted(why.into())).at(Step::Check)
+}
+
+/// What a register is calibrated to.
+#[derive(Clone, Copy)]
+struct Target {
+    role: Role,
+    /// What the register must show.
+    wanted: f64,
+    /// The spread that is not noise yet.
+    spread: f64,
+}
+
+/// Readings of a register.
+#[derive(Clone, Copy, Debug)]
+struct Readings {
+    mean: f64,
+    least: f64,
+    most: f64,
+    count: usize,
+}
+
+impl Readings {
+    fn spread(&self) -> f64 {
+        self.most - self.least
+    }
+
+    fn show(&self, unit: &str) -> String {
+        let Self { mean, least, most, count } = self;
+        format!("{mean:.1} {unit} ({count} readings, {least} to {most})")
+    }
+}
+
+struct Task<'a> {
+    dataflash: &'a mut DataFlash,
+    gauge: &'a mut Gauge,
+    calibration: &'static Calibration,
+    asked: Duration,
+    tell: &'a mut dyn FnMut(&str),
+}
+
+impl Task<'_> {
+    fn waited(&self) -> Duration {
+        self.gauge.clock.now().saturating_sub(self.asked)
+    }
+
+    fn refuse<T>(&self, subject: &str, why: String) -> Result<T> {
+        Err(Error::new(subject, Cause::OutOfRange(why)).at(Step::Check))
+    }
+
+    /// Reads a register, and refuses readings that are too far apart.
+    fn steady(&mut self, target: Target, count: usize) -> Result<Readings> {
+        let (name, unit) = naming(self.gauge.chip, target.role);
+        (self.tell)(&format!("reading {name} {count} times"));
+        self.gauge.limit(Some(READ_LIMIT.saturating_sub(self.waited())));
+        let readings = readings(self.gauge, target.role, count);
+        self.gauge.limit(None);
+        let readings = readings?;
+        if readings.spread() > target.spread {
+            let why = format!(
+                "{} is too noisy for a calibration, which needs a spread of {:.0} {unit} at most: keep load and \
+                 temperature steady; nothing was changed",
+                readings.show(unit),
+                target.spread
+            );
+            return Err(Error::new(name, Cause::NotNow(why)).at(Step::Check));
+        }
+        Ok(readings)
+    }
+
+    /// A parameter of the table and its value.
+    fn value(&mut self, place: (u8, u16)) -> Result<(Row, Value)> {
+        let row = row(self.gauge.chip, place)?;
+        let waited = self.waited();
+        let bytes = self.dataflash.read(self.gauge, &[row.0], waited)?.remove(0);
+        let at = usize::from(row.1.offset - row.0.start());
+        Ok((row, codec::decode(row.1.kind, &bytes[at..at + row.1.kind.size()])))
+    }
+
+    fn number(&mut self, place: (u8, u16)) -> Result<f64> {
+        Ok(match self.value(place)?.1 {
+            Value::Int(number) => number as f64,
+            Value::Float(number) => number,
+            Value::Text(_) => 0.0,
+        })
+    }
+
+    /// Writes new values. If the register is then further from what it must show than before, they are put back.
+    fn write(
+        &mut self,
+        target: Target,
+        before: Readings,
+        new: &[((u8, u16), f64)],
+        calibrate: bool,
+    ) -> Result<String> {
+        let chip = self.gauge.chip;
+        let (name, unit) = naming(chip, target.role);
+        let changes: Result<Vec<Change>> =
+            new.iter().map(|&(place, value)| change(chip, place, value)).collect();
+        let changes = changes?;
+        let list: Vec<_> = changes
+            .iter()
+            .zip(new)
+            .map(|(change, (_, value))| format!("{} = {value}", change.name()))
+            .collect();
+        (self.tell)(&format!("writing {}, and measuring again", list.join(", ")));
+        let first = before.mean - target.wanted;
+        let mut after = before;
+        let mut accept = |gauge: &mut Gauge| {
+            gauge.wait(AFTER_RESET);
+            after = readings(gauge, target.role, READINGS)?;
+            let error = after.mean - target.wanted;
+            // One step of the register is no difference.
+            if error.abs() > first.abs() + 1.0 || after.spread() > 2.0 * target.spread {
+                let why = format!(
+                    "{} after the calibration, {first:+.1} {unit} off before and {error:+.1} {unit} now",
+                    after.show(unit)
+                );
+                return Err(Error::new(name, Cause::Protocol(why)).at(Step::Verify));
+            }
+            Ok(())
+        };
+        let waited = self.gauge.clock.now().saturating_sub(self.asked);
+        let extras = Extras { calibrate, accept: Some(&mut accept) };
+        let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        if outcome == Outcome::Unchanged {
+            return Ok(format!("{name}: {}: the calibration is right as it is", before.show(unit)));
+        }
+        let error = after.mean - target.wanted;
+        Ok(format!(
+            "{name}: {} before, {} after; {}; the error was {first:+.1} {unit} and is {error:+.1} {unit}",
+            before.show(unit),
+            after.show(unit),
+            list.join(", "),
+        ))
+    }
+
+    fn voltage(&mut self, actual: f64) -> Result<String> {
+        let spread = (actual.abs() * 0.01).max(20.0);
+        let target = Target { role: Role::VoltageNow, wanted: actual, spread };
+        let before = self.steady(target, READINGS)?;
+        self.check_ratio(before.mean, actual, "gaugefs bringup sets a divider that is far off")?;
+        let place = self.calibration.divider;
+        let new = (self.number(place)? * actual / before.mean).round();
+        self.write(target, before, &[(place, new)], false)
+    }
+
+    fn current(&mut self, actual: f64) -> Result<String> {
+        let name = naming(self.gauge.chip, Role::CurrentNow).0;
+        if actual.abs() < f64::from(LEAST_CURRENT_MA) {
+            let why = format!("a gain needs a current of {LEAST_CURRENT_MA} mA at least, and better of 1 A");
+            return self.refuse(name, why);
+        }
+        let spread = (actual.abs() * 0.02).max(10.0);
+        let target = Target { role: Role::CurrentNow, wanted: actual, spread };
+        let before = self.steady(target, READINGS)?;
+        if before.mean * actual <= 0.0 {
+            let why = format!(
+                "the gauge measures {:.0} mA and the meter {actual} mA: a current that discharges is negative",
+                before.mean
+            );
+            return self.refuse(name, why);
+        }
+        let Calibration { gain, delta, ratio, .. } = *self.calibration;
+        let hint =
+            "write 4.768 / milliohms of the shunt to CC Gain first, and 5677445 / milliohms to CC Delta";
+        self.check_ratio(before.mean, actual, hint)?;
+        let new = self.number(gain)? * actual / before.mean;
+        self.write(target, before, &[(gain, new), (delta, new * ratio)], false)
+    }
+
+    fn temperature(&mut self, actual: f64) -> Result<String> {
+        let Calibration { thermistor: (register, mask), internal, external, .. } = *self.calibration;
+        let wanted = actual * 10.0 + 2731.5;
+        let target = Target { role: Role::Temp, wanted, spread: 10.0 };
+        if !(-40.0..=125.0).contains(&actual) {
+            return self
+                .refuse(naming(self.gauge.chip, Role::Temp).0, "give degrees Celsius, -40 to 125".into());
+        }
+        let before = self.steady(target, READINGS)?;
+        let place = match steady_word(self.gauge, register)? & mask {
+            0 => internal,
+            _ => external,
+        };
+        let new = self.number(place)? + (wanted - before.mean).round();
+        self.write(target, before, &[(place, new)], false)
+    }
+
+    /// Refuses a correction that no tolerance explains.
+    fn check_ratio(&self, read: f64, actual: f64, hint: &str) -> Result<()> {
+        let ratio = if read == 0.0 { f64::INFINITY } else { actual / read };
+        if (1.0 - LARGEST_CHANGE..=1.0 + LARGEST_CHANGE).contains(&ratio) {
+            return Ok(());
+        }
+        let why = format!(
+            "the gauge reads {read:.0} and {actual:.0} is meant: a calibration changes {:.0} % at most; {hint}",
+            LARGEST_CHANGE * 100.0
+        );
+        self.refuse("calibration", why)
+    }
+
+    /// Lets the gauge measure an offset, which it stores itself.
+    fn offset(&mut self, offset: &'static Offset) -> Result<String> {
+        let target = Target { role: Role::CurrentNow, wanted: 0.0, spread: NO_CURRENT_MA };
+        let before = self.steady(target, FEW_READINGS)?;
+        if before.mean.abs() > NO_CURRENT_MA {
+            let why = format!(
+                "{}, and an offset is measured while no current flows, at {NO_CURRENT_MA} mA at most: disconnect load \
+                 and charger",
+                before.show("mA")
+            );
+            return Err(Error::new("Current()", Cause::NotNow(why)).at(Step::Check));
+        }
+        // CC_OFFSET_SAVE stores the offset of the converter in either case.
+        let mut olds = vec![self.value(offset.row)?];
+        if offset.row != self.calibration.cc_offset.row {
+            olds.push(self.value(self.calibration.cc_offset.row)?);
+        }
+        let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
+        let was = text::render(kind, &olds[0].1);
+        (self.tell)(&format!("the gauge measures {name}, which is {was}; this may take 16 s"));
+        let measured = self.measure_offset(offset);
+        self.gauge.limit(None);
+        let measured = measured.and_then(|()| self.save_again(&olds));
+        let after = measured.and_then(|()| readings(self.gauge, Role::CurrentNow, FEW_READINGS));
+        let error = match after {
+            Ok(after) if after.mean.abs() <= before.mean.abs() + 1.0 => {
+                let (_, new) = self.value_now(offset.row).map_err(|error| {
+                    let why = format!("measured and stored, but then {error}; {name} was {was}");
+                    Error::new("", Cause::StateUnknown(why))
+                })?;
+                return Ok(format!(
+                    "{name} {was} -> {}; Current(): {} before, {} after",
+                    text::render(kind, &new),
+                    before.show("mA"),
+                    after.show("mA")
+                ));
+            }
+            Ok(after) => {
+                let why =
+                    format!("{} with the new offset and {} before", after.show("mA"), before.show("mA"));
+                Error::new(name, Cause::Protocol(why)).at(Step::Verify)
+            }
+            Err(error) => error,
+        };
+        (self.tell)(&format!("putting {name} {was} back"));
+        self.put_back(&olds, &error)
+    }
+
+    /// The value after the gauge itself may have changed it, in its own time.
+    fn value_now(&mut self, place: (u8, u16)) -> Result<(Row, Value)> {
+        self.asked = self.gauge.clock.now();
+        self.value(place)
+    }
+
+    fn measure_offset(&mut self, offset: &Offset) -> Result<()> {
+        let gauge = &mut *self.gauge;
+        gauge.limit_until(Some(self.asked + ENDS));
+        gauge.command(offset.start)?;
+        let started = gauge.clock.now();
+        let mut seen = false;
+        loop {
+            gauge.wait(LOOK);
+            let running = gauge.control_status()?.1 & offset.running != 0;
+            // A bit error is no end of the measurement.
+            let running = running || seen && gauge.control_status()?.1 & offset.running != 0;
+            match (seen, running) {
+                (true, false) => break,
+                (false, false) if gauge.clock.now() > started + BEGINS => {
+                    let why = "the gauge does not show that it measures its offset";
+                    return Err(Error::new(gauge.chip.model, Cause::TimedOut(why.into())).at(Step::Control));
+                }
+                _ => seen |= running,
+            }
+        }
+        gauge.command(self.calibration.save)?;
+        gauge.wait(AFTER_RESET);
+        Ok(())
+    }
+
+    /// Sends CC_OFFSET_SAVE again if nothing was stored: the command may have been lost.
+    fn save_again(&mut self, olds: &[(Row, Value)]) -> Result<()> {
+        let place = self.calibration.cc_offset.row;
+        let (row, new) = self.value_now(place)?;
+        if olds.iter().any(|((_, old), value)| old.offset == row.1.offset && *value == new) {
+            self.gauge.command(self.calibration.save)?;
+            self.gauge.wait(AFTER_RESET);
+        }
+        Ok(())
+    }
+
+    /// Writes old offsets back after a measurement that has failed.
+    fn put_back(&mut self, olds: &[(Row, Value)], error: &Error) -> Result<String> {
+        let show = |((_, parameter), old): &(Row, Value)| {
+            format!("{} {}", parameter.name, text::render(parameter.kind, old))
+        };
+        let was = olds.iter().map(show).collect::<Vec<_>>().join(", ");
+        // A measurement that still runs would store its result later.
+        let wait = Duration::from_secs(1);
+        for _ in 0..20 {
+            let running = self
+                .gauge
+                .control_status()
+                .is_ok_and(|(_, status)| status & self.calibration.board_offset.running != 0);
+            if !running {
+                break;
+            }
+            self.gauge.wait(wait);
+        }
+        let changes: Vec<_> = olds.iter().filter_map(|(row, old)| Change::of_value(*row, old)).collect();
+        match self.dataflash.write(self.gauge, &changes, Duration::ZERO) {
+            Ok(_) => {
+                let why = format!("{error}; the old value was restored and verified: {was}");
+                Err(Error::new("", Cause::RolledBack(why)))
+            }
+            Err(second) => {
+                let why =
+                    format!("{error}; then {second}: the gauge may have stored other values than {was}");
+                Err(Error::new("", Cause::StateUnknown(why)))
+            }
+        }
+    }
+
+    /// Makes a new board of several cells writable: in calibration mode the limit is set to 0, and the divider with it.
+    fn bring_up(&mut self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<String> {
+        let chip = self.gauge.chip;
+        let gate = chip.gate.as_ref().and_then(|gate| {
+            let (external, cells) = (gate.external.as_ref()?, gate.cells?);
+            Some((gate.limit, gate.divider?, external, cells, gate.cell_divider))
+        });
+        let Some((limit, divider_row, external, cells_row, cell_divider)) = gate else {
+            return Err(not_documented(chip));
+        };
+        if voltage_mv.is_some_and(|voltage| voltage > f64::from(divider)) {
+            let why = format!("the converter ends at {divider} mV, and the pack has more");
+            return self.refuse("Voltage Divider", why);
+        }
+        let ((subclass, parameter), old) = self.value(external.byte)?;
+        let Value::Int(word) = old else { return Err(not_documented(chip)) };
+        let shift = 8 * (parameter.kind.size() - 1);
+        let selected = word | i64::from(external.mask) << shift;
+        let set = Change::of_value((subclass, parameter), &Value::Int(selected));
+        let mut changes = vec![
+            change(chip, limit, 0.0)?,
+            change(chip, cells_row, cells.into())?,
+            change(chip, divider_row, divider.into())?,
+        ];
+        changes.extend(set);
+        let (name, unit) = naming(chip, Role::VoltageNow);
+        (self.tell)(&format!(
+            "calibration mode, in which flash is open: limit {} 0, {}, {cells} cells, divider {divider} mV; then the \
+             gauge leaves it and is reset",
+            Place::from(limit),
+            external.name
+        ));
+        let (low, high) = match voltage_mv {
+            Some(voltage) => (voltage * (1.0 - DIVIDER_TOLERANCE), voltage * (1.0 + DIVIDER_TOLERANCE)),
+            None => (CELL_MV.0 * f64::from(cells), CELL_MV.1 * f64::from(cells)),
+        };
+        let mut found = None;
+        let mut accept = |gauge: &mut Gauge| {
+            gauge.wait(AFTER_RESET);
+            let read = readings(gauge, Role::VoltageNow, READINGS)?;
+            if read.least < low || read.most > high {
+                let why = format!(
+                    "{} with the new divider, and it should be {low:.0} to {high:.0} {unit}: is the divider right, and \
+                     the number of cells?",
+                    read.show(unit)
+                );
+                return Err(Error::new(name, Cause::Protocol(why)).at(Step::Verify));
+            }
+            found = Some(read);
+            Ok(())
+        };
+        let waited = self.gauge.clock.now().saturating_sub(self.asked);
+        let extras = Extras { calibrate: true, accept: Some(&mut accept) };
+        self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        let read = match found {
+            Some(read) => read,
+            // Nothing had to be written.
+            None => readings(self.gauge, Role::VoltageNow, FEW_READINGS)?,
+        };
+        let first = format!("{name}: {}", read.show(unit));
+        (self.tell)(&first);
+        // What follows has its own time: flash is open and the pack is measured.
+        self.asked = self.gauge.clock.now();
+        let refined = voltage_mv.map(|voltage| (f64::from(divider) * voltage / read.mean).round());
+        let ends = refined.unwrap_or(divider.into());
+        let scaled = |cell: u32| UPDATE_OK_MV as f64 * f64::from(cells) * f64::from(cell) / ends;
+        let ok = cell_divider.map_or(UPDATE_OK_MV as f64, scaled).round();
+        let mut new = vec![(limit, ok)];
+        new.extend(
+            refined.filter(|refined| *refined != f64::from(divider)).map(|refined| (divider_row, refined)),
+        );
+        let spread = (read.mean * 0.01).max(20.0);
+        let target = Target { role: Role::VoltageNow, wanted: voltage_mv.unwrap_or(read.mean), spread };
+        match self.write(target, read, &new, false) {
+            Ok(done) => Ok(format!("flash can be written; limit {} is {ok} mV; {done}", Place::from(limit))),
+            Err(error) if matches!(error.cause(), Cause::StateUnknown(_)) => Err(error),
+            Err(error) => Ok(format!(
+                "flash can be written; {first}; but limit {} stays 0, with which flash is open at any voltage, and the \
+                 divider as given: {error}",
+                Place::from(limit)
+            )),
+        }
+    }
+}
+
+/// The row of the table at a place.
+fn row(chip: &'static Chip, (id, offset): (u8, u16)) -> Result<Row> {
+    let mut alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
+    let found = alike.find_map(|subclass| Some((subclass, subclass.parameter(offset)?)));
+    found.ok_or_else(|| not_documented(chip))
+}
+
+/// A change to a value, which must be in the manual's range.
+fn change(chip: &'static Chip, place: (u8, u16), value: f64) -> Result<Change> {
+    let row = row(chip, place)?;
+    let value = text::parse(row.1, value.to_string().as_bytes())?;
+    let change = Change::of_value(row, &value).ok_or_else(|| not_documented(chip))?;
+    change.check_least().map(|()| change)
+}
+
+/// Name and unit of the register that feeds a property.
+fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
+    match role {
+        Role::VoltageNow => ("Voltage()", "mV"),
+        Role::Temp => ("Temperature()", "0.1 K"),
+        Role::CurrentNow => ("Current()", "mA"),
+        _ => (chip.model, ""),
+    }
+}
+
+fn word(gauge: &mut Gauge, register: u8) -> Result<u16> {
+    crate::dataflash::read_word(gauge, Word::Register(register))
+}
+
+/// A word that two readings agree on, because I2C has no error detection.
+fn steady_word(gauge: &mut Gauge, register: u8) -> Result<u16> {
+    let mut last = word(gauge, register)?;
+    for _ in 0..4 {
+        let next = word(gauge, register)?;
+        if next == last {
+            return Ok(next);
+        }
+        last = next;
+    }
+    let why = "the register reads differently each time";
+    Err(Error::new(gauge.chip.model, Cause::Protocol(why.into())).at(Step::Read))
+}
+
+fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
+    let chip = gauge.chip;
+    let register = chip.register(role).ok_or_else(|| not_documented(chip))?;
+    let mut values = Vec::with_capacity(count);
+    for number in 0..count {
+        if number > 0 {
+            gauge.wait(INTERVAL);
+        }
+        let word = word(gauge, register.code)?;
+        values.push(if register.signed { f64::from(word as i16) } else { f64::from(word) });
+    }
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    Ok(Readings { mean, least, most, count })
+}

@@ -1,0 +1,47 @@
+//! How a part is calibrated, as data.
+
+/// The subcommands, bits and parameters of calibration.
+#[derive(Debug)]
+pub struct Calibration {
+    /// Toggles the permission to enter and to leave calibration mode.
+    pub enable: u16,
+    /// Enters calibration mode.
+    pub enter: u16,
+    /// Leaves calibration mode.
+    pub exit: u16,
+    /// The register and its bit that are set while calibration is enabled.
+    pub enabled: (u8, u16),
+    /// The bit of CONTROL_STATUS that is set in calibration mode.
+    pub mode: u16,
+    /// Measures the offset of the board and the converter; the gauge stores it.
+    pub board_offset: Offset,
+    /// Measures the offset of the converter.
+    pub cc_offset: Offset,
+    /// Stores the offset of the converter.
+    pub save: u16,
+    /// The parameter of two bytes to which Voltage() is proportional.
+    pub divider: (u8, u16),
+    /// The parameter to which Current() is proportional, and the one by which charge is counted.
+    pub gain: (u8, u16),
+    /// See `gain`.
+    pub delta: (u8, u16),
+    /// The second in units of the first.
+    pub ratio: f64,
+    /// The offset of the internal temperature sensor and of the thermistor, in 0.1 degrees.
+    pub internal: (u8, u16),
+    /// See `internal`.
+    pub external: (u8, u16),
+    /// The register and its bit that are set while Temperature() is the thermistor's.
+    pub thermistor: (u8, u16),
+}
+
+/// An offset that the gauge measures itself while no current flows.
+#[derive(Debug)]
+pub struct Offset {
+    /// The subcommand that begins.
+    pub start: u16,
+    /// The bits of CONTROL_STATUS of which one is set meanwhile.
+    pub running: u16,
+    /// The parameter that holds it.
+    pub row: (u8, u16),
+}

@@ -1,0 +1,147 @@
+//! A recording without what belongs to one pack or to its maker: serial numbers, dates, lots, texts and keys.
+//!
+//! A block of data flash with such a parameter is left out as a whole, so that its checksum gives nothing away
+//! either and every block that is left adds up. A register that shows a serial number reads 0.
+
+use std::ops::Range;
+
+use super::blocks::{Window, holds_keys};
+use crate::chip::{Chip, FLAT, Kind, Subclass};
+use crate::codec::WINDOW;
+use crate::value::Type;
+use gauge_bus::trace::Event;
+
+/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): what is in the window.
+const SELECTION: u8 = 0x3e;
+/// First byte of the window.
+const DATA: u8 = 0x40;
+/// The registers of block access.
+const ACCESS: Range<u8> = SELECTION..0x62;
+/// Bytes that two readings have at least in common if they show the same block.
+const ALIKE: usize = 8;
+
+/// The subclass, by its index in the table, that shows whether data flash can be read, and nothing of the pack's
+/// owner: the first one of a single block without keys, serial number or text.
+pub fn sample(chip: &Chip) -> Option<usize> {
+    chip.subclasses.iter().position(|subclass| {
+        let places = windows(subclass);
+        subclass.kind != Kind::Security
+            && !subclass.parameters.is_empty()
+            && places.len() == 1
+            && !places.iter().any(|&place| is_private(chip, place))
+    })
+}
+
+/// The blocks that a subclass is in.
+fn windows(subclass: &Subclass) -> Vec<Window> {
+    let first = subclass.start() / WINDOW as u16 * WINDOW as u16;
+    let bases = (first..subclass.start() + subclass.length).step_by(WINDOW);
+    bases.map(|base| Window { subclass: subclass.id, base }).collect()
+}
+
+/// Whether a block holds something that is not to be given away.
+fn is_private(chip: &Chip, place: Window) -> bool {
+    let rows = chip.subclasses.iter().filter(|row| row.id == place.subclass).flat_map(|row| row.parameters);
+    let base = usize::from(place.base);
+    let mut inside = rows.filter(|parameter| {
+        let start = usize::from(parameter.offset);
+        start < base + WINDOW && base < start + parameter.kind.size()
+    });
+    holds_keys(chip, place)
+        || inside.any(|parameter| parameter.names_pack() || matches!(parameter.kind, Type::S(_)))
+}
+
+/// The block that is in the window.
+struct Selected<'a> {
+    chip: &'a Chip,
+    bytes: [u8; 2],
+    /// A subcommand has put its answer there instead.
+    is_answer: bool,
+}
+
+impl Selected<'_> {
+    fn note(&mut self, start: u8, data: &[u8]) {
+        for (at, &byte) in (start..=u8::MAX).zip(data) {
+            match at {
+                0x00 | 0x01 => self.is_answer = self.chip.access.scheme.is_flat(),
+                SELECTION | 0x3f => {
+                    (self.bytes[usize::from(at - SELECTION)], self.is_answer) = (byte, false);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Follows which block is selected. If the event is about a private one, returns what it shows of that.
+    fn private_part<'a>(&mut self, event: &'a Event) -> Option<&'a [u8]> {
+        let Event::Transfer { write, read, answer, .. } = event else { return None };
+        // A read without a register shows the one that was read before.
+        let Some((&start, written)) = write.split_first() else { return Some(&[]) };
+        self.note(start, written);
+        let end = usize::from(start) + written.len() + read;
+        if start >= ACCESS.end || end <= usize::from(ACCESS.start) {
+            return None;
+        }
+        let echo = match answer {
+            Ok(bytes) if start == SELECTION && written.is_empty() => bytes.first_chunk(),
+            _ => None,
+        };
+        let is_private = !self.is_answer && self.shows_private(self.bytes)
+            || echo.is_some_and(|&echo| self.shows_private(echo));
+        is_private.then(|| window(event))
+    }
+
+    /// Whether the block of that selection, or of that echo, is private.
+    fn shows_private(&self, bytes: [u8; 2]) -> bool {
+        let place = if self.chip.access.scheme.is_flat() {
+            Window { subclass: FLAT, base: u16::from_le_bytes(bytes) }
+        } else {
+            Window { subclass: bytes[0], base: u16::from(bytes[1]) * WINDOW as u16 }
+        };
+        is_private(self.chip, place)
+    }
+}
+
+/// The same recording without private blocks, and with 0 for the serial number.
+pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
+    let mut selected = Selected { chip, bytes: [0; 2], is_answer: true };
+    let mut private: Vec<Vec<u8>> = Vec::new();
+    events.retain(|event| match selected.private_part(event) {
+        Some(bytes) => {
+            private.push(bytes.to_vec());
+            false
+        }
+        None => true,
+    });
+    events.retain(|event| !private.iter().any(|block| alike(block, window(event))));
+    if let Some(serial) = chip.serial_register() {
+        events.iter_mut().for_each(|event| hide(serial..serial + 2, event));
+    }
+    events
+}
+
+/// What a read shows of the window, from its first byte on.
+fn window(event: &Event) -> &[u8] {
+    let Event::Transfer { write, answer: Ok(bytes), .. } = event else { return &[] };
+    match write[..] {
+        [start] if start <= DATA => bytes.get(usize::from(DATA - start)..).unwrap_or_default(),
+        _ => &[],
+    }
+}
+
+/// Whether two readings are of one block, as far as both go. A gauge that loads blocks late shows the one before.
+fn alike(one: &[u8], other: &[u8]) -> bool {
+    let length = one.len().min(other.len()).min(WINDOW);
+    length >= ALIKE && one[..length] == other[..length]
+}
+
+/// Puts 0 in place of what the registers of that range show.
+fn hide(registers: Range<u8>, event: &mut Event) {
+    if let Event::Transfer { write, answer: Ok(bytes), .. } = event
+        && let [start] = write[..]
+    {
+        for (_, byte) in (start..=u8::MAX).zip(bytes).filter(|(at, _)| registers.contains(at)) {
+            *byte = 0;
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! Calibration mode, in which a gauge ignores its flash-voltage gate. CAL_ENABLE toggles, so it is sent only after a
+//! look, and never repeated blindly.
+
+use std::time::Duration;
+
+use super::preflight::read_word;
+use crate::chip::{Calibration, Word};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Seal};
+
+/// Times that each subcommand is sent, and the time until its effect must show.
+const TRIES: u32 = 4;
+const SHOWS: Duration = Duration::from_millis(100);
+
+/// Whether calibration is enabled. An answer counts if a second one agrees.
+fn is_enabled(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
+    let (register, mask) = calibration.enabled;
+    let mut look = || read_word(gauge, Word::Register(register)).map(|word| word & mask != 0);
+    let mut last = look()?;
+    for _ in 0..TRIES {
+        let next = look()?;
+        if next == last {
+            break;
+        }
+        last = next;
+    }
+    Ok(last)
+}
+
+/// Whether the gauge is in calibration mode. An answer counts if a second one agrees.
+pub(super) fn is_on(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
+    let mut look = || gauge.control_status().map(|(_, status)| status & calibration.mode != 0);
+    let mut last = look()?;
+    for _ in 0..TRIES {
+        let next = look()?;
+        if next == last {
+            break;
+        }
+        last = next;
+    }
+    Ok(last)
+}
+
+fn set_enabled(gauge: &mut Gauge, calibration: &Calibration, wanted: bool) -> Result<()> {
+    for _ in 0..TRIES {
+        if is_enabled(gauge, calibration)? == wanted {
+            return Ok(());
+        }
+        // Whether a frame that failed was taken shows at the next look.
+        let _ = gauge.command_once(calibration.enable);
+        gauge.wait(SHOWS);
+    }
+    if is_enabled(gauge, calibration)? == wanted {
+        return Ok(());
+    }
+    Err(failed(gauge, "CAL_ENABLE"))
+}
+
+fn set_mode(gauge: &mut Gauge, calibration: &Calibration, wanted: bool) -> Result<()> {
+    let (code, name) = if wanted { (calibration.enter, "ENTER_CAL") } else { (calibration.exit, "EXIT_CAL") };
+    for _ in 0..TRIES {
+        gauge.command(code)?;
+        gauge.wait(SHOWS);
+        if is_on(gauge, calibration)? == wanted {
+            return Ok(());
+        }
+    }
+    Err(failed(gauge, name))
+}
+
+fn failed(gauge: &Gauge, name: &str) -> Error {
+    let why = format!("the gauge was sent {name} {TRIES} times and does not show it");
+    Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Control)
+}
+
+/// Enters calibration mode and confirms it. The gauge is open.
+pub(super) fn enter(gauge: &mut Gauge, calibration: &Calibration) -> Result<()> {
+    set_enabled(gauge, calibration, true)?;
+    set_mode(gauge, calibration, true)
+}
+
+/// Leaves calibration mode, if the gauge is in it, and confirms that. A gauge that was sealed meanwhile is unsealed.
+/// Returns whether there was anything to leave.
+pub(super) fn leave(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
+    let on = is_on(gauge, calibration)?;
+    if !on && !is_enabled(gauge, calibration)? {
+        return Ok(false);
+    }
+    if gauge.seal()? == Seal::Sealed {
+        gauge.unseal()?;
+    }
+    if on {
+        // The permission is needed to leave as well.
+        set_enabled(gauge, calibration, true)?;
+        set_mode(gauge, calibration, false)?;
+    }
+    set_enabled(gauge, calibration, false)?;
+    Ok(true)
+}

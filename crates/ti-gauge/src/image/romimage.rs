@@ -1,0 +1,585 @@
+//! An image for ROM mode, `.df.fs` or `.bq.fs`, as the parameters in it.
+//!
+//! TI's tools export one for parts such as the bq34z100-G1. Its commands erase flash and write it row by row, past the
+//! gauge's firmware; interrupted, they leave a gauge that answers at another address only. So the file is interpreted
+//! here, and never sent: its rows of data flash become parameters, which are written like any others.
+
+use super::flashstream::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
+use super::{Group, Image, LeftOut, Raw, at_line, cut_short};
+use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
+use crate::codec::{self, WINDOW};
+use crate::error::{Cause, Error, Result};
+use crate::text;
+use crate::value::{Type, Value};
+
+/// Bytes of a row of data flash.
+const ROW: usize = 32;
+/// Rows of data flash.
+const ROWS: usize = 32;
+/// The rows of instruction flash that hold the vectors and the firmware's version. A file for data flash only erases
+/// them first and writes them back at its end, so that an interrupted gauge stays in ROM mode.
+const BOOT_ROWS: usize = 2;
+/// Bytes of a command that writes a row of instruction flash.
+const INSTRUCTION_ROW: usize = 100;
+/// The index of the firmware's version in the command that writes row 0 of instruction flash, the low byte first.
+const VERSION: usize = 52;
+/// Where a command is written.
+const COMMAND: u8 = 0x00;
+/// Where four bytes, or two, of an answer are read.
+const ANSWER: u8 = 0x04;
+/// Where the sum of a command's bytes is written, which executes it.
+const EXECUTE: u8 = 0x64;
+/// Where the outcome is read.
+const STATUS: u8 = 0x66;
+/// Control().
+const CONTROL: u8 = 0x00;
+/// The command that writes a row of data flash.
+const DATA_ROW: u8 = 0x0a;
+/// What the commands that erase need.
+const ERASE: [u8; 5] = [0x00, 0x00, 0x00, 0x83, 0xde];
+/// Lifetime data: the history of the pack that the image was made from.
+const LIFETIME: [u8; 2] = [59, 60];
+
+/// Whether these commands write data flash in ROM mode.
+pub(super) fn is_one(commands: &[(usize, Command)]) -> bool {
+    let writes = |command: &Command| match command {
+        Command::Write { address: ROM, register: COMMAND, bytes } => bytes[0] == DATA_ROW,
+        _ => false,
+    };
+    commands.iter().any(|(_, command)| writes(command))
+}
+
+/// Reads the data flash of an image. `told` is the chip that it is for, if the user says so.
+pub(super) fn parse(commands: &[(usize, Command)], told: Option<&'static Chip>) -> Result<Image> {
+    let mut rom = Rom::default();
+    for (line, command) in commands {
+        rom.take(*line, command).map_err(|why| at_line(*line, why))?;
+    }
+    let content = rom.finish()?;
+    let (device_type, checked) = identity(commands);
+    let firmware = match (content.firmware, checked) {
+        (Some((_, one)), Some((line, other))) if one != other => {
+            let why = format!("firmware 0x{other:04x} is checked, but the rows are of 0x{one:04x}");
+            return Err(at_line(line, why));
+        }
+        (one, other) => one.or(other).map(|(_, code)| code),
+    };
+    let (chip, layout) = content.chip(told, device_type.map(|(_, code)| code), firmware)?;
+    let mut image = Image::new(chip, firmware);
+    image.names_chip = firmware.is_some();
+    image.chemistry_sum = Some(content.word(layout.chemistry_sum));
+    image.firmware_line = content.whole_firmware;
+    content.fill_image(&mut image, layout);
+    content.fill_notes(&mut image);
+    Ok(image)
+}
+
+/// What is known of a file while it is read: a gauge in ROM mode.
+#[derive(Default)]
+struct Rom {
+    /// The bytes of the command that is not executed yet, and its line.
+    buffer: Vec<u8>,
+    /// The last command that was executed.
+    last: Vec<u8>,
+    /// The last line of a command that was not executed.
+    pending: Option<usize>,
+    rows: Vec<(usize, [u8; ROW])>,
+    is_erased: bool,
+    is_checked: bool,
+    has_left: bool,
+    firmware: Option<(usize, u16)>,
+    instruction_rows: usize,
+    whole_firmware: Option<usize>,
+    unchecked: usize,
+    keys: Option<usize>,
+}
+
+impl Rom {
+    fn take(&mut self, line: usize, command: &Command) -> Result<(), String> {
+        match command {
+            Command::Wait(_) => Ok(()),
+            Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address }
+                if ![GAUGE, ROM].contains(address) =>
+            {
+                Err(format!(
+                    "address 0x{address:02x} is neither the gauge's, which is AA, nor that of ROM mode"
+                ))
+            }
+            Command::Read { .. } => Ok(()),
+            Command::Write { address: ROM, .. } if self.has_left => Err("ROM mode has been left".into()),
+            Command::Write { address: ROM, register: EXECUTE, bytes } => self.execute(line, bytes),
+            Command::Write { address: ROM, register, bytes } => self.fill(line, *register, bytes),
+            Command::Compare { address: ROM, register: STATUS, bytes } if bytes[..] == [0] => Ok(()),
+            Command::Compare { address: ROM, register: ANSWER, bytes } => self.compare(bytes),
+            Command::Compare { address: ROM, .. } => Err("this answer is not one of ROM mode".into()),
+            Command::Write { register: CONTROL, bytes, .. } if bytes.len() % 2 == 0 => {
+                let word = u16::from_le_bytes([bytes[0], bytes[1]]);
+                if ![ROM_MODE, DEVICE_TYPE, FW_VERSION].contains(&word) {
+                    self.keys.get_or_insert(line);
+                }
+                Ok(())
+            }
+            Command::Compare { .. } => Ok(()),
+            Command::Write { .. } => Err("a file for ROM mode that also writes in normal mode".into()),
+        }
+    }
+
+    /// Hosts with small buffers write a command in several pieces.
+    fn fill(&mut self, line: usize, register: u8, bytes: &[u8]) -> Result<(), String> {
+        if register == COMMAND {
+            if let Some(line) = self.pending {
+                return Err(format!("the command of line {line} is not executed by a sum"));
+            }
+            self.buffer.clear();
+        }
+        if usize::from(register) != self.buffer.len() {
+            return Err(format!("register 0x{register:02x} does not continue a command of ROM mode"));
+        }
+        self.buffer.extend(bytes);
+        self.pending = Some(line);
+        Ok(())
+    }
+
+    fn execute(&mut self, line: usize, sum: &[u8]) -> Result<(), String> {
+        let command = std::mem::take(&mut self.buffer);
+        if self.pending.take().is_none() {
+            return Err("a sum without a command of ROM mode".into());
+        }
+        let [low, high] = sum else { return Err("a sum of ROM mode has two bytes".into()) };
+        let (told, sum) = (u16::from_le_bytes([*low, *high]), sum16(&command));
+        if told != sum {
+            return Err(format!("sum 0x{told:04x}, but the bytes give 0x{sum:04x}"));
+        }
+        match command.as_slice() {
+            // Erase the first page of instruction flash, compute a sum, write the last row of instruction flash.
+            [0x03, 0, 0] | [0x05 | 0x08] | [0x01, 0, 0, 0x05, _, _, _] => {}
+            [0x0f] => self.has_left = true,
+            [0x04, rest @ ..] if *rest == ERASE => {
+                self.whole_firmware.get_or_insert(line);
+            }
+            [0x0c, rest @ ..] if *rest == ERASE => {
+                self.is_erased = true;
+                self.rows.clear();
+            }
+            [0x02, low, high, 0, data @ ..] if data.len() + 4 == INSTRUCTION_ROW => {
+                let row = usize::from(u16::from_le_bytes([*low, *high]));
+                self.instruction_rows += 1;
+                if row == 0 {
+                    let version = u16::from_le_bytes([command[VERSION], command[VERSION + 1]]);
+                    self.firmware = Some((line, version));
+                }
+                if row >= BOOT_ROWS {
+                    self.whole_firmware.get_or_insert(line);
+                }
+            }
+            [DATA_ROW, row, 0, 0, data @ ..] if data.len() == ROW => {
+                if !self.is_erased {
+                    return Err("a row of data flash that is not erased before".into());
+                }
+                if usize::from(*row) != self.rows.len() || self.rows.len() == ROWS {
+                    return Err(format!("row {row} of data flash, but row {} is next", self.rows.len()));
+                }
+                let data = <[u8; ROW]>::try_from(data).expect("its length was compared");
+                self.rows.push((line, data));
+                self.is_checked = false;
+            }
+            [code, ..] => {
+                return Err(format!(
+                    "0x{code:02x} with {} bytes is no known command of ROM mode",
+                    command.len()
+                ));
+            }
+            [] => return Err("an empty command of ROM mode".into()),
+        }
+        self.last = command;
+        Ok(())
+    }
+
+    fn compare(&mut self, told: &[u8]) -> Result<(), String> {
+        match (self.last.as_slice(), told) {
+            ([0x08], [low, high]) => {
+                let (told, sum) = (u16::from_le_bytes([*low, *high]), sum16(&self.bytes()));
+                if told != sum {
+                    return Err(format!(
+                        "sum 0x{told:04x} of data flash is expected, but its rows give 0x{sum:04x}"
+                    ));
+                }
+                self.is_checked = true;
+            }
+            // Of all instruction flash, most of which is not in the file.
+            ([0x05], [_, _, _, _]) => self.unchecked += 1,
+            _ => return Err("an answer that the command before does not give".into()),
+        }
+        Ok(())
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        self.rows.iter().flat_map(|(_, row)| *row).collect()
+    }
+
+    /// All that a whole file must have.
+    fn finish(self) -> Result<Self> {
+        if let Some(line) = self.pending {
+            return Err(at_line(line, "this command is not executed by a sum; the file is cut short"));
+        }
+        if self.rows.is_empty() {
+            return Err(Error::new("", Cause::Invalid("it writes no data flash".into())));
+        }
+        if self.rows.len() != ROWS {
+            return Err(cut_short(format_args!("{} rows of data flash instead of {ROWS}", self.rows.len())));
+        }
+        if !self.is_checked {
+            return Err(cut_short("the sum of data flash is not checked"));
+        }
+        if !self.has_left {
+            return Err(cut_short("ROM mode is not left"));
+        }
+        Ok(self)
+    }
+
+    /// The chip that it is for: the one whose firmware and layout fit.
+    fn chip(
+        &self,
+        told: Option<&'static Chip>,
+        device_type: Option<u16>,
+        firmware: Option<u16>,
+    ) -> Result<(&'static Chip, &'static RomImage)> {
+        let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+        let chips = CHIPS.iter().copied().filter(|chip| told.is_none_or(|told| std::ptr::eq(*chip, told)));
+        let known: Vec<_> = chips.filter_map(|chip| Some((chip, chip.rom_image.as_ref()?))).collect();
+        let is_of = |chip: &Chip| {
+            device_type.is_none_or(|code| code == chip.identity.device_type)
+                && firmware.is_none_or(|code| chip.identity.firmware.contains(&code))
+        };
+        let of_firmware: Vec<_> = known.iter().copied().filter(|(chip, _)| is_of(chip)).collect();
+        let names = || known.iter().map(|(chip, _)| chip.model).collect::<Vec<_>>().join(" or ");
+        let Some((first, _)) = of_firmware.first() else {
+            let code = |code: Option<u16>| code.map_or("unknown".into(), |code| format!("0x{code:04x}"));
+            return invalid(format!(
+                "it is for ROM mode, of device type {} and firmware {}: not a {}",
+                code(device_type),
+                code(firmware),
+                names()
+            ));
+        };
+        let fitting: Vec<_> =
+            of_firmware.iter().copied().filter(|(chip, layout)| self.fits(chip, layout)).collect();
+        match fitting.as_slice() {
+            [one] => Ok(*one),
+            [] => invalid(format!("its data flash is not laid out as that of a {}", first.model)),
+            _ => invalid(format!("it may be for a {}; choose with --chip", names())),
+        }
+    }
+
+    /// Whether names and the number of cells are where the layout has them.
+    fn fits(&self, chip: &'static Chip, layout: &RomImage) -> bool {
+        let bytes = self.bytes();
+        places(chip, layout).all(|(subclass, start)| {
+            subclass.parameters.iter().all(|row| {
+                let at = usize::from(start + row.offset);
+                let stored = &bytes[at..at + row.kind.size()];
+                match (row.kind, codec::decode(row.kind, stored)) {
+                    (Type::S(size), value) => {
+                        let is_text = stored[0] < size
+                            && stored[1..=usize::from(stored[0])]
+                                .iter()
+                                .all(|byte| (0x20..0x7f).contains(byte));
+                        is_text && matches!(value, Value::Text(_))
+                    }
+                    (kind, value) if row.name == "Number of series cell" => {
+                        text::parse(row, text::render(kind, &value).as_bytes()).is_ok()
+                    }
+                    _ => true,
+                }
+            })
+        })
+    }
+
+    fn word(&self, at: u16) -> u16 {
+        let (bytes, at) = (self.bytes(), usize::from(at));
+        u16::from_be_bytes([bytes[at], bytes[at + 1]])
+    }
+
+    /// The line of the row that holds a byte.
+    fn line(&self, at: usize) -> usize {
+        self.rows[at / ROW].0
+    }
+
+    /// Adds parameters, undocumented bytes of subclasses, and the notes.
+    fn fill_image(&self, image: &mut Image, layout: &RomImage) {
+        let bytes = self.bytes();
+        let mut is_named = [false; ROW * ROWS];
+        for (subclass, start) in places(image.chip, layout) {
+            let (start, length) = (usize::from(start), usize::from(subclass.length));
+            is_named[start..start + length].fill(true);
+            let line = self.line(start);
+            if subclass.kind == Kind::Security {
+                image.leave_out(line, "keys; left out", Some(Group::Keys));
+                continue;
+            }
+            if LIFETIME.contains(&subclass.id) {
+                let why = format!("{}: the history of another pack; left out", subclass.name);
+                image.leave_out(line, why, Some(Group::Learned));
+                continue;
+            }
+            let mut is_parameter = vec![false; length];
+            for row in subclass.parameters {
+                let (from, size) = (usize::from(row.offset), row.kind.size());
+                is_parameter[from..from + size].fill(true);
+                let at = start + from;
+                image.add(subclass, row, codec::decode(row.kind, &bytes[at..at + size]), self.line(at));
+            }
+            for offset in (0..length).filter(|&offset| !is_parameter[offset]) {
+                let (line, byte) = (self.line(start + offset), bytes[start + offset]);
+                let new_block = offset % WINDOW == 0;
+                let offset = offset as u16;
+                match image.raw.last_mut() {
+                    Some(raw) if raw.line == line && !new_block && raw.ends_before(subclass.id, offset) => {
+                        raw.bytes.push(byte);
+                    }
+                    _ => image.raw.push(Raw { subclass: subclass.id, offset, bytes: vec![byte], line }),
+                }
+            }
+        }
+        image.raw.sort_by_key(|raw| raw.line);
+        let chemistry = usize::from(layout.chemistry.0)..usize::from(layout.chemistry.1);
+        let others =
+            is_named.iter().enumerate().filter(|(at, named)| !**named && !chemistry.contains(at)).count();
+        let what = [
+            (chemistry.len(), "of the chemistry, which only TI's tools program"),
+            (others, "outside of every subclass that a manual names"),
+        ];
+        for (count, what) in what {
+            let text = format!("{count} bytes {what}; left out");
+            image.left_out.push(LeftOut { text, group: Some(Group::Undocumented) });
+        }
+    }
+
+    fn fill_notes(&self, image: &mut Image) {
+        if let Some(line) = self.keys {
+            image.notes.push(format!("line {line}: key words; an import uses the keys of the mount"));
+        }
+        image.notes.push(format!(
+            "{ROWS} rows of data flash, whose sums are right; an import writes them in normal mode"
+        ));
+        if self.instruction_rows > 0 {
+            image
+                .notes
+                .push(format!("{} rows of firmware; an import does not write them", self.instruction_rows));
+        }
+        if self.unchecked > 0 {
+            let count = self.unchecked;
+            let sums = if count == 1 { "sum" } else { "sums" };
+            image.notes.push(format!(
+                "{count} {sums} of firmware not checked: most of its bytes are not in the file"
+            ));
+        }
+        if let Some(sum) = image.chemistry_sum {
+            image.notes.push(format!(
+                "the chemistry's checksum is 0x{sum:04x}; an import compares it with the gauge's"
+            ));
+        }
+    }
+}
+
+/// The subclasses of a layout, and the index of the first byte of each.
+fn places(chip: &'static Chip, layout: &RomImage) -> impl Iterator<Item = (&'static Subclass, u16)> {
+    layout.subclasses.iter().filter_map(|&(id, start)| Some((chip.subclass(id)?, start)))
+}
+
+fn sum16(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0, |sum, byte| sum.wrapping_add(u16::from(*byte)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Data flash in which only names, number of cells and Cell Terminate Voltage are there. The places are from the
+    /// manual's order of subclasses, and not from the tables.
+    fn flash(is_r2: bool) -> [u8; ROW * ROWS] {
+        let mut bytes = [0; ROW * ROWS];
+        let mut put = |at: usize, what: &[u8]| bytes[at..at + what.len()].copy_from_slice(what);
+        let (names, cells) = if is_r2 { (640, 459) } else { (633, 454) };
+        put(names, b"\x0bbq34z100-G1");
+        put(names + 12, b"\x0bTexas Inst.");
+        put(names + 24, b"\x04LION");
+        put(cells, &[4]);
+        // IT Cfg begins at 85.
+        put(85 + 53, &3100u16.to_be_bytes());
+        // Keys, behind Current Thresholds.
+        put(if is_r2 { 487 } else { 482 }, &[0x36, 0x72, 0x04, 0x14]);
+        put(if is_r2 { 605 } else { 600 }, &[0x12, 0x34]);
+        bytes
+    }
+
+    fn command(bytes: &[u8], wait: u32) -> String {
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
+        let sum: u16 = bytes.iter().map(|&byte| u16::from(byte)).sum();
+        let sum = hex(&sum.to_le_bytes());
+        format!("W: 16 00{}\nW: 16 64{sum}\nX: {wait}\nC: 16 66 00\n", hex(bytes))
+    }
+
+    /// A file as TI's tools write it, with so many rows of instruction flash.
+    fn file(flash: &[u8], version: u16, rows: u8) -> String {
+        let mut text = String::from("W: AA 00 14 04\nW: AA 00 72 36\nX: 1000\nW: AA 00 00 0F\nX: 1000\n");
+        text += &command(&[0x03, 0, 0], 20);
+        for row in 0..rows {
+            let mut bytes = [0xff; 100];
+            bytes[..4].copy_from_slice(&[0x02, row, 0, 0]);
+            bytes[52..54].copy_from_slice(&version.to_le_bytes());
+            text += &command(&bytes, 2);
+        }
+        text += &command(&[0x05], 170);
+        text += "C: 16 04 B5 44 6A D4\n";
+        text += &command(&[0x0c, 0, 0, 0, 0x83, 0xde], 200);
+        for (row, bytes) in (0..).zip(flash.chunks(ROW)) {
+            text += &command(&[&[0x0a, row, 0, 0], bytes].concat(), 2);
+        }
+        text += &command(&[0x08], 2);
+        let [low, high] = sum16(flash).to_le_bytes();
+        text += &format!("C: 16 04 {low:02X} {high:02X}\n");
+        text += &command(&[0x01, 0, 0, 0x05, 0x54, 0x54, 0x15], 20);
+        text + &command(&[0x0f], 4000).replace("C: 16 66 00\n", "")
+    }
+
+    fn error(text: &str) -> String {
+        Image::parse(text, None).map(|_| ()).expect_err("an error").to_string()
+    }
+
+    #[test]
+    fn rows_of_data_flash_are_read_as_parameters_of_their_part() {
+        for (is_r2, version, name) in [(false, 0x0016, "bq34z100-g1"), (true, 0x0202, "bq34z100-r2")] {
+            let image = Image::parse(&file(&flash(is_r2), version, 2), None).expect("an image");
+            assert_eq!((image.chip.name, image.firmware), (name, Some(version)));
+            assert!(image.names_chip && image.firmware_line.is_none());
+            assert_eq!(image.chemistry_sum, Some(0x1234));
+            let entry = image.entries.iter().find(|entry| entry.parameter.name == "Cell Terminate Voltage");
+            let entry = entry.expect("it is there");
+            // After five lines and one of an answer, nine commands of four lines and the second line of row 4.
+            assert_eq!((entry.text(), entry.line), ("3100".into(), 5 + 1 + 9 * 4 + 2));
+            let text = |name: &str| {
+                image.entries.iter().find(|entry| entry.parameter.name == name).expect("a name").text()
+            };
+            assert_eq!(
+                (text("Device Chemistry"), text("Number of series cell")),
+                ("LION".into(), "4".into())
+            );
+            // No key, in no form, and nothing of another pack's history.
+            assert!(image.entries.iter().all(|entry| ![112, 59, 60].contains(&entry.subclass.id)));
+            assert!(image.raw.iter().all(|raw| ![112, 59, 60].contains(&raw.subclass)));
+            let told: Vec<_> = image.left_out.iter().map(|left| left.text.as_str()).collect();
+            let groups: Vec<_> = image.left_out.iter().map(|left| left.group).collect();
+            let expected =
+                [Group::Keys, Group::Learned, Group::Learned, Group::Undocumented, Group::Undocumented];
+            assert_eq!(groups, expected.map(Some), "{told:?}");
+            assert!(told[3].contains("of the chemistry"), "{told:?}");
+            let shown = format!("{:?}{told:?}", image.notes);
+            assert!(["1404", "0414", "3672", "14 04"].iter().all(|key| !shown.contains(key)), "{shown}");
+            // Each byte is a parameter's, an undocumented one of a subclass, or counted.
+            let count = |text: &str| -> usize {
+                text.split(' ').next().expect("a number").parse().expect("a number")
+            };
+            let lengths: u16 = places(image.chip, image.chip.rom_image.as_ref().expect("a layout"))
+                .map(|(subclass, _)| subclass.length)
+                .sum();
+            assert_eq!(usize::from(lengths) + count(told[3]) + count(told[4]), ROW * ROWS);
+        }
+    }
+
+    #[test]
+    fn an_image_of_one_part_is_none_of_the_other() {
+        let g1 = file(&flash(false), 0x0016, 2);
+        let error_of = |text: &str, chip: &str| {
+            Image::parse(text, Chip::by_name(chip)).map(|_| ()).expect_err("another part").to_string()
+        };
+        let why = "it is for ROM mode, of device type unknown and firmware 0x0016: not a bq34z100-R2";
+        assert_eq!(error_of(&g1, "bq34z100-r2"), why);
+        let why = "its data flash is not laid out as that of a bq34z100-G1";
+        assert_eq!(error(&file(&flash(true), 0x0016, 2)), why);
+        let why = "it is for ROM mode, of device type unknown and firmware 0x0204: not a bq34z100-G1 or bq34z100-R2";
+        assert_eq!(error(&file(&flash(true), 0x0204, 2)), why);
+        // Of a part whose layout is not known the mode is the reason.
+        assert!(error_of(&g1, "bq34110").starts_with("line 4: Control(ROM_MODE)"));
+        // Without firmware the layout alone decides.
+        let image = Image::parse(&file(&flash(true), 0, 0), None).expect("an image");
+        assert_eq!((image.chip.name, image.firmware, image.names_chip), ("bq34z100-r2", None, false));
+        let checked = "W: AA 00 02 00\nC: AA 00 02 02\n".to_string() + &g1;
+        assert!(error(&checked).starts_with("line 2: firmware 0x0202 is checked"));
+    }
+
+    #[test]
+    fn firmware_is_taken_for_a_reason_to_refuse() {
+        let image = Image::parse(&file(&flash(false), 0x0016, 3), None).expect("an image");
+        let why = image.check_firmware(false).expect_err("firmware").to_string();
+        assert!(why.starts_with("line 19: it also holds the gauge's firmware"), "{why}");
+        image.check_firmware(true).expect("its data flash is asked for");
+        let image = Image::parse(&file(&flash(false), 0x0016, 2), None).expect("an image");
+        image.check_firmware(false).expect("the rows that every file has");
+    }
+
+    #[test]
+    fn every_sum_is_checked() {
+        let text = file(&flash(false), 0x0016, 2);
+        let lines: Vec<&str> = text.lines().collect();
+        let sums = lines.iter().enumerate().filter(|(_, line)| line.starts_with("W: 16 64"));
+        let mut count = 0;
+        for (at, line) in sums {
+            let other = if line.ends_with("55") { "56" } else { "55" };
+            let bent = format!("{}{other}", &line[..line.len() - 2]);
+            let mut lines = lines.clone();
+            lines[at] = &bent;
+            let why = error(&(lines.join("\n") + "\n"));
+            assert!(why.starts_with(&format!("line {}: sum 0x", at + 1)), "{why}");
+            count += 1;
+        }
+        assert_eq!(count, 1 + 2 + 1 + 1 + 32 + 1 + 1 + 1);
+        // A row that was changed together with its own sum.
+        let mut other = flash(false);
+        other[300] = 1;
+        let other = file(&other, 0x0016, 2);
+        let total = |text: &str| {
+            text.lines().rfind(|line| line.starts_with("C: 16 04")).map(str::to_string).expect("a sum")
+        };
+        let why = error(&other.replace(&total(&other), &total(&text)));
+        assert!(why.contains("of data flash is expected, but its rows give"), "{why}");
+        let why = error(&text.replace(&total(&text), "; no sum"));
+        assert!(why.starts_with("the sum of data flash is not checked"), "{why}");
+    }
+
+    #[test]
+    fn a_part_of_a_file_is_refused() {
+        let text = file(&flash(false), 0x0016, 2);
+        let lines: Vec<&str> = text.lines().collect();
+        // The last line is a wait, which nothing follows.
+        for end in 0..lines.len() - 1 {
+            let cut = lines[..end].join("\n");
+            assert!(Image::parse(&cut, Chip::by_name("bq34z100-g1")).is_err(), "{end} lines are an image");
+        }
+        for (from, to, says) in [
+            ("W: 16 00 0A 07", "W: 16 00 0A 08", "sum 0x"),
+            ("W: 16 00 03 00 00\nW: 16 64 03 00", "W: 16 00 07 00 00\nW: 16 64 07 00", "no known command"),
+            ("W: 16 00 0C 00 00 00 83 DE\nW: 16 64 6D 01", "", "not erased before"),
+            ("W: AA 00 00 0F", "W: AA 3E 44 00", "also writes in normal mode"),
+            ("W: AA 00 14 04", "W: AC 00 14 04", "address 0xac is neither the gauge's"),
+            ("C: 16 66 00", "C: 16 66 04", "is not one of ROM mode"),
+            ("W: 16 64 03 00", "", "is not executed by a sum"),
+        ] {
+            let why = error(&text.replacen(from, to, 1));
+            assert!(why.contains(says), "{from}: {why}");
+        }
+    }
+
+    /// Hosts with small buffers split a row.
+    #[test]
+    fn a_command_in_pieces_is_one() {
+        let text = file(&flash(false), 0x0016, 2);
+        let row = text.lines().find(|line| line.starts_with("W: 16 00 0A 05")).expect("row 5");
+        let bytes: Vec<&str> = row.split(' ').skip(3).collect();
+        let pieces = format!("W: 16 00 {}\nW: 16 1D {}", bytes[..29].join(" "), bytes[29..].join(" "));
+        let image = Image::parse(&text.replace(row, &pieces), None).expect("an image");
+        assert_eq!(image.entries.len(), Image::parse(&text, None).expect("an image").entries.len());
+        let why = error(&text.replace(row, &pieces.replace("W: 16 1D", "W: 16 1E")));
+        assert!(why.ends_with("register 0x1e does not continue a command of ROM mode"), "{why}");
+    }
+}

@@ -1,0 +1,527 @@
+//! ROM mode: a gauge whose firmware is not whole answers to its boot loader only, at [`ROM_ADDRESS`], and is brought
+//! back by the whole of a firmware file, a FlashStream for that address (`.bq.fs`, `.bqfs`).
+//!
+//! No manual describes the boot loader. What is known is from whole files for bq27510, bq27520-G3 and bq27520-G4, from
+//! arrays made of files for bq34z100-G1 and bq34z100-R2, and from drivers that flash gauges; they agree:
+//!
+//! - A command is written to the buffer at 0x00: code, row in two bytes, and data from 0x04 on. The 16-bit sum of
+//!   all bytes of the command, written to 0x64, starts it. Then 0x66 reads 0 if it was carried out.
+//! - Instruction flash has 512 rows of 32 words of 24 bits, of which the upper two are 0; erased it reads 0x3FFFFF. Data
+//!   flash has 32 rows of 32 bytes. Both have a sum, which the gauge calculates and the file compares.
+//! - Row 0 has a mark at word 5. Without it the gauge stays in ROM mode after a loss of power. A file writes it when all
+//!   else is written, alone or with the rest of row 0. So the file can be started again from its first row whatever
+//!   has interrupted it before.
+//!
+//! A file says of its part only the version of the firmware, in row 0, and the Device Name, in data flash. The boot
+//! loader does not tell which part it belongs to: the user must know.
+
+use std::time::Duration;
+
+use crate::chip::{Chip, Rom};
+use crate::error::{Cause, Error, Result};
+use crate::image::at_line;
+use crate::image::flashstream::{self, Command};
+use crate::probe::ROM_ADDRESS;
+use crate::text::printable;
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
+
+/// Rows of instruction flash, and their bytes.
+const ROWS: usize = 512;
+const ROW: usize = 96;
+/// Rows of data flash, and their bytes.
+const DATA_ROWS: usize = 32;
+const DATA_ROW: usize = 32;
+/// An erased word of instruction flash.
+const ERASED: [u8; 3] = [0xff, 0xff, 0x3f];
+/// Where row 0 has the mark of valid firmware, as a word and as a byte, and the mark.
+const MARK_WORD: u8 = 5;
+const MARK_AT: usize = 15;
+const MARK: [u8; 3] = [0x54, 0x54, 0x15];
+/// Where row 0 has the version of the firmware, the low byte first.
+const VERSION_AT: usize = 48;
+/// What follows the code of a command that erases.
+const MAGIC: [u8; 2] = [0x83, 0xde];
+/// Where the sum of a command is written, and where its result is read.
+const SUM: u8 = 0x64;
+const RESULT: u8 = 0x66;
+/// Where the data of a command begins.
+const DATA: usize = 0x04;
+/// The wait after an erase, in addition to the file's 200 ms: files for later parts have 400 ms.
+const ERASING: Duration = Duration::from_millis(200);
+/// A row that is read can be fetched after this time.
+const FETCHING: Duration = Duration::from_millis(20);
+/// How often a transfer without consequences is tried, and the time in between.
+const TRIES: usize = 5;
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Commands of the boot loader.
+mod code {
+    pub(super) const READ_ROW: u8 = 0x00;
+    pub(super) const WRITE_WORD: u8 = 0x01;
+    pub(super) const WRITE_ROW: u8 = 0x02;
+    pub(super) const ERASE: u8 = 0x04;
+    pub(super) const INSTRUCTION_SUM: u8 = 0x05;
+    pub(super) const DATA_SUM: u8 = 0x08;
+    pub(super) const WRITE_DATA: u8 = 0x0a;
+    pub(super) const ERASE_DATA: u8 = 0x0c;
+    pub(super) const LEAVE: u8 = 0x0f;
+}
+
+/// A row of instruction flash.
+type Row = [u8; ROW];
+
+/// A firmware file that was checked from its first line to its last.
+#[derive(Debug)]
+pub struct Firmware {
+    /// The version of the firmware.
+    pub version: u16,
+    /// The Device Name in its data flash.
+    pub name: String,
+    steps: Vec<(usize, Step)>,
+}
+
+#[derive(Debug)]
+enum Step {
+    Write(u8, Vec<u8>),
+    Compare(u8, Vec<u8>),
+    Wait(Duration),
+}
+
+impl Firmware {
+    /// Checks that a file is the whole firmware of a chip, and that it can be interrupted anywhere.
+    pub fn parse(text: &str, chip: &'static Chip) -> Result<Self> {
+        let refuse = |why: String| Error::new("", Cause::Invalid(why));
+        let Some(rom) = &chip.rom else {
+            return Err(refuse(format!(
+                "it is not known how a firmware file of the {} is recognised",
+                chip.model
+            )));
+        };
+        let commands = flashstream::commands(text)?;
+        let (device_type, firmware) = flashstream::identity(&commands);
+        if let Some((line, found)) = device_type.filter(|(_, found)| *found != chip.identity.device_type) {
+            return Err(at_line(
+                line,
+                format!("it is for device type 0x{found:04x}, not for a {}", chip.model),
+            ));
+        }
+        if let Some((line, found)) = firmware.filter(|(_, found)| !chip.identity.firmware.contains(found)) {
+            return Err(at_line(
+                line,
+                format!("it expects firmware 0x{found:04x}, not that of a {}", chip.model),
+            ));
+        }
+        let mut loader = Loader::default();
+        let mut steps = Vec::new();
+        for (line, command) in commands {
+            let step = match command {
+                // How ROM mode is entered and what follows it is nothing to a gauge that is in it.
+                Command::Write { address: flashstream::GAUGE, .. }
+                | Command::Compare { address: flashstream::GAUGE, .. }
+                | Command::Read { address: flashstream::GAUGE } => continue,
+                Command::Wait(_) if !loader.has_begun() => continue,
+                Command::Wait(ms) => Step::Wait(Duration::from_millis(ms.into())),
+                Command::Write { address: flashstream::ROM, register, bytes } => {
+                    loader.write(register, &bytes).map_err(|why| at_line(line, why))?;
+                    Step::Write(register, bytes)
+                }
+                Command::Compare { address: flashstream::ROM, register, bytes } => {
+                    loader.compare(register, &bytes).map_err(|why| at_line(line, why))?;
+                    Step::Compare(register, bytes)
+                }
+                Command::Write { address, .. }
+                | Command::Compare { address, .. }
+                | Command::Read { address } => {
+                    return Err(at_line(
+                        line,
+                        format!("address 0x{address:02X} has no place in a firmware file"),
+                    ));
+                }
+            };
+            let erases = matches!(step, Step::Write(SUM, _)) && loader.erases();
+            steps.push((line, step));
+            if erases {
+                steps.push((line, Step::Wait(ERASING)));
+            }
+        }
+        loader.check_end().map_err(refuse)?;
+        let version = loader.version();
+        if !chip.identity.firmware.contains(&version) {
+            return Err(refuse(format!(
+                "it has firmware 0x{version:04x}, which is not that of a {}",
+                chip.model
+            )));
+        }
+        let name = loader.name(rom, chip).map_err(refuse)?;
+        Ok(Self { version, name, steps })
+    }
+
+    /// Checks the file against what the gauge has. Nothing is changed.
+    pub fn check(&self, found: &Found) -> Result<()> {
+        match found.version {
+            Some(version) if version != self.version => {
+                let why = format!(
+                    "it has whole firmware of version 0x{version:04x}, and the file has 0x{:04x}; switch its power off \
+                     and on, which starts its own firmware",
+                    self.version
+                );
+                Err(Error::new("", Cause::Gone(why)))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the file to a gauge in ROM mode, from the first row to the last, and has the gauge start it. `progress` is
+    /// called with how many steps are done, and of how many.
+    ///
+    /// It ends with the first comparison that fails. The gauge then is in ROM mode, or has the whole firmware.
+    pub fn write(
+        &self,
+        bus: &mut dyn Bus,
+        clock: &dyn Clock,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<()> {
+        for (done, (line, step)) in self.steps.iter().enumerate() {
+            let failed = |error: Error| error.about(format!("line {line}"));
+            match step {
+                Step::Wait(time) => clock.sleep(*time),
+                // The sum starts a command, which is not started twice.
+                Step::Write(SUM, bytes) => {
+                    bus.transfer(&[&[SUM], &bytes[..]].concat(), &mut [])
+                        .map_err(|error| failed(error.into()))?;
+                }
+                Step::Write(register, bytes) => {
+                    send(bus, clock, *register, bytes).map_err(|error| failed(error.into()))?;
+                }
+                Step::Compare(register, bytes) => compare(bus, clock, *register, bytes).map_err(failed)?,
+            }
+            progress(done + 1, self.steps.len());
+        }
+        Ok(())
+    }
+}
+
+/// What a gauge in ROM mode has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// The version of its firmware, if that is marked as whole.
+    pub version: Option<u16>,
+}
+
+/// Reads row 0 of instruction flash, which shows that the device is the boot loader of a gauge: a smart battery has
+/// the same address. Nothing is erased or programmed.
+pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
+    let failed = |error: BusError| Error::from(error).about(format!("address 0x{ROM_ADDRESS:02x}"));
+    let mut row = [0; ROW];
+    for _ in 0..TRIES {
+        send(bus, clock, 0x00, &[code::READ_ROW, 0, 0, 0]).map_err(failed)?;
+        send(bus, clock, SUM, &[0, 0]).map_err(failed)?;
+        clock.sleep(FETCHING);
+        let mut result = [0];
+        fetch(bus, clock, RESULT, &mut result).map_err(failed)?;
+        if result == [0] {
+            fetch(bus, clock, DATA as u8, &mut row).map_err(failed)?;
+            break;
+        }
+        // A command that was interrupted may have left bytes in the buffer, which spoil the first sum after it.
+        clock.sleep(PAUSE);
+    }
+    let is_words = row.chunks(3).all(|word| word[2] & !ERASED[2] == 0);
+    if !is_words || row.iter().all(|byte| *byte == row[0]) {
+        let why = "the device there does not answer like the boot loader of a gauge; nothing was erased";
+        return Err(Error::new(format!("address 0x{ROM_ADDRESS:02x}"), Cause::Gone(why.into())));
+    }
+    let marked = row[MARK_AT..MARK_AT + 3] == MARK;
+    Ok(Found { version: marked.then(|| version_of(&row)) })
+}
+
+/// Writes to the buffer, which has no consequences, so it is repeated.
+fn send(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, bytes: &[u8]) -> Result<(), BusError> {
+    let message = [&[register], bytes].concat();
+    repeat(clock, || bus.transfer(&message, &mut []))
+}
+
+fn fetch(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, into: &mut [u8]) -> Result<(), BusError> {
+    repeat(clock, || bus.transfer(&[register], into))
+}
+
+fn repeat(clock: &dyn Clock, mut transfer: impl FnMut() -> Result<(), BusError>) -> Result<(), BusError> {
+    let mut left = TRIES;
+    loop {
+        left -= 1;
+        match transfer() {
+            Err(error) if error.is_transient() && left > 0 => clock.sleep(PAUSE),
+            result => return result,
+        }
+    }
+}
+
+/// Reads until the bytes are the expected ones: a gauge may be slower than the file allows, and a bit may be read wrong.
+fn compare(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, expected: &[u8]) -> Result<()> {
+    let mut found = vec![0; expected.len()];
+    for _ in 0..TRIES {
+        fetch(bus, clock, register, &mut found)?;
+        if found == expected {
+            return Ok(());
+        }
+        clock.sleep(PAUSE);
+    }
+    let why = match register {
+        RESULT => format!("the gauge did not carry out the command; its result is 0x{:02x}", found[0]),
+        _ => format!("the sum of what the gauge has is {}, not {}", hex(&found), hex(expected)),
+    };
+    Err(Error::new("", Cause::Protocol(why)))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ")
+}
+
+fn version_of(row: &Row) -> u16 {
+    u16::from_le_bytes([row[VERSION_AT], row[VERSION_AT + 1]])
+}
+
+/// A boot loader and its flash, as far as a file has come.
+struct Loader {
+    /// The bytes of the command that is being written.
+    buffer: [Option<u8>; SUM as usize],
+    /// The last command that was started.
+    last: Option<u8>,
+    /// It has not been compared yet.
+    unproven: bool,
+    /// Rows of instruction flash; none before it was erased.
+    rows: Vec<Option<Row>>,
+    data: Vec<Option<[u8; DATA_ROW]>>,
+    /// The sums of all rows were compared.
+    summed: bool,
+    data_summed: bool,
+    /// The firmware is marked as whole.
+    marked: bool,
+}
+
+impl Default for Loader {
+    fn default() -> Self {
+        Self {
+            buffer: [None; SUM as usize],
+            last: None,
+            unproven: false,
+            rows: Vec::new(),
+            data: Vec::new(),
+            summed: false,
+            data_summed: false,
+            marked: false,
+        }
+    }
+}
+
+impl Loader {
+    fn has_begun(&self) -> bool {
+        self.last.is_some() || self.buffer.iter().any(Option::is_some)
+    }
+
+    /// Whether the last command erases flash.
+    fn erases(&self) -> bool {
+        matches!(self.last, Some(code::ERASE | code::ERASE_DATA))
+    }
+
+    fn write(&mut self, register: u8, bytes: &[u8]) -> Result<(), String> {
+        if self.last == Some(code::LEAVE) {
+            return Err("it goes on after the gauge has left ROM mode".into());
+        }
+        if self.unproven {
+            return Err("the command before it is not compared, so its failure would pass unnoticed".into());
+        }
+        let start = usize::from(register);
+        if register == SUM {
+            return self.execute(bytes);
+        }
+        let Some(part) = self.buffer.get_mut(start..start + bytes.len()) else {
+            return Err(format!("0x{register:02X}: not within the buffer of the boot loader"));
+        };
+        for (place, byte) in part.iter_mut().zip(bytes) {
+            *place = Some(*byte);
+        }
+        Ok(())
+    }
+
+    fn execute(&mut self, sum: &[u8]) -> Result<(), String> {
+        let sent: Vec<u8> = self.buffer.iter().flatten().copied().collect();
+        let all = sent.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+        if sum != all.to_le_bytes() {
+            return Err("the sum of the row is wrong: it was changed".into());
+        }
+        let count = self.buffer.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+        // A byte between the row and the data may be left out.
+        let command: Vec<u8> = self.buffer[..count].iter().map(|byte| byte.unwrap_or(0)).collect();
+        self.buffer.fill(None);
+        let Some(&code) = command.first() else { return Err("a sum without a command".into()) };
+        let row = command.get(1..3).map_or(0, |row| usize::from(u16::from_le_bytes([row[0], row[1]])));
+        let data = command.get(DATA..).unwrap_or(&[]);
+        let erases = row == 0 && data == MAGIC;
+        if self.rows.is_empty() && code != code::ERASE {
+            return Err(NOT_WHOLE.into());
+        }
+        if self.marked && !matches!(code, code::INSTRUCTION_SUM | code::DATA_SUM | code::LEAVE) {
+            return Err(MARKED.into());
+        }
+        match code {
+            code::ERASE if erases && self.rows.is_empty() => self.rows = vec![None; ROWS],
+            code::ERASE_DATA if erases && self.data.is_empty() => self.data = vec![None; DATA_ROWS],
+            code::WRITE_ROW => self.row(row, data)?,
+            code::WRITE_DATA => {
+                let place =
+                    self.data.get_mut(row).ok_or("data flash has no such row, or is not erased yet")?;
+                let data =
+                    data.try_into().map_err(|_| format!("a row of data flash has {DATA_ROW} bytes"))?;
+                if place.replace(data).is_some() {
+                    return Err(format!("row {row} of data flash is written twice"));
+                }
+                self.data_summed = false;
+            }
+            code::WRITE_WORD if command[1..] == [0, 0, MARK_WORD, MARK[0], MARK[1], MARK[2]] => {
+                self.mark()?
+            }
+            code::INSTRUCTION_SUM | code::DATA_SUM if command.len() == 1 => {}
+            code::LEAVE if command.len() == 1 => self.check_whole()?,
+            _ => {
+                return Err(format!(
+                    "0x{code:02X}: no command, or no form of one, that a firmware file is known to have"
+                ));
+            }
+        }
+        self.last = Some(code);
+        self.unproven = code != code::LEAVE;
+        Ok(())
+    }
+
+    /// A row of instruction flash.
+    fn row(&mut self, row: usize, data: &[u8]) -> Result<(), String> {
+        let data: Row = data.try_into().map_err(|_| format!("a row of instruction flash has {ROW} bytes"))?;
+        let place = self.rows.get_mut(row).ok_or_else(|| format!("instruction flash has no row {row}"))?;
+        if place.replace(data).is_some() {
+            return Err(format!("row {row} of instruction flash is written twice"));
+        }
+        self.summed = false;
+        if row == 0 && data[MARK_AT..MARK_AT + 3] == MARK {
+            self.marked = true;
+            return self.check_written();
+        }
+        Ok(())
+    }
+
+    /// The mark of valid firmware.
+    fn mark(&mut self) -> Result<(), String> {
+        self.check_written()?;
+        if !self.summed {
+            return Err("it marks the firmware as whole before its sum is compared".into());
+        }
+        self.marked = true;
+        let row = self.rows[0].as_mut().ok_or("row 0 is not written yet")?;
+        row[MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
+        Ok(())
+    }
+
+    /// Before the firmware is marked as whole, everything must be there: an interruption after that cannot be repaired.
+    fn check_written(&self) -> Result<(), String> {
+        let missing = |rows: usize| format!("it marks the firmware as whole while {rows} rows are missing");
+        match self.rows.iter().filter(|row| row.is_none()).count() {
+            0 => {}
+            rows => return Err(missing(rows)),
+        }
+        match self.data.iter().filter(|row| row.is_none()).count() {
+            0 if !self.data.is_empty() && self.data_summed => Ok(()),
+            0 => Err("it marks the firmware as whole before the sum of data flash is compared".into()),
+            rows => Err(missing(rows)),
+        }
+    }
+
+    fn check_whole(&self) -> Result<(), String> {
+        match self.marked && self.summed {
+            true => Ok(()),
+            false => {
+                Err("it leaves ROM mode before the firmware is marked as whole and its sum compared".into())
+            }
+        }
+    }
+
+    fn compare(&mut self, register: u8, bytes: &[u8]) -> Result<(), String> {
+        let sum = match self.last {
+            Some(code::INSTRUCTION_SUM) => self.instruction_sum().to_le_bytes().to_vec(),
+            Some(code::DATA_SUM) => self.data_sum().to_le_bytes().to_vec(),
+            _ => Vec::new(),
+        };
+        match (register, bytes) {
+            (RESULT, [0]) if self.last.is_some() => {}
+            (RESULT, _) => return Err("a result other than 00 is a failure".into()),
+            (register, bytes) if usize::from(register) == DATA && !sum.is_empty() => {
+                if bytes != sum {
+                    let what = if bytes.len() == 2 { "data" } else { "instruction" };
+                    return Err(format!(
+                        "the sum of {what} flash is wrong: rows are missing or were changed"
+                    ));
+                }
+                match self.last {
+                    Some(code::DATA_SUM) => self.data_summed = true,
+                    _ => self.summed = true,
+                }
+            }
+            _ => return Err("a comparison with something that is not known".into()),
+        }
+        self.unproven = false;
+        Ok(())
+    }
+
+    /// The 32-bit sum of all words of instruction flash.
+    fn instruction_sum(&self) -> u32 {
+        let erased: Row = std::array::from_fn(|at| ERASED[at % 3]);
+        let rows = self.rows.iter().map(|row| row.as_ref().unwrap_or(&erased));
+        let words = rows.flat_map(|row| row.chunks(3));
+        words.fold(0, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])))
+    }
+
+    /// The 16-bit sum of all bytes of data flash.
+    fn data_sum(&self) -> u16 {
+        let bytes = self.data.iter().flat_map(|row| row.unwrap_or([0xff; DATA_ROW]));
+        bytes.fold(0, |sum, byte| sum.wrapping_add(byte.into()))
+    }
+
+    fn check_end(&self) -> Result<(), String> {
+        match self.last {
+            Some(code::LEAVE) => Ok(()),
+            None => Err(NOT_WHOLE.into()),
+            Some(_) => Err("its end, which leaves ROM mode, is missing; the file is cut short".into()),
+        }
+    }
+
+    fn version(&self) -> u16 {
+        self.rows[0].as_ref().map_or(0xffff, version_of)
+    }
+
+    /// The Device Name, which must be one that the chip can have.
+    fn name(&self, rom: &Rom, chip: &Chip) -> Result<String, String> {
+        let data: Vec<u8> = self.data.iter().flat_map(|row| row.unwrap_or([0xff; DATA_ROW])).collect();
+        let length = usize::from(data[rom.name]);
+        let name = data.get(rom.name + 1..rom.name + 1 + length).unwrap_or(&[]);
+        let is_text = (1..32).contains(&length) && name.iter().all(|byte| (b' '..=b'~').contains(byte));
+        if !is_text {
+            return Err(format!(
+                "its data flash is not that of a {}: there is no Device Name in its place",
+                chip.model
+            ));
+        }
+        let name = printable(&String::from_utf8_lossy(name));
+        // A name of the user's own tells nothing; one of TI's does.
+        if name.to_lowercase().starts_with("bq")
+            && !rom.names.iter().any(|known| known.eq_ignore_ascii_case(&name))
+        {
+            return Err(format!("it is for a {name}, not for a {}", chip.model));
+        }
+        Ok(name)
+    }
+}
+
+const NOT_WHOLE: &str = "it does not begin by erasing instruction flash, so it is not the whole firmware; a .df.fs has data \
+                         flash only and does not bring back a gauge in ROM mode: it takes the .bq.fs of the same part";
+const MARKED: &str = "it goes on writing after the firmware is marked as whole; if that were interrupted, the gauge \
+                      would start with half of it";

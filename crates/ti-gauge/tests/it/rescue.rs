@@ -1,0 +1,469 @@
+//! A gauge that is left in ROM mode is brought back by the whole of a firmware file, whatever interrupts that, and by
+//! nothing less.
+
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gauge_sim::{Options, Sim};
+use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::error::Cause;
+use ti_gauge::probe::ROM_ADDRESS;
+use ti_gauge::rom::{self, Firmware, Found};
+
+/// How a file writes the mark of valid firmware: with row 0 at the end, or alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Style {
+    Row,
+    Word,
+}
+
+const STYLES: [Style; 2] = [Style::Row, Style::Word];
+const MARK: std::ops::Range<usize> = 15..18;
+
+fn chips() -> impl Iterator<Item = &'static Chip> {
+    CHIPS.iter().copied().filter(|chip| chip.rom.is_some())
+}
+
+/// A file in TI's form, with rows of the simulated gauge's own.
+struct Writer {
+    text: String,
+    rows: Vec<[u8; 96]>,
+    data: Vec<u8>,
+}
+
+impl Writer {
+    fn command(&mut self, bytes: &[u8], ms: u32) {
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
+        let sum = bytes.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+        // Writing to a String does not fail.
+        let _ = write!(self.text, "W: 16 00{}\nW: 16 64{}\nX: {ms}\n", hex(bytes), hex(&sum.to_le_bytes()));
+    }
+
+    fn done(&mut self, bytes: &[u8], ms: u32) {
+        self.command(bytes, ms);
+        self.text += "C: 16 66 00\n";
+    }
+
+    fn row(&mut self, row: usize) {
+        let [low, high] = (row as u16).to_le_bytes();
+        self.done(&[&[0x02, low, high, 0x00], &self.rows[row][..]].concat(), 2);
+    }
+
+    fn sum(&mut self, written: &dyn Fn(usize) -> bool) {
+        let erased: [u8; 96] = std::array::from_fn(|at| [0xFF, 0xFF, 0x3F][at % 3]);
+        let rows = (0..512).map(|row| if written(row) { self.rows[row] } else { erased });
+        let words: Vec<_> =
+            rows.flat_map(|row| row.chunks(3).map(<[u8]>::to_vec).collect::<Vec<_>>()).collect();
+        let sum = words
+            .iter()
+            .fold(0_u32, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])));
+        let [a, b, c, d] = sum.to_le_bytes();
+        self.command(&[0x05], 170);
+        let _ = writeln!(self.text, "C: 16 04 {a:02X} {b:02X} {c:02X} {d:02X}");
+    }
+
+    fn data(&mut self) {
+        self.done(&[0x0C, 0, 0, 0, 0x83, 0xDE], 200);
+        for row in 0..32 {
+            let bytes = self.data[row * 32..row * 32 + 32].to_vec();
+            self.done(&[&[0x0A, row as u8, 0, 0], &bytes[..]].concat(), 2);
+        }
+        let sum = self.data.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+        let [low, high] = sum.to_le_bytes();
+        self.command(&[0x08], 2);
+        let _ = writeln!(self.text, "C: 16 04 {low:02X} {high:02X}");
+    }
+}
+
+/// What a file for a chip holds: its firmware, and data flash with its Device Name.
+fn content(chip: &Chip) -> (Vec<[u8; 96]>, Vec<u8>) {
+    let sim = Sim::new(chip.name, &Options::default(), Arc::new(SimClock::new())).expect("a simulated gauge");
+    let (rows, mut data) = sim.firmware().expect("it has a boot loader");
+    let rom = chip.rom.as_ref().expect("it has one");
+    let name = rom.names[0].as_bytes();
+    data[rom.name] = name.len() as u8;
+    data[rom.name + 1..rom.name + 1 + name.len()].copy_from_slice(name);
+    (rows, data)
+}
+
+fn file_of(rows: Vec<[u8; 96]>, data: Vec<u8>, style: Style) -> String {
+    let text = "; exported\r\nW: AA 00 14 04\nW: AA 00 72 36\nW: AA 00 FF FF\nW: AA 00 FF FF\nX: 1000\n\
+                W: AA 00 00 0F\nX: 1000\n";
+    let mut out = Writer { text: text.into(), rows, data };
+    out.done(&[0x04, 0, 0, 0, 0x83, 0xDE], 200);
+    match style {
+        Style::Row => {
+            (2..512).for_each(|row| out.row(row));
+            out.sum(&|row| row >= 2);
+            out.data();
+            out.row(1);
+            out.row(0);
+            out.sum(&|_| true);
+        }
+        Style::Word => {
+            let mark = out.rows[0][MARK].to_vec();
+            out.rows[0][MARK].copy_from_slice(&[0xFF, 0xFF, 0x3F]);
+            (0..512).for_each(|row| out.row(row));
+            out.sum(&|_| true);
+            out.data();
+            out.sum(&|_| true);
+            out.done(&[&[0x01, 0, 0, 0x05], &mark[..]].concat(), 2);
+            out.rows[0][MARK].copy_from_slice(&mark);
+            out.sum(&|_| true);
+        }
+    }
+    out.command(&[0x0F], 4000);
+    out.text
+}
+
+fn file(chip: &Chip, style: Style) -> String {
+    let (rows, data) = content(chip);
+    file_of(rows, data, style)
+}
+
+struct Bench {
+    clock: Arc<SimClock>,
+    sim: Sim,
+}
+
+impl Bench {
+    /// A gauge whose firmware was just erased.
+    fn new(chip: &Chip) -> Self {
+        let bench = Self::in_rom_mode(chip);
+        let mut bus = bench.sim.bus_at(ROM_ADDRESS);
+        bus.transfer(&[0x00, 0x04, 0, 0, 0, 0x83, 0xDE], &mut []).expect("it takes the command");
+        bus.transfer(&[0x64, 0x65, 0x01], &mut []).expect("it takes the sum");
+        bench.clock.sleep(Duration::from_millis(400));
+        bench.switch();
+        assert_eq!(bench.sim.get("mode").as_deref(), Some("rom"));
+        bench
+    }
+
+    /// A gauge that was sent to ROM mode, with all its firmware.
+    fn in_rom_mode(chip: &Chip) -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated gauge");
+        clock.sleep(Duration::from_secs(1));
+        for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
+            let [low, high] = word.to_le_bytes();
+            sim.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");
+            clock.sleep(Duration::from_millis(100));
+        }
+        Self { clock, sim }
+    }
+
+    /// Switches power off and on.
+    fn switch(&self) {
+        self.sim.set("power", "off").expect("a knob");
+        self.sim.set("power", "on").expect("a knob");
+        self.clock.sleep(Duration::from_secs(1));
+    }
+
+    fn answers(&self, address: u8) -> bool {
+        self.sim.bus_at(address).transfer(&[], &mut [0]).is_ok()
+    }
+
+    fn rescue(&self, firmware: &Firmware) -> ti_gauge::error::Result<()> {
+        let mut bus = self.sim.bus_at(ROM_ADDRESS);
+        rom::look(&mut bus, &*self.clock).and_then(|found| firmware.check(&found))?;
+        firmware.write(&mut bus, &*self.clock, &mut |_, _| {})
+    }
+
+    fn works(&self, data: &[u8]) {
+        assert!(self.answers(GAUGE_ADDRESS) && !self.answers(ROM_ADDRESS), "{:?}", self.sim.get("mode"));
+        assert!(self.sim.firmware().expect("a boot loader").1 == data, "data flash is the file's");
+        assert_eq!(self.sim.get("mode").as_deref(), Some("normal"));
+    }
+}
+
+#[test]
+fn a_gauge_in_rom_mode_is_brought_back() {
+    for chip in chips() {
+        for style in STYLES {
+            let bench = Bench::new(chip);
+            let firmware = Firmware::parse(&file(chip, style), chip).expect("a whole file");
+            assert_eq!(firmware.version, chip.identity.firmware[0]);
+            let mut calls = Vec::new();
+            let mut bus = bench.sim.bus_at(ROM_ADDRESS);
+            assert_eq!(rom::look(&mut bus, &*bench.clock), Ok(Found { version: None }));
+            firmware
+                .write(&mut bus, &*bench.clock, &mut |done, all| calls.push((done, all)))
+                .expect("it ends");
+            assert_eq!(calls.first().map(|(done, _)| *done), Some(1));
+            assert!(calls.last().is_some_and(|(done, all)| done == all));
+            bench.works(&content(chip).1);
+            bench.switch();
+            bench.works(&content(chip).1);
+        }
+    }
+}
+
+/// What happens at one transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Blow {
+    /// It is not acknowledged, and nothing of it arrives.
+    Nack,
+    /// It arrives, and the host learns that it failed.
+    Lost,
+    /// One bit of what is written or read is wrong.
+    Flip,
+    /// Power goes and comes back before it, or after it.
+    CutBefore,
+    CutAfter,
+    /// The host is gone.
+    Gone,
+}
+
+const BLOWS: [Blow; 6] = [Blow::Nack, Blow::Lost, Blow::Flip, Blow::CutBefore, Blow::CutAfter, Blow::Gone];
+
+/// A bus on which something happens at the nth transfer.
+struct Struck<'a> {
+    bench: &'a Bench,
+    blow: Blow,
+    left: usize,
+    gone: bool,
+}
+
+impl Bus for Struck<'_> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let mut bus = self.bench.sim.bus_at(ROM_ADDRESS);
+        if self.gone {
+            return Err(BusError::Gone);
+        }
+        self.left = self.left.wrapping_sub(1);
+        if self.left != 0 {
+            return bus.transfer(write, read);
+        }
+        match self.blow {
+            Blow::Nack => Err(BusError::NoAck),
+            Blow::Lost => bus.transfer(write, read).and(Err(BusError::Timeout)),
+            Blow::Flip if read.is_empty() => {
+                let mut write = write.to_vec();
+                if let Some(last) = write.last_mut() {
+                    *last ^= 0x04;
+                }
+                bus.transfer(&write, read)
+            }
+            Blow::Flip => {
+                let result = bus.transfer(write, read);
+                read[0] ^= 0x04;
+                result
+            }
+            Blow::CutBefore => {
+                self.bench.switch();
+                bus.transfer(write, read)
+            }
+            Blow::CutAfter => {
+                let result = bus.transfer(write, read);
+                self.bench.switch();
+                result
+            }
+            Blow::Gone => {
+                self.gone = true;
+                Err(BusError::Gone)
+            }
+        }
+    }
+}
+
+/// Counts the transfers of a whole run.
+fn transfers(firmware: &Firmware, chip: &Chip) -> usize {
+    let bench = Bench::new(chip);
+    let before: usize = bench.sim.get("transfers").expect("a knob").parse().expect("a number");
+    bench.rescue(firmware).expect("it ends");
+    let after: usize = bench.sim.get("transfers").expect("a knob").parse().expect("a number");
+    after - before
+}
+
+/// The transfers that are struck: all of them if GAUGEFS_RESCUE is set, else those at the ends, where the commands differ,
+/// and some of the many rows in between.
+fn struck(all: usize, style: Style) -> Vec<usize> {
+    let every = std::env::var_os("GAUGEFS_RESCUE").is_some();
+    let at_ends = |at: &usize| match style {
+        Style::Word => *at <= 12 || at + 28 > all || at.is_multiple_of(331),
+        Style::Row => at + 24 > all,
+    };
+    (1..=all).filter(|at| every || at_ends(at)).collect()
+}
+
+#[test]
+fn whatever_interrupts_it_the_next_run_ends_with_a_gauge_that_works() {
+    let chip = CHIPS[0];
+    for style in STYLES {
+        let firmware = Firmware::parse(&file(chip, style), chip).expect("a whole file");
+        let data = content(chip).1;
+        let all = transfers(&firmware, chip);
+        for at in struck(all, style) {
+            for blow in BLOWS {
+                let bench = Bench::new(chip);
+                let mut bus = Struck { bench: &bench, blow, left: at, gone: false };
+                let result = rom::look(&mut bus, &*bench.clock)
+                    .and_then(|found| firmware.check(&found))
+                    .and_then(|()| firmware.write(&mut bus, &*bench.clock, &mut |_, _| {}));
+                let what = format!("{style:?} {blow:?} {at} of {all}: {result:?}");
+                bench.clock.sleep(Duration::from_secs(5));
+                // The gauge is in ROM mode, or it works: nothing in between.
+                if bench.answers(GAUGE_ADDRESS) {
+                    bench.works(&data);
+                    continue;
+                }
+                assert!(bench.answers(ROM_ADDRESS), "{what}: {:?}", bench.sim.get("mode"));
+                if result.is_ok() {
+                    // Only the way out was not heard: the firmware is whole, and starts when power comes.
+                    bench.switch();
+                    bench.works(&data);
+                    continue;
+                }
+                bench.rescue(&firmware).unwrap_or_else(|error| panic!("{what}: {error}"));
+                bench.works(&data);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gauge_with_whole_firmware_is_written_only_with_the_same_version() {
+    let chip = CHIPS[0];
+    let bench = Bench::in_rom_mode(chip);
+    let mut bus = bench.sim.bus_at(ROM_ADDRESS);
+    let found = rom::look(&mut bus, &*bench.clock).expect("a boot loader");
+    assert_eq!(found, Found { version: Some(0x0016) });
+    let firmware = Firmware::parse(&file(chip, Style::Word), chip).expect("a whole file");
+    firmware.check(&found).expect("the same");
+    let error = firmware.check(&Found { version: Some(0x0123) }).expect_err("another");
+    assert!(error.to_string().contains("0x0123"), "{error}");
+    // Its own firmware starts when power comes.
+    bench.switch();
+    assert!(bench.answers(GAUGE_ADDRESS));
+}
+
+/// A smart battery, which has the same address.
+struct SmartBattery(Vec<Vec<u8>>);
+
+impl Bus for SmartBattery {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if !write.is_empty() && read.is_empty() {
+            self.0.push(write.to_vec());
+        }
+        read.fill(0xFF);
+        Ok(())
+    }
+}
+
+#[test]
+fn nothing_is_erased_on_a_device_that_is_no_boot_loader() {
+    let clock = SimClock::new();
+    let mut bus = SmartBattery(Vec::new());
+    let error = rom::look(&mut bus, &clock).expect_err("no boot loader");
+    assert!(matches!(error.cause(), Cause::Gone(_)), "{error}");
+    // The question for row 0 is all that it gets.
+    assert!(
+        bus.0.iter().all(|write| write[..] == [0, 0, 0, 0, 0] || write[..] == [0x64, 0, 0]),
+        "{:02x?}",
+        bus.0
+    );
+}
+
+fn refused(text: &str, chip: &'static Chip) -> String {
+    Firmware::parse(text, chip).expect_err("refused").to_string()
+}
+
+#[test]
+fn the_file_of_another_part_is_refused() {
+    for chip in chips() {
+        for other in chips().filter(|other| other.name != chip.name) {
+            let why = refused(&file(other, Style::Word), chip);
+            assert!(why.contains(chip.model), "{why}");
+        }
+    }
+    let chip = CHIPS[0];
+    // The same version in another part, which its name betrays.
+    let (rows, mut data) = content(chip);
+    let at = chip.rom.as_ref().expect("it has one").name;
+    data[at + 1..at + 12].copy_from_slice(b"bq27541-G1 ");
+    assert!(refused(&file_of(rows.clone(), data.clone(), Style::Row), chip).contains("bq27541"));
+    // A name of the user's own is none of TI's.
+    data[at + 1..at + 12].copy_from_slice(b"Our pack 12");
+    let firmware =
+        Firmware::parse(&file_of(rows.clone(), data.clone(), Style::Row), chip).expect("a whole file");
+    assert_eq!(firmware.name, "Our pack 12");
+    data[at] = 0xFF;
+    assert!(refused(&file_of(rows, data, Style::Row), chip).contains("Device Name"));
+    // What the head of the file expects of the gauge.
+    let head = "W: AA 00 01 00\nC: AA 00 20 05\n";
+    assert!(refused(&(head.to_string() + &file(chip, Style::Row)), chip).contains("0x0520"));
+    // Parts of which no whole file is known.
+    let none = CHIPS.iter().find(|chip| chip.rom.is_none()).expect("most");
+    assert!(refused(&file(chip, Style::Row), none).contains("not known"));
+}
+
+#[test]
+fn a_file_that_is_cut_or_changed_is_refused_at_every_line() {
+    let chip = CHIPS[0];
+    for style in STYLES {
+        let text = file(chip, style);
+        let lines: Vec<_> = text.lines().collect();
+        // The last wait is behind the last row.
+        for end in
+            (0..lines.len() - 1).filter(|end| *end < 16 || end + 60 > lines.len() || end.is_multiple_of(331))
+        {
+            refused(&lines[..end].join("\n"), chip);
+            let is_command = lines[end].starts_with("W: 16") || lines[end].starts_with("C: 16");
+            if !is_command {
+                continue;
+            }
+            let without = [&lines[..end], &lines[end + 1..]].concat().join("\n");
+            // The status of a command that a sum proves is one comparison of two.
+            let proves = lines[end] == "C: 16 66 00" && lines[end + 1].starts_with("C: 16 04");
+            assert!(
+                proves || Firmware::parse(&without, chip).is_err(),
+                "{style:?} without line {end}: {}",
+                lines[end]
+            );
+            let mut changed = lines[end].to_string();
+            let digit = changed.pop().expect("a digit");
+            changed.push(if digit == '1' { '2' } else { '1' });
+            let changed = [&lines[..end], &[&changed[..]], &lines[end + 1..]].concat().join("\n");
+            refused(&changed, chip);
+        }
+    }
+}
+
+#[test]
+fn data_flash_alone_is_refused() {
+    let chip = CHIPS[0];
+    let (rows, data) = content(chip);
+    let mut out = Writer { text: String::new(), rows, data };
+    out.done(&[0x03, 0, 0], 20);
+    out.row(0);
+    out.row(1);
+    out.data();
+    out.command(&[0x0F], 4000);
+    let why = refused(&out.text, chip);
+    assert!(why.contains(".df.fs") && why.contains(".bq.fs"), "{why}");
+    assert!(refused("; nothing\n", chip).contains(".bq.fs"));
+}
+
+#[test]
+fn commands_that_no_file_has_are_refused() {
+    let chip = CHIPS[0];
+    let good = file(chip, Style::Word);
+    // 0x06 ruins a gauge for good.
+    for bytes in ["06", "0D", "01 00 00 06 54 54 15"] {
+        let sum: u16 = bytes.split(' ').map(|byte| u16::from_str_radix(byte, 16).expect("hex")).sum();
+        let [low, high] = sum.to_le_bytes();
+        let row = format!("W: 16 00 {bytes}\nW: 16 64 {low:02X} {high:02X}\nX: 2\nC: 16 66 00\n");
+        let at = good.find("W: 16 00 0C").expect("it erases data flash");
+        let why = refused(&(good[..at].to_string() + &row + &good[at..]), chip);
+        assert!(why.contains("no command") || why.contains("missing"), "{why}");
+    }
+    // An erase or a row behind the mark.
+    let at = good.rfind("W: 16 00 05").expect("its last sum");
+    let row = "W: 16 00 0C 00 00 00 83 DE\nW: 16 64 6D 01\nX: 200\nC: 16 66 00\n";
+    assert!(refused(&(good[..at].to_string() + row + &good[at..]), chip).contains("interrupted"));
+    assert!(refused(&good.replace("X: 4000", "W: 16 00 05"), chip).contains("left"));
+    assert!(refused(&good.replace("X: 4000", "W: 20 00 05"), chip).contains("0x20"));
+}

@@ -1,0 +1,48 @@
+//! `gaugefs bringup`: makes a new board of several cells writable.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+
+use super::calibrate::request;
+use crate::error::Result;
+use crate::mounted;
+
+const BRINGUP: &str = "\
+A new bq34z100 behind an external divider measures too little: below Flash Update OK Cell Volt it
+acknowledges what is written to data flash and stores nothing. In calibration mode it stores it all the
+same. This command enters calibration mode, sets the limit to 0, the divider, [VOLTSEL] and the number of
+cells in one transaction, leaves calibration mode, resets the gauge and reads Voltage(). If that is not
+the pack's voltage, the old values are put back. Otherwise the divider is adjusted to the voltage that was
+measured, and the limit is set as the datasheet has it, 2800 x cells x 5000 / divider.
+
+Example:
+  gaugefs bringup /run/gauges/BAT0 --cells 7 --divider 33000 --voltage-now 26985";
+
+/// Set up a new gauge for several cells and an external voltage divider
+#[derive(Args, Debug)]
+#[command(after_help = BRINGUP)]
+pub(super) struct BringUp {
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// Cells in series
+    #[arg(long, value_name = "N")]
+    cells: u8,
+    /// Voltage Divider: the pack voltage at which the converter ends, in mV
+    #[arg(long, value_name = "MV")]
+    divider: u16,
+    /// Voltage of the pack that a meter shows, in mV [default: 1500 to 4600 mV for each cell]
+    #[arg(long, value_name = "MV")]
+    voltage_now: Option<f64>,
+}
+
+impl BringUp {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let Self { gauge, cells, divider, voltage_now } = self;
+        mounted::poll(&gauge)?;
+        let voltage = voltage_now.map_or(String::new(), |voltage| format!(" {voltage}"));
+        request(&gauge, &format!("bringup {cells} {divider}{voltage}"), "cannot be set up")
+            .map(|()| ExitCode::SUCCESS)
+    }
+}

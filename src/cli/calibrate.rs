@@ -1,0 +1,122 @@
+//! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use nix::errno::Errno;
+
+use super::print;
+use crate::error::{Error, Result};
+use crate::mounted;
+
+/// Time between two looks at the steps, which cause no bus traffic.
+const INTERVAL: Duration = Duration::from_millis(200);
+
+const CALIBRATE: &str = "\
+Polls stop while the gauge is calibrated. It is read several times; a spread that is too large, or a
+correction that no tolerance explains, is refused. The new values go through one transaction, are kept in
+the journal until the gauge has been measured again, and are put back if the error has become larger.
+Takes up to half a minute. Exit code 0: calibrated; 1: refused, or put back.
+
+Examples:
+  gaugefs calibrate /run/gauges/BAT0 board-offset                no load, no charger
+  gaugefs calibrate /run/gauges/BAT0 voltage --actual 25200      a meter at the pack shows 25.2 V
+  gaugefs calibrate /run/gauges/BAT0 current --actual -2000      a load of 2 A discharges
+  gaugefs calibrate /run/gauges/BAT0 temperature --actual 23.5";
+
+/// Calibrate a mounted gauge against a meter
+#[derive(Args, Debug)]
+#[command(after_help = CALIBRATE)]
+pub(super) struct Calibrate {
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Offset of the board and the converter; no current may flow
+    BoardOffset,
+    /// Offset of the converter; no current may flow
+    CcOffset,
+    /// Voltage Divider
+    Voltage {
+        /// Voltage of the pack that a meter shows, in mV
+        #[arg(long, value_name = "MV")]
+        actual: f64,
+    },
+    /// CC Gain and CC Delta
+    Current {
+        /// Current that a meter shows, in mA; negative while discharging
+        #[arg(long, value_name = "MA", allow_negative_numbers = true)]
+        actual: f64,
+    },
+    /// Offset of the temperature sensor that Temperature() shows
+    Temperature {
+        /// Temperature of that sensor, in degrees Celsius
+        #[arg(long, value_name = "C", allow_negative_numbers = true)]
+        actual: f64,
+    },
+    /// Leave calibration mode, in which a program has left the gauge
+    Leave,
+}
+
+impl Calibrate {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let line = match self.what {
+            What::BoardOffset => "board-offset".into(),
+            What::CcOffset => "cc-offset".into(),
+            What::Voltage { actual } => format!("voltage {actual}"),
+            What::Current { actual } => format!("current {actual}"),
+            What::Temperature { actual } => format!("temperature {actual}"),
+            What::Leave => "leave".into(),
+        };
+        mounted::poll(&self.gauge)?;
+        request(&self.gauge, &line, "cannot be calibrated").map(|()| ExitCode::SUCCESS)
+    }
+}
+
+/// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them.
+pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
+    let path = gauge.join("gauge/calibrate");
+    if !path.exists() {
+        let why =
+            "not a mounted gauge whose calibration is documented; give a folder such as /run/gauges/BAT0";
+        return Err(Error::host(gauge.display().to_string(), Errno::ENOENT, why));
+    }
+    let file = gauge.join("gauge/calibration");
+    let told = move || fs::read_to_string(&file).unwrap_or_default();
+    let before = told();
+    let (end, ended) = mpsc::channel::<()>();
+    let follow = thread::spawn(move || {
+        let mut shown = String::new();
+        let mut last = false;
+        loop {
+            let text = told();
+            // Until the daemon has begun, the file has the steps of the calibration before.
+            if (text != before || !shown.is_empty())
+                && let Some(rest) = text.strip_prefix(&shown)
+            {
+                print(rest);
+                shown.clone_from(&text);
+            }
+            if last {
+                return;
+            }
+            last = ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout);
+        }
+    });
+    // One write(2) is one request.
+    let written =
+        fs::File::options().write(true).open(&path).and_then(|mut file| file.write(line.as_bytes()));
+    drop(end);
+    let _ = follow.join();
+    written.map(drop).map_err(|error| mounted::refused(gauge, failure, &error))
+}

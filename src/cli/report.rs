@@ -1,0 +1,152 @@
+//! `gaugefs report`: one file about a gauge, for a bug report.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{ArgGroup, Args};
+use nix::errno::Errno;
+
+use super::{PASSED_OVER, print};
+use crate::config::{GaugeOptions, address, chips};
+use crate::error::{Error, Result};
+use crate::{daemon, mounted, report};
+use ti_gauge::chip::Chip;
+
+const REPORT: &str = "\
+The file has the gauge's identity and registers, kernel and adapter, and a trace of what a mount
+does: the gauge is identified and polled, and one block of data flash is read that belongs to no one.
+For that a sealed gauge is unsealed and sealed again. Nothing is written to data flash. Keys are not
+in the file, nor are serial numbers, dates, lots and texts. `gaugefs mount --replay` mounts it.
+
+A gauge that is mounted is named by its folder, any other by --bus. Exit code 0: done, 3: data flash
+could not be read, as of a sealed gauge without a key, and the file has the rest, 1: failed.
+
+Examples:
+  gaugefs report /run/gauges/BAT0
+  gaugefs report --bus /dev/i2c-1 -o report.txt";
+
+/// Write a file about a gauge, for a bug report
+#[derive(Args, Debug)]
+#[command(after_help = REPORT, group = ArgGroup::new("source").required(true).args(["gauge", "bus", "sim"]))]
+pub(super) struct Report {
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    gauge: Option<PathBuf>,
+    /// I2C bus of a gauge that is not mounted, such as /dev/i2c-1
+    #[arg(long, value_name = "DEVICE")]
+    bus: Option<PathBuf>,
+    /// 7-bit address of the gauge [default: 0x55]
+    #[arg(long, value_name = "ADDRESS", value_parser = address, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
+    address: Option<u8>,
+    /// Chip of the gauge [default: the gauge is asked]
+    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
+    chip: Option<&'static Chip>,
+    /// Write one byte per transfer, as some gauges need above 100 kHz
+    #[arg(long, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
+    byte_writes: bool,
+    /// Simulate a gauge of this chip, to see what a report is like
+    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true)]
+    sim: Option<&'static Chip>,
+    /// File with the gauge's keys; a mounted gauge has them already
+    #[arg(long, value_name = "FILE", conflicts_with = "gauge")]
+    key_file: Option<PathBuf>,
+    /// Never try the manual's default key
+    #[arg(long, conflicts_with = "gauge")]
+    no_default_keys: bool,
+    /// File to write [default: gaugefs-report-CHIP.txt]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Replace the file if there is one
+    #[arg(long)]
+    force: bool,
+}
+
+impl Report {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        if let Some(file) = self.output.as_deref().filter(|file| !self.force && file.exists()) {
+            return Err(exists(file));
+        }
+        let text = match &self.gauge {
+            Some(gauge) => of_mounted(gauge)?,
+            None => daemon::report(self.options())?,
+        };
+        let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
+        let file = self.output.clone().unwrap_or_else(name);
+        write(&file, self.force, &text)?;
+        print(&format!("{}\n", file.display()));
+        Ok(match report::without_data_flash(&text) {
+            None => ExitCode::SUCCESS,
+            Some(why) => {
+                eprintln!("gaugefs: {}: data flash was not read: {why}", file.display());
+                PASSED_OVER.into()
+            }
+        })
+    }
+
+    /// The gauge that is not mounted.
+    fn options(&self) -> GaugeOptions {
+        GaugeOptions {
+            sim: self.sim,
+            bus: self.bus.clone(),
+            address: self.address,
+            chip: self.chip,
+            byte_writes: Some(self.byte_writes),
+            key_file: self.key_file.clone(),
+            no_default_keys: Some(self.no_default_keys),
+            ..GaugeOptions::default()
+        }
+    }
+}
+
+/// Asks the daemon of a mounted gauge for a report.
+fn of_mounted(gauge: &Path) -> Result<String> {
+    let path = gauge.join("gauge/report");
+    let name = gauge.display().to_string();
+    let file = File::options().write(true).open(&path);
+    let mut file = file.map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
+        Some(errno @ (Errno::ENOENT | Errno::ENOTDIR)) => {
+            let why = "not a mounted gauge; give a folder such as /run/gauges/BAT0, or a bus with --bus";
+            Error::host(&name, errno, why)
+        }
+        Some(Errno::EROFS) => {
+            let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
+            Error::host(&name, Errno::EROFS, why)
+        }
+        _ => Error::io(&name, "cannot ask for a report; only the mount's owner and group may", &error),
+    })?;
+    file.write_all(b"1\n").map_err(|error| mounted::refused(gauge, "the gauge cannot be polled", &error))?;
+    let text =
+        std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the report", &error))?;
+    if text.is_empty() {
+        return Err(Error::host(name, Errno::EAGAIN, "another request has failed meanwhile; try again"));
+    }
+    Ok(text)
+}
+
+/// Writes the file. One that is new and could not be written as a whole is removed.
+fn write(file: &Path, force: bool, text: &str) -> Result<()> {
+    let failed = |error: io::Error| match error.kind() {
+        io::ErrorKind::AlreadyExists => exists(file),
+        _ => Error::io(file.display().to_string(), "cannot write it", &error),
+    };
+    let mut options = File::options();
+    options.write(true);
+    if force {
+        options.create(true).truncate(true);
+    } else {
+        options.create_new(true);
+    }
+    let mut opened = options.open(file).map_err(failed)?;
+    opened.write_all(text.as_bytes()).map_err(|error| {
+        if !force {
+            let _ = std::fs::remove_file(file);
+        }
+        failed(error)
+    })
+}
+
+fn exists(file: &Path) -> Error {
+    let why = "it exists; name another file with --output, or replace it with --force";
+    Error::host(file.display().to_string(), Errno::EEXIST, why)
+}

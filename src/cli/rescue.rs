@@ -1,0 +1,192 @@
+//! `gaugefs rescue`: brings back a gauge that is left in ROM mode. What is written is decided in [`ti_gauge::rom`].
+
+use std::fs;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Duration;
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use nix::errno::Errno;
+
+use super::print;
+use crate::error::{Error, Result};
+use crate::lock::Lock;
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::error::Cause;
+use ti_gauge::gauge::Gauge;
+use ti_gauge::keys::Keys;
+use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
+use ti_gauge::rom::{self, Firmware};
+
+const RESCUE: &str = "\
+A gauge whose firmware update was interrupted answers at 0x0b only, also after a loss of power.
+It takes the whole firmware file (.bq.fs) of the same part and version, as bqStudio exports it; a
+.df.fs is not enough. The file replaces firmware and data flash: calibration, keys and what the
+gauge has learned become those of the file.
+
+The file is checked as a whole before anything is sent. A gauge in ROM mode does not tell which
+part it is: name it with --chip, and be sure. First switch its power off and on: a gauge with
+whole firmware then starts by itself. Charge the pack and keep the power on.
+
+It can be interrupted at any time: run it again, and it begins with the first row.
+
+Example:
+  gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --bus /dev/i2c-1 --chip bq34z100-g1";
+
+/// How long a gauge may take to start its firmware, and the time between two looks.
+const STARTING: Duration = Duration::from_secs(10);
+const STEP: Duration = Duration::from_millis(250);
+/// How often a gauge is looked for at its usual address before it counts as absent: it does not answer while it
+/// starts or programs flash.
+const LOOKS: usize = 8;
+
+/// Bring back a gauge that is left in ROM mode, with its whole firmware file
+#[derive(Args, Debug)]
+#[command(after_help = RESCUE)]
+pub(super) struct Rescue {
+    /// Firmware file of the same part (.bq.fs)
+    file: PathBuf,
+    /// The I2C bus, such as /dev/i2c-1
+    #[arg(long, value_name = "DEVICE")]
+    bus: PathBuf,
+    /// The gauge's part, which it does not tell in ROM mode
+    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true)]
+    chip: String,
+    /// Do not ask before flash is erased
+    #[arg(long)]
+    yes: bool,
+}
+
+fn chips() -> PossibleValuesParser {
+    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.rom.is_some()).map(|chip| chip.name))
+}
+
+impl Rescue {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let chip = Chip::by_name(&self.chip).expect("clap accepts only names of chips");
+        let name = self.file.display().to_string();
+        let bytes = fs::read(&self.file).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
+        let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;
+        let adapter = Adapter::find(&self.bus)?;
+        let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+        // A daemon that waits for the gauge has the lock of its usual address.
+        let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
+        let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];
+        let open = |address| LinuxBus::open(adapter.clone(), address, clock.clone());
+        let (mut gauge, mut boot) = (open(GAUGE_ADDRESS)?, open(ROM_ADDRESS)?);
+        let subject = format!("{adapter} address 0x{ROM_ADDRESS:02x}");
+        let within = |error: ti_gauge::error::Error| Error::from(error).within(&subject);
+        check_state(&mut gauge, &mut boot, &*clock).map_err(within)?;
+        let found = rom::look(&mut boot, &*clock).map_err(within)?;
+        firmware.check(&found).map_err(within)?;
+        print(&format!(
+            "{}: whole firmware 0x{:04x} for a {}, Device Name {}\n{subject}: a gauge in ROM mode{}\n",
+            name,
+            firmware.version,
+            chip.model,
+            firmware.name,
+            if found.version.is_some() {
+                ", its firmware is whole: switching its power off and on may be enough"
+            } else {
+                ""
+            }
+        ));
+        if !self.yes && !is_confirmed(chip)? {
+            return Err(Error::host(subject, Errno::ECANCELED, "nothing was erased"));
+        }
+        let mut shown = 0;
+        let written = firmware.write(&mut boot, &*clock, &mut |done, all| {
+            let percent = done * 100 / all;
+            if percent >= shown + 10 {
+                shown = percent / 10 * 10;
+                print(&format!("{shown} %\n"));
+            }
+        });
+        written.map_err(|error| {
+            eprintln!(
+                "gaugefs: not finished. Leave the power on, and run the same command again: it begins \
+                 with the first row."
+            );
+            Error::from(error).within(&name)
+        })?;
+        wait_for(&mut gauge, &*clock).map_err(within)?;
+        // Its type is asked for at the address that it now has.
+        let mut gauge = Gauge::new(chip, Box::new(gauge), clock.clone(), Keys::default(), false);
+        let answers = gauge.identify().map_err(within)?;
+        print(&format!(
+            "The gauge answers at 0x{GAUGE_ADDRESS:02x} again: device type 0x{:04x}, firmware 0x{:04x}.\n\
+             Check its calibration and change its keys before you use the pack.\n",
+            answers.device_type, answers.firmware_version
+        ));
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// Checks that a gauge is in ROM mode: nothing answers at the usual address, and something at the other.
+fn check_state(
+    gauge: &mut dyn Bus,
+    boot: &mut dyn Bus,
+    clock: &dyn Clock,
+) -> Result<(), ti_gauge::error::Error> {
+    use ti_gauge::error::Error;
+    for _ in 0..LOOKS {
+        match gauge.transfer(&[], &mut [0]) {
+            Ok(()) => {
+                let why = format!(
+                    "a device answers at 0x{GAUGE_ADDRESS:02x}, so no gauge there is in ROM mode; nothing was erased"
+                );
+                return Err(Error::new("", Cause::Busy(why)));
+            }
+            Err(error) if error.may_be_no_ack() => clock.sleep(STEP),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    match answers_in_rom(boot) {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(Error::from(BusError::NoAck)),
+        Err(error) => Err(error),
+    }
+}
+
+/// Waits until the gauge has started its firmware.
+fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<(), ti_gauge::error::Error> {
+    let start = clock.now();
+    while gauge.transfer(&[], &mut [0]).is_err() {
+        if clock.now() - start > STARTING {
+            let why = format!(
+                "all rows are written and their sums are right, but the gauge does not answer at 0x{GAUGE_ADDRESS:02x}; \
+                 switch its power off and on"
+            );
+            return Err(ti_gauge::error::Error::new("", Cause::NoAnswer(why)));
+        }
+        clock.sleep(STEP);
+    }
+    // It may still measure for the first time.
+    clock.sleep(STEP * 4);
+    Ok(())
+}
+
+/// Asks on the terminal.
+fn is_confirmed(chip: &Chip) -> Result<bool> {
+    if !std::io::stdin().is_terminal() {
+        let why = "erasing flash needs a confirmation: run it in a terminal, or pass --yes";
+        return Err(Error::host("", Errno::ENOTTY, why));
+    }
+    print(&format!(
+        "This erases its firmware and data flash. Firmware of another part ruins it for good.\n\
+         Is it a {}? Type yes to go on: ",
+        chip.model
+    ));
+    let _ = std::io::stdout().flush();
+    let mut line = String::new();
+    let read = std::io::stdin().lock().read_line(&mut line);
+    read.map_err(|error| Error::io("", "cannot read the answer", &error))?;
+    Ok(line.trim() == "yes")
+}

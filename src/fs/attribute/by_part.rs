@@ -1,0 +1,284 @@
+//! The section "Attributes by part" of docs/SEMANTICS.md: that it lists what the tables of the parts have, and that
+//! simulated gauges show what its conversions yield.
+//!
+//! After an intended change, run the tests once with GAUGEFS_GOLDEN=write and read the difference before you commit it.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Duration;
+
+use super::tests::{open, show, turn};
+use super::*;
+use crate::owner::Request;
+use crate::owner::rig::Rig;
+use ti_gauge::chip::{FLAT, Parameter, Subclass};
+
+/// Attributes that are numbers: the roles that they follow from, the first of which a part has, how many of their units
+/// are in one of the role, and what is subtracted.
+const NUMBERS: &[(&str, &[Role], i64, i64)] = &[
+    ("capacity", &[Role::Capacity], 1, 0),
+    ("capacity_error_margin", &[Role::CapacityErrorMargin], 1, 0),
+    ("voltage_now", &[Role::VoltageNow], 1000, 0),
+    ("voltage_min_design", &[Role::VoltageMinDesign], 1000, 0),
+    ("voltage_max_design", &[Role::VoltageMaxDesign], 1000, 0),
+    ("current_now", &[Role::CurrentNow, Role::CurrentAvg], 1000, 0),
+    ("current_avg", &[Role::CurrentAvg], 1000, 0),
+    ("charge_now", &[Role::ChargeNow], 1000, 0),
+    ("charge_full", &[Role::ChargeFull], 1000, 0),
+    ("charge_full_design", &[Role::ChargeFullDesign], 1000, 0),
+    ("charge_counter", &[Role::ChargeCounter], 1000, 0),
+    ("constant_charge_voltage", &[Role::ChargeVoltage], 1000, 0),
+    ("constant_charge_current", &[Role::ChargeCurrent], 1000, 0),
+    ("energy_now", &[Role::EnergyNow], 1000, 0),
+    ("power_avg", &[Role::PowerAvg], 1000, 0),
+    ("temp", &[Role::Temp], 1, 2731),
+    ("internal_resistance", &[Role::InternalResistance], 1000, 0),
+    ("time_to_empty_now", &[Role::TimeToEmptyNow, Role::TimeToEmptyAvg], 60, 0),
+    ("time_to_empty_avg", &[Role::TimeToEmptyAvg], 60, 0),
+    ("time_to_full_now", &[Role::TimeToFullNow], 60, 0),
+    ("cycle_count", &[Role::CycleCount], 1, 0),
+    ("state_of_health", &[Role::StateOfHealth], 1, 0),
+];
+
+/// Attributes that follow from a value in another way, which the table names.
+const OTHERS: &[(&str, Role, &str)] = &[
+    ("technology", Role::Technology, "the kernel's name for it"),
+    ("serial_number", Role::SerialNumber, "four hexadecimal digits"),
+    ("manufacture_year", Role::ManufactureDate, "1980 + bits 15 to 9"),
+    ("manufacture_month", Role::ManufactureDate, "bits 8 to 5"),
+    ("manufacture_day", Role::ManufactureDate, "bits 4 to 0"),
+];
+
+/// The same on every part, or from several values.
+const REST: &[&str] = &["type", "status", "present", "scope", "manufacturer", "model_name"];
+
+/// A value of a part that feeds an attribute.
+enum Source {
+    Register(&'static Register),
+    Stored(&'static Subclass, &'static Parameter),
+}
+
+fn source(chip: &Chip, roles: &[Role]) -> Option<(Role, Source)> {
+    roles.iter().find_map(|&role| {
+        let stored = || chip.stored(role).map(|(subclass, parameter)| Source::Stored(subclass, parameter));
+        Some((role, chip.register(role).map(Source::Register).or_else(stored)?))
+    })
+}
+
+fn place(subclass: &Subclass, parameter: &Parameter) -> String {
+    match subclass.id {
+        FLAT => format!("`df/flash/0x{:04x}`", parameter.offset),
+        id => format!("`df/{id}/{}`", parameter.offset),
+    }
+}
+
+impl Source {
+    fn name(&self) -> String {
+        match self {
+            Source::Register(register) => format!("{}(), 0x{:02X}", register.name, register.code),
+            Source::Stored(subclass, parameter) => {
+                format!("{}, {}", parameter.name, place(subclass, parameter))
+            }
+        }
+    }
+
+    /// Its unit, and how a reading becomes the attribute.
+    fn conversion(&self, chip: &Chip, role: Role, units: i64, less: i64) -> String {
+        let (unit, (numerator, denominator), unsigned) = match self {
+            Source::Register(register) => {
+                (register.unit, register.step, !register.signed && register.positive == 0)
+            }
+            Source::Stored(_, parameter) => (parameter.unit, (1, 1), false),
+        };
+        let sign = if role == Role::PowerAvg && unsigned { -1 } else { 1 };
+        let (numerator, denominator) = (sign * units * numerator, denominator);
+        let common = divisor(numerator.abs(), denominator);
+        let mut text = unit.to_string();
+        if (numerator, denominator) != (common, common) {
+            write!(text, " × {}", numerator / common).expect("a string");
+        }
+        if denominator != common {
+            write!(text, " / {}", denominator / common).expect("a string");
+        }
+        if less != 0 {
+            write!(text, " - {less}").expect("a string");
+        }
+        if let Some((subclass, parameter)) = chip.stored(Role::Cells) {
+            let cells = place(subclass, parameter);
+            match role {
+                Role::VoltageMinDesign | Role::VoltageMaxDesign => {
+                    write!(text, " × {cells}").expect("a string");
+                }
+                Role::ChargeVoltage => write!(text, " (× {cells} if it is a cell's)").expect("a string"),
+                _ => {}
+            }
+        }
+        if let Source::Register(Register { positive: 1.., .. }) = self {
+            text += ", negative without [CHGS]";
+        }
+        let text = text.trim_start().to_string();
+        if text.is_empty() { "as read".into() } else { text }
+    }
+}
+
+fn divisor(a: i64, b: i64) -> i64 {
+    if b == 0 { a } else { divisor(b, a % b) }
+}
+
+/// The words that flags decide, each with the names of its bits.
+fn words(chip: &Chip, words: &[(u16, &str)]) -> Option<(String, String)> {
+    let flags = chip.register(Role::Flags)?;
+    let names = |mask: u16| {
+        let set = flags.bits.iter().filter(move |bit| bit.mask & mask != 0);
+        set.map(|bit| format!(" [{}]", bit.name)).collect::<String>()
+    };
+    let words: Vec<_> = words.iter().filter(|(mask, _)| *mask != 0).collect();
+    let listed = words.iter().map(|(mask, word)| format!("`{word}`{}", names(*mask)));
+    let listed = listed.collect::<Vec<_>>().join(", ");
+    (!words.is_empty()).then(|| (Source::Register(flags).name(), listed))
+}
+
+/// Source and conversion of an attribute on a part.
+fn entry(chip: &Chip, attribute: &str) -> Option<(String, String)> {
+    let condition = &chip.condition;
+    match attribute {
+        "health" => return words(chip, &health(condition)),
+        "capacity_level" => return words(chip, &level(condition)),
+        _ => {}
+    }
+    if let Some((_, role, conversion)) = OTHERS.iter().find(|(name, ..)| *name == attribute) {
+        return source(chip, &[*role]).map(|(_, source)| (source.name(), (*conversion).to_string()));
+    }
+    let (_, roles, units, less) = NUMBERS.iter().find(|(name, ..)| *name == attribute)?;
+    let (role, source) = source(chip, roles)?;
+    Some((source.name(), source.conversion(chip, role, *units, *less)))
+}
+
+/// The generated part of the section.
+fn tables() -> String {
+    let mut text = "| attribute | parts | from | conversion |\n| --- | --- | --- | --- |\n".to_string();
+    for name in Attribute::all().map(Attribute::name).filter(|name| !REST.contains(name)) {
+        let mut rows: Vec<((String, String), Vec<&str>)> = Vec::new();
+        for chip in Chip::all() {
+            let Some(entry) = entry(chip, name) else { continue };
+            match rows.iter_mut().find(|(known, _)| *known == entry) {
+                Some((_, chips)) => chips.push(chip.name),
+                None => rows.push((entry, vec![chip.name])),
+            }
+        }
+        assert!(!rows.is_empty(), "{name} follows from nothing");
+        for ((from, conversion), chips) in rows {
+            writeln!(text, "| `{name}` | {} | {from} | {conversion} |", chips.join(", ")).expect("a string");
+        }
+    }
+    text += "\n| part | documents |\n| --- | --- |\n";
+    for chip in Chip::all().filter(|chip| chip.has_table()) {
+        writeln!(text, "| {} | {} |", chip.name, chip.documents.join("; ")).expect("a string");
+    }
+    let others: BTreeSet<_> =
+        Chip::all().filter(|chip| !chip.has_table()).map(|chip| chip.documents).collect();
+    assert_eq!(others.len(), 1);
+    for documents in others {
+        writeln!(text, "| the others | {} |", documents.join("; ")).expect("a string");
+    }
+    text
+}
+
+const BEGIN: &str = "<!-- what follows is checked by src/fs/attribute/by_part.rs -->\n";
+const END: &str = "<!-- end of what is checked -->\n";
+
+#[test]
+fn the_table_by_part_is_what_the_tables_of_the_parts_have() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/SEMANTICS.md");
+    let document = std::fs::read_to_string(&path).expect("the document");
+    let (before, rest) = document.split_once(BEGIN).expect("the beginning");
+    let (then, after) = rest.split_once(END).expect("the end");
+    let now = tables();
+    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+        std::fs::write(&path, [before, BEGIN, &now, END, after].concat()).expect("the document");
+        return;
+    }
+    assert!(now == then, "docs/SEMANTICS.md differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
+}
+
+#[test]
+fn every_attribute_has_a_place_in_the_table_by_part() {
+    let numbers = NUMBERS.iter().map(|(name, ..)| *name);
+    let listed = numbers.chain(OTHERS.iter().map(|(name, ..)| *name)).chain(REST.iter().copied());
+    let listed: BTreeSet<_> = listed.chain(["health", "capacity_level"]).collect();
+    assert_eq!(Attribute::all().map(Attribute::name).collect::<BTreeSet<_>>(), listed);
+}
+
+/// What a conversion makes of a reading, such as `mV × 1000` of 3700.
+fn convert(conversion: &str, reading: i64) -> i64 {
+    let after = |sign: &str| {
+        let digits = conversion.split_once(sign)?.1;
+        let end =
+            digits.find(|letter: char| letter != '-' && !letter.is_ascii_digit()).unwrap_or(digits.len());
+        digits[..end].parse::<i64>().ok()
+    };
+    reading * after(" × ").unwrap_or(1) / after(" / ").unwrap_or(1) - after(" - ").unwrap_or(0)
+}
+
+/// Reads what the attributes need of data flash, as somebody would who reads `df`.
+pub(super) fn read_places(rig: &mut Rig) {
+    let chip = rig.handle.chip();
+    let holds = |row: &Subclass, (id, offset): (u8, u16)| {
+        row.id == id && (row.start()..row.start() + row.length).contains(&offset)
+    };
+    let wanted = |row: &Subclass| chip.places().any(|place| holds(row, place));
+    let rows = chip.subclasses.iter().enumerate().filter(|(_, row)| wanted(row));
+    let rows: Vec<_> = rows.map(|(index, _)| index).collect();
+    if !rows.is_empty() {
+        rig.ask(|done| Request::Read(rows, done)).expect("the default key");
+    }
+}
+
+#[test]
+fn simulated_gauges_show_what_the_conversions_yield() {
+    let mut compared = BTreeSet::new();
+    for chip in Chip::all() {
+        let mut rig = open(chip.name);
+        turn(&rig, "speed", "20");
+        let loads: &[&str] = if chip.condition.primary.is_some() { &["50"] } else { &["500", "-500"] };
+        for load in loads {
+            turn(&rig, "load_ma", load);
+            for _ in 0..12 {
+                rig.poll_after(Duration::from_secs(1));
+            }
+            read_places(&mut rig);
+            let snapshot = rig.handle.published().snapshot.clone().expect("a poll");
+            for (name, roles, ..) in NUMBERS {
+                let Some((_, conversion)) = entry(chip, name) else {
+                    assert_eq!(show(&rig, name), None, "{}: {name}", chip.name);
+                    continue;
+                };
+                let Some(shown) = show(&rig, name) else { continue };
+                let reading = match source(chip, roles).expect("a source").1 {
+                    Source::Register(register) => snapshot.value(register),
+                    Source::Stored(subclass, parameter) => {
+                        let place = (subclass.id, parameter.offset);
+                        match rig.handle.kept_value(place, parameter.kind) {
+                            Some(Value::Int(number)) => Some(number),
+                            _ => None,
+                        }
+                    }
+                };
+                let expected = convert(&conversion, reading.expect("it was read"));
+                let shown: i64 = shown.parse().expect("a number");
+                let same = if conversion.contains("negative without") {
+                    shown.abs() == expected.abs()
+                } else {
+                    shown == expected
+                };
+                assert!(same, "{}: {name} is {shown}, {conversion} yields {expected}", chip.name);
+                compared.insert(*name);
+            }
+        }
+    }
+    // The simulated gauge of primary cells is not in the mode that measures a resistance.
+    let missing: Vec<_> =
+        NUMBERS.iter().map(|(name, ..)| *name).filter(|name| !compared.contains(name)).collect();
+    assert_eq!(missing, ["internal_resistance"]);
+}

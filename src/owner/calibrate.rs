@@ -1,0 +1,101 @@
+//! Calibration in the owner's thread, which does not poll meanwhile.
+
+use std::time::Duration;
+
+use super::{Attempt, Owner};
+use crate::error::{Cause, Error, Result};
+use ti_gauge::calibration::{self, Job};
+
+impl Owner {
+    /// Carries out a calibration. Its steps are published before they are done.
+    pub(super) fn calibrate(&mut self, job: &Job, waited: Duration) -> Result<()> {
+        let begun = self.gauge.clock.now();
+        self.shared.publish(|published| published.calibration = "".into());
+        if self.dataflash.owed().is_some() {
+            self.pay();
+        }
+        if *job != Job::Leave && self.dataflash.owed().is_none() {
+            self.back_up(waited)?;
+        }
+        let waited = waited + self.gauge.clock.now().saturating_sub(begun);
+        let shared = self.shared.clone();
+        let mut tell = |text: &str| {
+            log::info!("{}calibration: {text}", shared.prefix);
+            shared.publish(|published| {
+                published.calibration = format!("{}{text}\n", published.calibration).into();
+            });
+        };
+        let outcome = calibration::run(&mut self.dataflash, &mut self.gauge, job, waited, &mut tell);
+        if let Ok(reached) = &outcome {
+            tell(reached);
+        }
+        self.note_debt();
+        self.forget_dataflash();
+        self.schedule.hurry();
+        self.publish_seal();
+        Ok(outcome.map(drop)?)
+    }
+
+    /// Reports calibration mode that a host has left on, perhaps because it died.
+    pub(super) fn report_calibration_mode(&self) {
+        let chip = self.gauge.chip;
+        if !calibration::is_on(chip, self.control_status) || self.shared.published().limited.is_some() {
+            return;
+        }
+        let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
+                   voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
+        self.shared
+            .report(Attempt::Calibrate, &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Request, Startup};
+    use super::*;
+    use gauge_bus::Bus;
+    use gauge_bus::clock::Clock;
+
+    fn calibrate(rig: &mut Rig, job: Job) -> Result<()> {
+        rig.ask(|done| Request::Calibrate(job, done))
+    }
+
+    #[test]
+    fn a_calibration_is_told_step_by_step_and_polls_rest_meanwhile() {
+        let mut rig = Rig::open();
+        rig.sim.set("temperature_error", "30").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(1));
+        calibrate(&mut rig, Job::Temperature(25.0)).expect("no fault");
+        let text = rig.handle.published().calibration.to_string();
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].starts_with("reading Temperature() 8 times"), "{text}");
+        assert!(lines[1].starts_with("writing Ext Temp Offset = -30"), "{text}");
+        assert!(lines[2].contains("the error was +") && lines.len() == 3, "{text}");
+        calibrate(&mut rig, Job::Temperature(60.0)).expect_err("too far");
+        let published = rig.handle.published();
+        assert!(published.last_error.contains("-128 to 127"), "{}", published.last_error);
+        rig.clock.sleep(INTERVAL);
+        rig.owner.poll_on_time();
+        assert!(!rig.handle.published().last_error.is_empty());
+        calibrate(&mut rig, Job::Temperature(25.0)).expect("it is right");
+        assert_eq!(*rig.handle.published().last_error, *"");
+    }
+
+    #[test]
+    fn a_start_reports_calibration_mode_and_the_way_out_works() {
+        let mut rig = Rig::new(Startup::default());
+        for word in [0x0414_u16, 0x3672, 0x002D, 0x0081, 0x0020] {
+            let [low, high] = word.to_le_bytes();
+            rig.sim.bus().transfer(&[0x00, low, high], &mut []).expect("it answers");
+        }
+        rig.start().expect("it answers");
+        let error = rig.handle.published().last_error.to_string();
+        assert!(error.contains("[CALEN]") && error.contains("calibrate GAUGE leave"), "{error}");
+        calibrate(&mut rig, Job::Leave).expect("no fault");
+        assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"));
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
+        assert_eq!(*rig.handle.published().last_error, *"");
+        assert!(rig.handle.published().calibration.contains("it is off now"));
+    }
+}

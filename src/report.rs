@@ -1,0 +1,210 @@
+//! The text of a [`Report`]: a trace that can be replayed, with everything about the gauge in the lines above it.
+
+use crate::owner::{Origin, Report};
+use gauge_bus::trace;
+use ti_gauge::chip::{Chip, Evidence, Tier};
+use ti_gauge::text::printable;
+
+/// How the line about data flash begins.
+const DATA_FLASH: &str = "Data flash: ";
+/// The same where none was read.
+const NOT_READ: &str = "Data flash: not read: ";
+
+/// The text of a report.
+pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
+    let head = format!("{} on {}, {:.0}", chip.name, printable(&origin.place), report.taken);
+    let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let adapter = match printable(&origin.adapter) {
+        adapter if adapter.is_empty() => "none".to_string(),
+        adapter => adapter,
+    };
+    let mut about = vec![
+        format!("Report by gaugefs {}, without keys and serial numbers", env!("CARGO_PKG_VERSION")),
+        "To mount it: gaugefs mount --replay FILE MOUNTPOINT".to_string(),
+        format!("Kernel: Linux {}, {}", printable(kernel.trim()), std::env::consts::ARCH),
+        format!("Adapter: {adapter}"),
+        format!("Chip: {}; evidence for its table: {}", chip.model, Evidence::list(chip.evidence)),
+        format!("Documents: {}", chip.documents.join(", ")),
+    ];
+    about.extend(gauge(chip, report));
+    about.push(match &report.data_flash {
+        Ok(Some(subclass)) => format!("{DATA_FLASH}{} ({}) was read", subclass.name, subclass.class),
+        Ok(None) => format!("{DATA_FLASH}none is known of this part"),
+        Err(why) => format!("{NOT_READ}{}", printable(why)),
+    });
+    trace::text(&head, &about, origin.address, &report.events)
+}
+
+/// What the gauge has answered and measured, a line each.
+fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
+    let (answers, mut about) = (&report.answers, Vec::new());
+    if chip.has_table() {
+        let chemistry = answers.chem_id.map_or(String::new(), |id| format!(", chemistry 0x{id:04x}"));
+        about.push(format!(
+            "Identity: device type 0x{:04x}, firmware 0x{:04x}, hardware 0x{:04x}{chemistry}",
+            answers.device_type, answers.firmware_version, answers.hardware_version
+        ));
+        about.push(format!("Seal state: {}", report.seal.as_str()));
+        about.push(format!("CONTROL_STATUS: 0x{:04x}", report.snapshot.control_status));
+    }
+    if let Some(limited) = report.limited {
+        about.push(format!("Limited: {}", printable(&limited.why(chip, answers))));
+    }
+    let serial = chip.serial_register();
+    for register in chip.registers.iter().filter(|register| register.tier != Tier::Window) {
+        if let Some(value) = report.snapshot.value(register) {
+            let shown = match register.unit {
+                _ if serial == Some(register.code) => "not shown".to_string(),
+                unit if register.bits.is_empty() => format!("{value} {unit}"),
+                _ => format!("0x{value:04x}"),
+            };
+            about.push(format!(
+                "Register 0x{:02x} {}() = {}",
+                register.code,
+                register.name,
+                shown.trim_end()
+            ));
+        }
+    }
+    about
+}
+
+/// Why data flash was not read for the report of that text; `None` if it was, or if the part has none.
+pub(crate) fn without_data_flash(text: &str) -> Option<&str> {
+    text.lines().find_map(|line| line.strip_prefix("; ")?.strip_prefix(NOT_READ))
+}
+
+/// The name of the chip that the report of that text is about.
+pub(crate) fn chip(text: &str) -> Option<&str> {
+    text.strip_prefix("; gaugefs: ")?.split(" on ").next()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::path::Path;
+    use std::{fs, process};
+
+    use super::*;
+    use crate::daemon::recorded;
+    use crate::owner::rig::{INTERVAL, Rig};
+    use crate::owner::{Request, Settings, Startup};
+    use ti_gauge::dataflash::sample;
+
+    /// Mounts a report as `--replay` does, and compares what its gauge shows with what the report says.
+    fn replays(file: &Path) -> &'static Chip {
+        let name = file.display();
+        let text = fs::read_to_string(file).expect("a report");
+        let (chip, replay) = recorded(file).unwrap_or_else(|error| panic!("{error}"));
+        let mut rig = Rig::replay(chip, replay);
+        rig.start().unwrap_or_else(|error| panic!("{name}: {error}"));
+        for _ in 0..4 {
+            rig.poll_after(INTERVAL);
+        }
+        let published = rig.handle.published();
+        assert_eq!(&*published.last_error, "", "{name}");
+        let seen = Report {
+            taken: jiff::Timestamp::UNIX_EPOCH,
+            answers: published.answers,
+            limited: published.limited,
+            seal: published.seal,
+            snapshot: published.snapshot.clone().expect("a poll"),
+            data_flash: Err(String::new()),
+            events: Vec::new(),
+        };
+        let lines: BTreeSet<&str> = text.lines().collect();
+        let shown = gauge(chip, &seen);
+        for line in &shown {
+            let line = format!("; {line}");
+            assert!(lines.contains(&*line), "{name}: `{line}` is not in\n{text}");
+        }
+        let count = lines.iter().filter(|line| line.starts_with("; Register ")).count();
+        assert!(
+            count > 2 && shown.iter().filter(|line| line.starts_with("Register ")).count() == count,
+            "{name}"
+        );
+        // The bq35100 has the voltage that a write needs in one block with its keys, which is never recorded, and each
+        // read of data flash looks at that too.
+        let is_recorded = without_data_flash(&text).is_none() && chip.name != "bq35100";
+        let index = sample(chip).filter(|_| is_recorded);
+        if let Some(index) = index {
+            rig.ask(|done| Request::Read(vec![index], done))
+                .unwrap_or_else(|error| panic!("{name}: {error}"));
+        }
+        chip
+    }
+
+    #[test]
+    fn the_report_of_every_chip_replays() {
+        let file = std::env::temp_dir().join(format!("gaugefs-report-{}", process::id()));
+        for chip in Chip::all() {
+            let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
+            rig.start().expect("it answers");
+            rig.ask(Request::Report).expect("it answers");
+            let report = rig.handle.published().report.clone().expect("a report");
+            assert_eq!(
+                matches!(report.data_flash, Ok(Some(_))),
+                chip.has_table(),
+                "{}: {:?}",
+                chip.name,
+                report.data_flash
+            );
+            let origin = Origin { place: "simulated gauge".into(), address: 0x55, adapter: String::new() };
+            fs::write(&file, text(chip, &origin, &report)).expect("a file");
+            assert_eq!(replays(&file).name, chip.name);
+        }
+        fs::remove_file(&file).expect("it is there");
+    }
+
+    /// CONTRIBUTING.md says how a report comes here, and how the evidence for its chip changes.
+    #[test]
+    fn the_reports_of_the_tests_replay_and_are_evidence() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/reports");
+        let (mut real, mut simulated) = (BTreeSet::new(), 0);
+        for entry in fs::read_dir(&folder).expect("the folder") {
+            let file = entry.expect("an entry").path();
+            let name = replays(&file).name;
+            let stem = file.file_stem().and_then(|stem| stem.to_str()).expect("a name");
+            assert!(stem.starts_with(name), "{stem}: the name of a report begins with its chip, {name}");
+            let head = fs::read_to_string(&file).expect("a report");
+            let is_simulated = head.lines().next().is_some_and(|head| head.contains(" on simulated gauge, "));
+            assert_eq!(is_simulated, stem.ends_with("-simulated"), "{stem}");
+            if is_simulated {
+                simulated += 1;
+            } else {
+                real.insert(name);
+            }
+        }
+        assert!(simulated > 0, "one file shows that this test works");
+        let seen = Chip::all().filter(|chip| chip.evidence.contains(&Evidence::RealPart));
+        assert_eq!(
+            real,
+            seen.map(|chip| chip.name).collect(),
+            "tests/reports; chips with Evidence::RealPart"
+        );
+    }
+
+    #[test]
+    fn a_report_names_kernel_adapter_and_version_and_hostile_names_make_no_lines() {
+        let mut rig = Rig::open();
+        rig.ask(Request::Report).expect("it answers");
+        let report = rig.handle.published().report.clone().expect("a report");
+        let adapter = "i2c-7 (evil\nR: AA 08 2), capabilities 0x1".to_string();
+        let origin = Origin { place: "/dev/i2c-7 address 0x55".into(), address: 0x55, adapter };
+        let text = text(rig.handle.chip(), &origin, &report);
+        assert!(text.starts_with("; gaugefs: bq34z100-g1 on /dev/i2c-7 address 0x55, 20"), "{text}");
+        for part in [
+            &format!("; Report by gaugefs {}", env!("CARGO_PKG_VERSION"))[..],
+            "; Kernel: Linux ",
+            r"; Adapter: i2c-7 (evil\nR: AA 08 2), capabilities 0x1",
+            "; Identity: device type 0x0100, firmware 0x0016",
+            "; Seal state: sealed",
+            "; Register 0x08 Voltage() = ",
+            "; Register 0x28 SerialNumber() = not shown",
+            "; Data flash: ",
+        ] {
+            assert!(text.contains(&format!("\n{part}")), "`{part}` is not in\n{text}");
+        }
+        assert_eq!(chip(&text), Some("bq34z100-g1"));
+    }
+}
