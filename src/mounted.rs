@@ -89,7 +89,7 @@ fn at_line(line: usize, why: &str) -> Error {
 
 /// A word in hexadecimal, with `0x`.
 fn word(text: &str) -> Option<u16> {
-    u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
+    text.starts_with("0x").then(|| text::unsigned(text)).flatten()
 }
 
 /// The text of a file that every mounted gauge with data flash has.

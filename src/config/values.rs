@@ -9,6 +9,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
+use ti_gauge::text;
 
 /// Key words, which are not shown again.
 #[derive(Clone)]
@@ -48,10 +49,8 @@ pub(super) fn order(text: &str) -> Result<Order, String> {
 }
 
 pub(crate) fn address(text: &str) -> Result<u8, String> {
-    let digits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
-    let number = digits.map_or_else(|| text.parse(), |digits| u8::from_str_radix(digits, 16));
-    match number {
-        Ok(address @ 0x08..=0x77) => Ok(address),
+    match text::unsigned(text) {
+        Some(address @ 0x08..=0x77) => Ok(address),
         _ => Err("expected a 7-bit address, 0x08 to 0x77".into()),
     }
 }

@@ -389,12 +389,8 @@ fn nearest(chip: &Chip, place: &str) -> Option<Row> {
         let subclasses = chip.subclasses.iter().filter(move |subclass| id.is_none_or(|id| subclass.id == id));
         subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |parameter| (subclass, parameter)))
     };
-    let number = match offset.strip_prefix("0x") {
-        Some(digits) => u16::from_str_radix(digits, 16).ok(),
-        None => offset.parse().ok(),
-    };
-    if let Some(at) = number {
-        let id = if subclass == "flash" { FLAT } else { subclass.parse().ok()? };
+    if let Some(at) = text::unsigned::<u16>(offset) {
+        let id = if subclass == "flash" { FLAT } else { text::unsigned(subclass)? };
         return rows(Some(id)).min_by_key(|(_, parameter)| parameter.offset.abs_diff(at));
     }
     let alike = |(_, parameter): &Row| {

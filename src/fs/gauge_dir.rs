@@ -19,6 +19,7 @@ use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
 use ti_gauge::keys;
+use ti_gauge::text;
 
 /// One file.
 struct File {
@@ -407,8 +408,7 @@ fn job(gauge: &Supply, data: &[u8]) -> Result<Job> {
 
 fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {
     let word = text(data);
-    let digits = word.strip_prefix("0x").and_then(|digits| u16::from_str_radix(digits, 16).ok());
-    let code = digits.or(word.parse().ok());
+    let code = text::unsigned(word);
     let mut all = chip.subcommands.iter();
     let found = all.find(|one| Some(one.code) == code || one.name.eq_ignore_ascii_case(word));
     let is_allowed = |effect| matches!(effect, Effect::Answers | Effect::Safe);

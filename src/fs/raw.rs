@@ -14,7 +14,7 @@ pub(super) fn bytes(chip: &'static Chip, line: &str) -> Result<(Place, Vec<u8>)>
     let mut words = line.split_whitespace();
     let (place, digits) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     let numbers =
-        place.split_once('/').and_then(|(id, offset)| Some((id.parse().ok()?, offset.parse().ok()?)));
+        place.split_once('/').and_then(|(id, offset)| Some((text::unsigned(id)?, text::unsigned(offset)?)));
     let bytes = text::unhex(digits.as_bytes()).filter(|bytes| (1..=WINDOW).contains(&bytes.len()));
     let ((Some((subclass, offset)), Some(bytes)), None) = ((numbers, bytes), words.next()) else {
         return Err(invalid("write raw SUBCLASS/OFFSET HEX, 1 to 32 bytes of two digits each".into()));

@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use crate::text;
 use crate::value::Type;
 
 pub mod bq27220;
@@ -781,10 +782,13 @@ impl Chip {
     /// The parameter at `df/SUBCLASS/OFFSET` and its subclass; on a part without subclasses, `flash` and an
     /// address in hexadecimal.
     pub fn row(&self, subclass: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
-        let (id, offset) = match (subclass, offset.strip_prefix("0x")) {
-            ("flash", Some(digits)) => (FLAT, u16::from_str_radix(digits, 16).ok()?),
-            (id, _) => (id.parse().ok()?, offset.parse().ok()?),
+        let is_hex = |text: &str| text.starts_with("0x");
+        let id = match subclass {
+            "flash" if is_hex(offset) => FLAT,
+            id if !is_hex(id) && !is_hex(offset) => text::unsigned(id)?,
+            _ => return None,
         };
+        let offset: u16 = text::unsigned(offset)?;
         let mut alike = self.subclasses.iter().filter(|row| row.id == id);
         alike.find_map(|row| Some((row, row.parameter(offset)?)))
     }

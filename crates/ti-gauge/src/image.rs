@@ -555,7 +555,7 @@ fn fits(known: &[u16], code: u16) -> bool {
 
 /// A word in hexadecimal, with or without `0x`.
 fn word(text: &str) -> Option<u16> {
-    u16::from_str_radix(text.strip_prefix("0x").unwrap_or(text), 16).ok()
+    crate::text::unsigned(&format!("0x{}", text.strip_prefix("0x").unwrap_or(text)))
 }
 
 /// The chip that a file is for, by the device type and firmware in it and by the chip that is `told`. A

@@ -164,6 +164,17 @@ fn integer(text: &str) -> Option<Option<i64>> {
     Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
 }
 
+/// A number without a sign, as in the name of a file: in decimal, or in hexadecimal after `0x`.
+pub fn unsigned<T: TryFrom<u64>>(text: &str) -> Option<T> {
+    let (radix, digits) = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        Some(digits) => (16, digits),
+        None => (10, text),
+    };
+    let number =
+        digits.chars().all(|digit| digit.is_digit(radix)).then(|| u64::from_str_radix(digits, radix).ok());
+    number.flatten()?.try_into().ok()
+}
+
 /// Longest text of a message, in characters.
 const LONGEST: usize = 2000;
 
