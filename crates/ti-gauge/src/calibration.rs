@@ -2,7 +2,8 @@
 //! remains. A calibration that makes the error larger is put back by the transaction itself, before its journal is
 //! removed.
 //!
-//! The gauge must not be polled meanwhile. All figures are in the units of the registers.
+//! The gauge must not be polled meanwhile. Voltages and currents are in the units of the registers, temperatures in
+//! degrees Celsius.
 
 use std::time::Duration;
 
@@ -37,6 +38,9 @@ const LEAST_CURRENT_MA: i32 = 100;
 const LARGEST_CHANGE: f64 = 0.2;
 /// What Voltage() may differ from the measured voltage with a divider from resistors, which have tolerances.
 const DIVIDER_TOLERANCE: f64 = 0.1;
+/// Temperature() at 0 °C, rounded as for `temp`, and the °C of one step.
+const FREEZING: f64 = 2731.0;
+const CELSIUS_STEP: f64 = 0.1;
 /// A cell's voltage, in mV, where nobody has measured it.
 const CELL_MV: (f64, f64) = (1500.0, 4600.0);
 /// Flash Update OK Cell Volt of a cell (SLUSBZ5D 8.2.2.1.3).
@@ -137,7 +141,8 @@ impl Readings {
 
     fn show(&self, unit: &str) -> String {
         let Self { mean, least, most, count } = self;
-        format!("{mean:.1} {unit} ({count} readings, {least} to {most})")
+        let digits = if unit == "°C" { 1 } else { 0 };
+        format!("{mean:.1} {unit} ({count} readings, {least:.digits$} to {most:.digits$})")
     }
 }
 
@@ -221,7 +226,8 @@ impl Task<'_> {
             after = readings(gauge, target.role, READINGS)?;
             let error = after.mean - target.wanted;
             // One step of the register is no difference.
-            if error.abs() > first.abs() + 1.0 || after.spread() > 2.0 * target.spread {
+            let step = if target.role == Role::Temp { CELSIUS_STEP } else { 1.0 };
+            if error.abs() > first.abs() + step || after.spread() > 2.0 * target.spread {
                 let why = format!(
                     "{} after the calibration, {first:+.1} {unit} off before and {error:+.1} {unit} now",
                     after.show(unit)
@@ -281,8 +287,7 @@ impl Task<'_> {
 
     fn temperature(&mut self, actual: f64) -> Result<String> {
         let Calibration { thermistor: (register, mask), internal, external, .. } = *self.calibration;
-        let wanted = actual * 10.0 + 2731.5;
-        let target = Target { role: Role::Temp, wanted, spread: 10.0 };
+        let target = Target { role: Role::Temp, wanted: actual, spread: 1.0 };
         if !(-40.0..=125.0).contains(&actual) {
             return self
                 .refuse(naming(self.gauge.chip, Role::Temp).0, "give degrees Celsius, -40 to 125".into());
@@ -292,7 +297,7 @@ impl Task<'_> {
             0 => internal,
             _ => external,
         };
-        let new = self.number(place)? + (wanted - before.mean).round();
+        let new = self.number(place)? + ((actual - before.mean) / CELSIUS_STEP).round();
         self.write(target, before, &[(place, new)], false)
     }
 
@@ -535,7 +540,7 @@ fn change(chip: &'static Chip, place: (u8, u16), value: f64) -> Result<Change> {
 fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
     match role {
         Role::VoltageNow => ("Voltage()", "mV"),
-        Role::Temp => ("Temperature()", "0.1 K"),
+        Role::Temp => ("Temperature()", "°C"),
         Role::CurrentNow => ("Current()", "mA"),
         _ => (chip.model, ""),
     }
@@ -568,7 +573,8 @@ fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
             gauge.wait(INTERVAL);
         }
         let word = word(gauge, register.code)?;
-        values.push(if register.signed { f64::from(word as i16) } else { f64::from(word) });
+        let value = if register.signed { f64::from(word as i16) } else { f64::from(word) };
+        values.push(if role == Role::Temp { (value - FREEZING) * CELSIUS_STEP } else { value });
     }
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
