@@ -27,7 +27,7 @@ const TABLE: &str = "/proc/self/mountinfo";
 pub const SOURCE: &str = "gaugefs";
 
 /// How long an unmount waits for users of the mount, and the time between two attempts.
-const PATIENCE: Duration = Duration::from_millis(500);
+const PATIENCE: Duration = Duration::from_secs(2);
 const STEP: Duration = Duration::from_millis(20);
 /// Time limit for fusermount3.
 const FUSERMOUNT: Duration = Duration::from_secs(5);
