@@ -2,11 +2,10 @@
 //! `gaugefs detach` is tested in tests/boot, because it removes every dead mount, also those of other tests.
 
 use std::fs;
-use std::io::Read;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -37,7 +36,8 @@ impl Service {
         let place = folder.join("tree");
         let arguments = ["mount", "--foreground", "--service", "--sim", CHIP, path(&place)];
         let mut daemon = command(&arguments);
-        daemon.env("NOTIFY_SOCKET", folder.join("notify")).stderr(Stdio::piped());
+        let messages = fs::File::create(folder.join("messages")).expect("a file");
+        daemon.env("NOTIFY_SOCKET", folder.join("notify")).stderr(messages);
         let daemon = daemon.spawn().expect("gaugefs runs");
         let mut word = [0; 16];
         let length = systemd.recv(&mut word).expect("it reports that it is ready");
@@ -58,12 +58,13 @@ impl Service {
         kill(Pid::from_raw(self.daemon.id() as i32), signal).expect("it runs");
     }
 
+    fn messages(&self) -> String {
+        fs::read_to_string(self.folder.join("messages")).expect("text")
+    }
+
     /// Its exit code and its messages.
     fn ended(&mut self) -> (Option<i32>, String) {
-        let code = self.daemon.wait().expect("it ends").code();
-        let mut messages = String::new();
-        self.daemon.stderr.take().expect("a pipe").read_to_string(&mut messages).expect("text");
-        (code, messages)
+        (self.daemon.wait().expect("it ends").code(), self.messages())
     }
 }
 
@@ -110,7 +111,7 @@ fn a_stopped_service_finishes_its_write_and_begins_no_other() {
     service.attach();
     let gauge = service.place().join("BAT0");
     // Slow flash, so that the signal arrives during the write.
-    fs::write(gauge.join("sim/word_ms"), "50").expect("a knob");
+    fs::write(gauge.join("sim/word_ms"), "150").expect("a knob");
     let parameter = gauge.join("df/80/53");
     let first = parameter.clone();
     let writer = thread::spawn(move || fs::write(first, "3100\n"));
@@ -119,6 +120,10 @@ fn a_stopped_service_finishes_its_write_and_begins_no_other() {
         assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write has not begun");
     }
     service.signal(Signal::SIGTERM);
+    while !service.messages().contains("SIGTERM: ending") {
+        assert!(start.elapsed() < PATIENCE, "it does not end");
+        thread::sleep(Duration::from_millis(10));
+    }
     // The daemon still answers, but accepts no other write.
     let second = thread::spawn(move || fs::write(parameter, "3200\n"));
     writer.join().expect("no panic").expect("written");
