@@ -10,7 +10,7 @@ use crate::error::Result;
 
 const UMOUNT: &str = "\
 It also removes a mount whose daemon has died, and by force one whose daemon does not answer within
-2 s; processes that wait for that daemon then get an error.";
+5 s; processes that wait for that daemon then get an error.";
 
 /// Unmount and release the gauge
 #[derive(Args, Debug)]

@@ -19,8 +19,9 @@ use nix::sys::statvfs::statvfs;
 use super::mountpoint;
 use crate::error::{Error, Result};
 
-/// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once.
-const LIMIT: Duration = Duration::from_secs(2);
+/// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
+/// busy needs some seconds to start the process.
+const LIMIT: Duration = Duration::from_secs(5);
 
 /// What a look has found out within its time limit.
 #[derive(Debug, Default)]

@@ -124,6 +124,8 @@ fn a_stopped_service_finishes_its_write_and_begins_no_other() {
         assert!(start.elapsed() < PATIENCE, "it does not end");
         thread::sleep(Duration::from_millis(10));
     }
+    // It refuses other writes right after this message.
+    thread::sleep(Duration::from_millis(300));
     // The daemon still answers, but accepts no other write.
     let second = thread::spawn(move || fs::write(parameter, "3200\n"));
     writer.join().expect("no panic").expect("written");
