@@ -11,7 +11,7 @@ use crate::chip::{Calibration, Chip, Offset, Role, Word};
 use crate::codec;
 use crate::dataflash::{Change, DataFlash, Extras, Outcome, Place, Row};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::Gauge;
+use crate::gauge::{Gauge, agreed};
 use crate::text;
 use crate::value::Value;
 
@@ -236,7 +236,7 @@ impl Task<'_> {
             }
             Ok(())
         };
-        let waited = self.gauge.clock.now().saturating_sub(self.asked);
+        let waited = self.waited();
         let extras = Extras { calibrate, accept: Some(&mut accept) };
         let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
         if outcome == Outcome::Unchanged {
@@ -293,10 +293,11 @@ impl Task<'_> {
                 .refuse(naming(self.gauge.chip, Role::Temp).0, "give degrees Celsius, -40 to 125".into());
         }
         let before = self.steady(target, READINGS)?;
-        let place = match steady_word(self.gauge, register)? & mask {
-            0 => internal,
-            _ => external,
-        };
+        let place =
+            match agreed("the selection of the temperature sensor", || word(self.gauge, register))? & mask {
+                0 => internal,
+                _ => external,
+            };
         let new = self.number(place)? + ((actual - before.mean) / CELSIUS_STEP).round();
         self.write(target, before, &[(place, new)], false)
     }
@@ -487,7 +488,7 @@ impl Task<'_> {
             found = Some(read);
             Ok(())
         };
-        let waited = self.gauge.clock.now().saturating_sub(self.asked);
+        let waited = self.waited();
         let extras = Extras { calibrate: true, accept: Some(&mut accept) };
         self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
         let read = match found {
@@ -548,20 +549,6 @@ fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
 
 fn word(gauge: &mut Gauge, register: u8) -> Result<u16> {
     crate::dataflash::read_word(gauge, Word::Register(register))
-}
-
-/// A word that two readings agree on, because I2C has no error detection.
-fn steady_word(gauge: &mut Gauge, register: u8) -> Result<u16> {
-    let mut last = word(gauge, register)?;
-    for _ in 0..4 {
-        let next = word(gauge, register)?;
-        if next == last {
-            return Ok(next);
-        }
-        last = next;
-    }
-    let why = "the register reads differently each time";
-    Err(Error::new(gauge.chip.model, Cause::Protocol(why.into())).at(Step::Read))
 }
 
 fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {

@@ -45,7 +45,7 @@ const PAUSES: [Duration; 5] = [
     Duration::from_millis(100),
     Duration::from_millis(120),
 ];
-/// Looks at CONTROL_STATUS until two agree.
+/// Further looks at a state until two agree.
 const TRIES: u32 = 4;
 
 /// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
@@ -729,4 +729,18 @@ impl Gauge {
     pub fn forget_refusal(&mut self) {
         (self.refused, self.proven) = (false, false);
     }
+}
+
+/// What two looks in a row agree on, because I2C has no error detection. `subject` is what is looked at.
+pub(crate) fn agreed<T: PartialEq>(subject: &str, mut look: impl FnMut() -> Result<T>) -> Result<T> {
+    let mut last = look()?;
+    for _ in 0..TRIES {
+        let next = look()?;
+        if next == last {
+            return Ok(next);
+        }
+        last = next;
+    }
+    let why = "it reads differently each time: check the bus";
+    Err(Error::new(subject, Cause::Protocol(why.into())).at(Step::Read))
 }

@@ -6,39 +6,21 @@ use std::time::Duration;
 use super::preflight::read_word;
 use crate::chip::{Calibration, Word};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, Seal, agreed};
 
 /// Times that each subcommand is sent, and the time until its effect must show.
 const TRIES: u32 = 4;
 const SHOWS: Duration = Duration::from_millis(100);
 
-/// Whether calibration is enabled. An answer counts if a second one agrees.
+/// Whether calibration is enabled.
 fn is_enabled(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
     let (register, mask) = calibration.enabled;
-    let mut look = || read_word(gauge, Word::Register(register)).map(|word| word & mask != 0);
-    let mut last = look()?;
-    for _ in 0..TRIES {
-        let next = look()?;
-        if next == last {
-            break;
-        }
-        last = next;
-    }
-    Ok(last)
+    agreed("the bit that allows calibration", || Ok(read_word(gauge, Word::Register(register))? & mask != 0))
 }
 
-/// Whether the gauge is in calibration mode. An answer counts if a second one agrees.
+/// Whether the gauge is in calibration mode.
 pub(super) fn is_on(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
-    let mut look = || gauge.control_status().map(|(_, status)| status & calibration.mode != 0);
-    let mut last = look()?;
-    for _ in 0..TRIES {
-        let next = look()?;
-        if next == last {
-            break;
-        }
-        last = next;
-    }
-    Ok(last)
+    agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & calibration.mode != 0))
 }
 
 fn set_enabled(gauge: &mut Gauge, calibration: &Calibration, wanted: bool) -> Result<()> {

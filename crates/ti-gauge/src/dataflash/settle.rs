@@ -18,7 +18,7 @@ use super::{DataFlash, Place};
 use crate::chip::{Chip, Kind, Role, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, Seal, agreed};
 use crate::journal::{Entry, Identity, Mark, Plan, PlannedBlock};
 use crate::text;
 
@@ -351,20 +351,9 @@ pub(super) fn plan(
     Plan { reset, reset_sent: false, marks, blocks: blocks.collect() }
 }
 
-/// The serial number, read until two reads agree because I2C has no error detection.
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
-    let mut read = || read_word(gauge, Word::Register(register));
-    let mut last = read()?;
-    for _ in 0..3 {
-        let next = read()?;
-        if next == last {
-            return Ok(next);
-        }
-        last = next;
-    }
-    let why = "the serial number reads differently each time: check the bus".to_string();
-    Err(Error::new("SerialNumber()", Cause::Protocol(why)).at(Step::Identify))
+    agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
 }
 
 impl PlannedBlock {
