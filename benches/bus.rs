@@ -13,10 +13,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::wire_bytes;
+use gauge_bus::bounded::Bounded;
+use gauge_bus::clock::{Clock, RealClock, SimClock};
+use gauge_bus::{Bus, BusError, wire_bytes};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use ti_gauge::codec::WINDOW;
@@ -91,7 +92,28 @@ fn main() -> ExitCode {
         }
     }
     let _ = fs::remove_dir_all(journals());
+    let (thread, wire) = (cost_of_the_thread(), Duration::from_micros(wire_bytes(1, 2) * 9 * 10));
+    println!(
+        "the thread that bounds real transfers adds {thread:.1?} to each; a word takes {wire:?} at 100 kHz"
+    );
     report.finish()
+}
+
+/// What [`Bounded`] adds to a transfer.
+fn cost_of_the_thread() -> Duration {
+    struct Nothing;
+    impl Bus for Nothing {
+        fn transfer(&mut self, _: &[u8], _: &mut [u8]) -> std::result::Result<(), BusError> {
+            Ok(())
+        }
+    }
+    const TRANSFERS: u32 = 10_000;
+    let mut bus = Bounded::new(Nothing, 0, Duration::from_secs(1), Arc::new(RealClock::new()));
+    let begun = Instant::now();
+    for _ in 0..TRANSFERS {
+        bus.transfer(&[8], &mut [0; 18]).expect("it does nothing");
+    }
+    begun.elapsed() / TRANSFERS
 }
 
 fn measure(chip: &'static Chip, report: &mut Report) -> Result<()> {

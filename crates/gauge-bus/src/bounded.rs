@@ -262,22 +262,4 @@ mod tests {
         let caught = panic::catch_unwind(AssertUnwindSafe(|| rig.bus.transfer(&[1], &mut [])));
         assert!(caught.is_err());
     }
-
-    /// `cargo test -p gauge-bus --release -- --ignored --nocapture cost`
-    #[test]
-    #[ignore = "a measurement"]
-    fn cost_of_the_thread() {
-        struct Nothing;
-        impl Bus for Nothing {
-            fn transfer(&mut self, _: &[u8], _: &mut [u8]) -> Result<(), BusError> {
-                Ok(())
-            }
-        }
-        let mut bus = Bounded::new(Nothing, 905, LONG, Arc::new(RealClock::new()));
-        let begun = std::time::Instant::now();
-        for _ in 0..10_000 {
-            bus.transfer(&[8], &mut [0; 18]).expect("it does nothing");
-        }
-        println!("{:?} a transfer", begun.elapsed() / 10_000);
-    }
 }
