@@ -407,8 +407,8 @@ impl Reading<'_> {
         if self.chip.condition.full == 0 { Some(false) } else { self.has_flag(self.chip.condition.full) }
     }
 
-    /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the driver it already is one
-    /// below the first, which is `Low` in `capacity_level`.
+    /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the
+    /// driver it already is one below the first, which is `Low` in `capacity_level`.
     fn health(&self) -> Option<&'static str> {
         self.first_set(&health(&self.chip.condition), "Good")
     }

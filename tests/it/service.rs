@@ -73,7 +73,7 @@ impl Drop for Service {
         let _ = self.daemon.kill();
         let _ = self.daemon.wait();
         gaugefs(&["umount", path(&self.place())]);
-        let _ = fs::remove_dir_all(&self.folder);
+        scratch::remove(&self.folder);
     }
 }
 
