@@ -64,7 +64,7 @@ pub(super) struct Rescue {
 }
 
 fn chips() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.rom.is_some()).map(|chip| chip.name))
+    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.firmware_file.is_some()).map(|chip| chip.name))
 }
 
 impl Rescue {

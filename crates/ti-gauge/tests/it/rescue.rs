@@ -24,7 +24,7 @@ const STYLES: [Style; 2] = [Style::Row, Style::Word];
 const MARK: std::ops::Range<usize> = 15..18;
 
 fn chips() -> impl Iterator<Item = &'static Chip> {
-    CHIPS.iter().copied().filter(|chip| chip.rom.is_some())
+    CHIPS.iter().copied().filter(|chip| chip.firmware_file.is_some())
 }
 
 /// A file in TI's form, with rows of the simulated gauge's own.
@@ -82,7 +82,7 @@ impl Writer {
 fn content(chip: &Chip) -> (Vec<[u8; 96]>, Vec<u8>) {
     let sim = Sim::new(chip.name, &Options::default(), Arc::new(SimClock::new())).expect("a simulated gauge");
     let (rows, mut data) = sim.firmware().expect("it has a boot loader");
-    let rom = chip.rom.as_ref().expect("it has one");
+    let rom = chip.firmware_file.as_ref().expect("it has one");
     let name = rom.names[0].as_bytes();
     data[rom.name] = name.len() as u8;
     data[rom.name + 1..rom.name + 1 + name.len()].copy_from_slice(name);
@@ -382,7 +382,7 @@ fn the_file_of_another_part_is_refused() {
     let chip = CHIPS[0];
     // The same version in another part, which its name betrays.
     let (rows, mut data) = content(chip);
-    let at = chip.rom.as_ref().expect("it has one").name;
+    let at = chip.firmware_file.as_ref().expect("it has one").name;
     data[at + 1..at + 12].copy_from_slice(b"bq27541-G1 ");
     assert!(refused(&file_of(rows.clone(), data.clone(), Style::Row), chip).contains("bq27541"));
     // A name of the user's own is none of TI's.
@@ -396,7 +396,7 @@ fn the_file_of_another_part_is_refused() {
     let head = "W: AA 00 01 00\nC: AA 00 20 05\n";
     assert!(refused(&(head.to_string() + &file(chip, Style::Row)), chip).contains("0x0520"));
     // Parts of which no whole file is known.
-    let none = CHIPS.iter().find(|chip| chip.rom.is_none()).expect("most");
+    let none = CHIPS.iter().find(|chip| chip.firmware_file.is_none()).expect("most");
     assert!(refused(&file(chip, Style::Row), none).contains("not known"));
 }
 
