@@ -17,6 +17,7 @@ mod report;
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
 mod romimage;
+mod roundtrip;
 mod scratch;
 mod semantics;
 mod service;
