@@ -15,7 +15,9 @@ acknowledges what is written to data flash and stores nothing. In calibration mo
 same. This command enters calibration mode, sets the limit to 0, the divider, [VOLTSEL] and the number of
 cells in one transaction, leaves calibration mode, resets the gauge and reads Voltage(). If that is not
 the pack's voltage, the old values are put back. Otherwise the divider is adjusted to the voltage that was
-measured, and the limit is set as the datasheet has it, 2800 x cells x 5000 / divider.
+measured, and the limit is set as the datasheet has it, 2800 x cells x 5000 / divider. Where that
+fails, flash stays open at any voltage: the message says so, and the same command completes it.
+Exit code 0: complete, 1: not, or put back.
 
 Example:
   gaugefs bringup /run/gauges/BAT0 --cells 7 --divider 33000 --voltage-now 26985";

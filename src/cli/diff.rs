@@ -65,7 +65,7 @@ impl Diff {
         // A mounted gauge says which chip a file without a name is for.
         let chip_of = |path: &Path| if path.is_dir() { mounted::chip(path).map(Some) } else { Ok(None) };
         // Files first: one that is refused leaves the gauge alone.
-        let (a, b) = if self.b.is_dir() {
+        let (a, mut b) = if self.b.is_dir() {
             let a = mounted::open(&self.a, named.or(chip_of(&self.b)?), self.data_flash)?;
             (a, mounted::now(&self.b)?)
         } else {
@@ -73,6 +73,9 @@ impl Diff {
             (mounted::open(&self.a, named.or(Some(b.chip)), self.data_flash)?, b)
         };
         let exclude: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
+        if exclude.contains(&Group::Undocumented) {
+            b.keep_reserved(&a);
+        }
         let comparison = a.compare(&b, &exclude)?;
         let differences = &comparison.differences;
         if self.json {

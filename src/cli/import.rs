@@ -17,9 +17,9 @@ mod progress;
 const IMPORT: &str = "\
 The gauge is polled and its configuration read first. The differences are written through
 df/transaction, all of them or none, and printed. Keys are never written, nor, without
---allow-unproven, parameters whose address or range is uncertain: what is passed over is listed on
-standard error. A FlashStream that would change undocumented bytes is refused, unless --raw writes
-them or --exclude undocumented skips them.
+--allow-unproven, parameters whose address or range is uncertain. Reserved bits stay as the gauge
+has them. What is passed over is listed on standard error. A FlashStream that would change
+undocumented bytes is refused, unless --raw writes them or --exclude undocumented skips them.
 
 A .df.fs or .bq.fs of a bq34z100 is read as its parameters, which are written like any others; ROM
 mode is never entered. The chemistry in it is not written: the gauge must have the same one.
@@ -75,7 +75,7 @@ pub(super) enum GroupName {
     Serial,
     /// Values that the gauge has learned about its pack
     Learned,
-    /// Bytes that no manual documents
+    /// Bytes that no manual documents, and reserved bits
     Undocumented,
     /// Keys, which are never written: do not report them as passed over
     Keys,
@@ -90,12 +90,13 @@ impl Import {
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
         let named = |error: ti_gauge::error::Error| error.within(&self.file.display().to_string());
         // A file that is refused leaves the gauge alone.
-        let file = self.file(mounted::chip(&self.gauge)?, &groups)?;
+        let mut file = self.file(mounted::chip(&self.gauge)?, &groups)?;
         let gauge = mounted::now(&self.gauge)?;
         if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
             let same = mounted::check_chemistry(&self.gauge, gauge.chip, sum)?;
             eprintln!("gaugefs: {}: {same}", self.gauge.display());
         }
+        file.keep_reserved(&gauge);
         let Changes { changes, passed_over } =
             gauge.changes(&file, &groups, self.allow_unproven).map_err(named)?;
         let raw = if groups.contains(&Group::Undocumented) {

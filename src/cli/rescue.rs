@@ -64,7 +64,7 @@ pub(super) struct Rescue {
 }
 
 fn chips() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.rom.is_some()).map(|chip| chip.name))
+    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.firmware_file.is_some()).map(|chip| chip.name))
 }
 
 impl Rescue {
@@ -80,53 +80,68 @@ impl Rescue {
         let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
         let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];
         let open = |address| LinuxBus::open(adapter.clone(), address, clock.clone());
-        let (mut gauge, mut boot) = (open(GAUGE_ADDRESS)?, open(ROM_ADDRESS)?);
+        let (gauge, mut boot) = (open(GAUGE_ADDRESS)?, open(ROM_ADDRESS)?);
         let subject = format!("{adapter} address 0x{ROM_ADDRESS:02x}");
-        let within = |error: ti_gauge::error::Error| Error::from(error).within(&subject);
-        check_state(&mut gauge, &mut boot, &*clock).map_err(within)?;
-        let found = rom::look(&mut boot, &*clock).map_err(within)?;
-        firmware.check(&found).map_err(within)?;
-        print(&format!(
-            "{}: whole firmware 0x{:04x} for a {}, Device Name {}\n{subject}: a gauge in ROM mode{}\n",
-            name,
-            firmware.version,
-            chip.model,
-            firmware.name,
-            if found.version.is_some() {
-                ", its firmware is whole: switching its power off and on may be enough"
-            } else {
-                ""
-            }
-        ));
-        if !self.yes && !is_confirmed(chip)? {
-            return Err(Error::host(subject, Errno::ECANCELED, "nothing was erased"));
-        }
-        let mut shown = 0;
-        let written = firmware.write(&mut boot, &*clock, &mut |done, all| {
-            let percent = done * 100 / all;
-            if percent >= shown + 10 {
-                shown = percent / 10 * 10;
-                print(&format!("{shown} %\n"));
-            }
-        });
-        written.map_err(|error| {
-            eprintln!(
-                "gaugefs: not finished. Leave the power on, and run the same command again: it begins \
-                 with the first row."
-            );
-            Error::from(error).within(&name)
-        })?;
-        wait_for(&mut gauge, &*clock).map_err(within)?;
-        // Its type is asked for at the address that it now has.
-        let mut gauge = Gauge::new(chip, Box::new(gauge), clock.clone(), Keys::default(), false);
-        let answers = gauge.identify().map_err(within)?;
-        print(&format!(
-            "The gauge answers at 0x{GAUGE_ADDRESS:02x} again: device type 0x{:04x}, firmware 0x{:04x}.\n\
-             Check its calibration and change its keys before you use the pack.\n",
-            answers.device_type, answers.firmware_version
-        ));
+        let confirm = || if self.yes { Ok(true) } else { is_confirmed(chip) };
+        bring_back(&firmware, chip, Box::new(gauge), &mut boot, &clock, [&name, &subject], &confirm)?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// Writes firmware to a gauge in ROM mode, and waits until it works. `names` are those of the file and of the device at
+/// the address of ROM mode.
+fn bring_back(
+    firmware: &Firmware,
+    chip: &'static Chip,
+    mut gauge: Box<dyn Bus>,
+    boot: &mut dyn Bus,
+    clock: &Arc<dyn Clock>,
+    [name, subject]: [&str; 2],
+    confirm: &dyn Fn() -> Result<bool>,
+) -> Result<()> {
+    let within = |error: ti_gauge::error::Error| Error::from(error).within(subject);
+    check_state(&mut *gauge, boot, &**clock).map_err(within)?;
+    let found = rom::look(boot, &**clock).map_err(within)?;
+    firmware.check(&found).map_err(within)?;
+    print(&format!(
+        "{name}: whole firmware 0x{:04x} for a {}, Device Name {}\n{subject}: a gauge in ROM mode{}\n",
+        firmware.version,
+        chip.model,
+        firmware.name,
+        if found.version.is_some() {
+            ", its firmware is whole: switching its power off and on may be enough"
+        } else {
+            ""
+        }
+    ));
+    if !confirm()? {
+        return Err(Error::host(subject, Errno::ECANCELED, "nothing was erased"));
+    }
+    let mut shown = 0;
+    let written = firmware.write(boot, &**clock, &mut |done, all| {
+        let percent = done * 100 / all;
+        if percent >= shown + 10 {
+            shown = percent / 10 * 10;
+            print(&format!("{shown} %\n"));
+        }
+    });
+    written.map_err(|error| {
+        eprintln!(
+            "gaugefs: not finished. Leave the power on, and run the same command again: it begins \
+             with the first row."
+        );
+        Error::from(error).within(name)
+    })?;
+    wait_for(&mut *gauge, &**clock).map_err(within)?;
+    // Its type is asked for at the address that it now has.
+    let mut gauge = Gauge::new(chip, gauge, clock.clone(), Keys::default(), false);
+    let answers = gauge.identify().map_err(within)?;
+    print(&format!(
+        "The gauge answers at 0x{GAUGE_ADDRESS:02x} again: device type 0x{:04x}, firmware 0x{:04x}.\n\
+         Check its calibration and change its keys before you use the pack.\n",
+        answers.device_type, answers.firmware_version
+    ));
+    Ok(())
 }
 
 /// Checks that a gauge is in ROM mode: nothing answers at the usual address, and something at the other.
@@ -189,4 +204,80 @@ fn is_confirmed(chip: &Chip) -> Result<bool> {
     let read = std::io::stdin().lock().read_line(&mut line);
     read.map_err(|error| Error::io("", "cannot read the answer", &error))?;
     Ok(line.trim() == "yes")
+}
+
+#[cfg(test)]
+#[allow(dead_code, reason = "the tests of the boot loader use the rest")]
+#[path = "../../crates/ti-gauge/tests/it/firmware.rs"]
+mod firmware;
+
+#[cfg(test)]
+mod tests {
+    use super::firmware::{Style, content, file};
+    use super::*;
+    use gauge_bus::clock::SimClock;
+    use gauge_sim::{Options, Sim};
+
+    const CHIP: &str = "bq34z100-g1";
+
+    /// A gauge in normal mode, and another that is left in ROM mode.
+    struct Bench {
+        clock: Arc<dyn Clock>,
+        normal: Sim,
+        left: Sim,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let clock = Arc::new(SimClock::new());
+            let [normal, left] = [(); 2]
+                .map(|()| Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated gauge"));
+            clock.sleep(Duration::from_secs(1));
+            for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
+                let [low, high] = word.to_le_bytes();
+                left.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");
+                clock.sleep(Duration::from_millis(100));
+            }
+            assert_eq!(left.get("mode").as_deref(), Some("rom"));
+            Self { clock, normal, left }
+        }
+
+        /// Runs a rescue with that gauge at the usual address, and answers the question with yes.
+        fn rescue(&self, gauge: &Sim) -> Result<()> {
+            let chip = Chip::by_name(CHIP).expect("a chip");
+            let firmware = Firmware::parse(&file(chip, Style::Row), chip).expect("a whole file");
+            let mut boot = self.left.bus_at(ROM_ADDRESS);
+            let gauge = Box::new(gauge.bus());
+            bring_back(&firmware, chip, gauge, &mut boot, &self.clock, ["a file", "a bus"], &|| Ok(true))
+        }
+    }
+
+    /// With a gauge in normal mode on the same bus it is not certain whose boot loader answers.
+    #[test]
+    fn a_rescue_is_refused_while_a_gauge_answers_at_the_usual_address() {
+        // The gauge that answers late is busy at the first looks.
+        for (fault, late) in
+            [("none", false), ("nack 1; nack 2; nack 3; nack 4; nack 5; nack 6; nack 7", true)]
+        {
+            let bench = Bench::new();
+            bench.normal.set("fault", fault).expect("a fault");
+            let before = (bench.left.firmware(), bench.left.get("transfers"), bench.left.get("programmed"));
+            let error = bench.rescue(&bench.normal).expect_err("a gauge answers at 0x55").to_string();
+            assert!(
+                error.contains("answers at 0x55") && error.contains("nothing was erased"),
+                "{late}: {error}"
+            );
+            let after = (bench.left.firmware(), bench.left.get("transfers"), bench.left.get("programmed"));
+            assert!(before == after, "{late}: nothing was sent to 0x0b");
+            assert_eq!(bench.normal.get("programmed").as_deref(), Some("0"), "{late}");
+        }
+        // Without it the same gauge is brought back.
+        let bench = Bench::new();
+        bench.rescue(&bench.left).expect("it is alone");
+        assert_eq!(bench.left.get("mode").as_deref(), Some("normal"));
+        assert!(
+            bench.left.firmware().expect("a boot loader").1
+                == content(Chip::by_name(CHIP).expect("a chip")).1
+        );
+    }
 }

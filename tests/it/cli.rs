@@ -452,9 +452,11 @@ fn an_import_excludes_groups_and_is_all_or_nothing() {
     assert_eq!(some, all);
     write("[it-cfg]\ncell-terminate-voltage = 3100\nra-filter = 2000\n");
     gaugefs(&["import", &gauge, &file]).failed(&[&file, "line "]);
-    // Only the daemon knows which reserved bits the gauge has set.
+    // Only the daemon knows which bits the gauge has set that must not change. These have names: they are asked for.
+    write("[it-cfg]\ncell-terminate-voltage = 3100\n[registers]\nled-comm-configuration = 0x04\n");
+    gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "LED_Comm Configuration", "HDQ"]);
     write("[it-cfg]\ncell-terminate-voltage = 3100\n[registers]\npack-configuration = 0xffff\n");
-    gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "Pack Configuration"]);
+    gaugefs(&["import", &gauge, &file]).failed(&[&gauge, "Pack Configuration", "external divider"]);
     gaugefs(&["import", &gauge, "tests/it/images/pack.toml"]).failed(&["pack.toml", "bq27441-G1"]);
     assert_eq!(all_of(&gauge), before);
     write("[it-cfg]\ncell-terminate-voltage = 3100\n[configuration-data]\nserial-number = 7\n");

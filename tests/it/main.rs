@@ -11,11 +11,13 @@ mod model;
 mod mount;
 mod others;
 mod over;
+mod production;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
 mod romimage;
+mod roundtrip;
 mod scratch;
 mod semantics;
 mod service;

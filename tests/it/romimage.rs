@@ -168,6 +168,45 @@ fn an_image_for_rom_mode_is_imported_in_normal_mode() {
     });
 }
 
+/// Images of real packs have 0 in bits that the manual reserves and prints as 1. That does not keep the rest of such an
+/// image from being written.
+#[test]
+fn reserved_bits_of_an_image_do_not_refuse_it() {
+    all_parts(|part| {
+        let (chip, firmware, subclasses, _) = part;
+        let folder = Folder::new();
+        let (at, image) = (folder.file("m"), folder.file("golden.df.fs"));
+        gaugefs(&["mount", "--sim", chip, &at]).done();
+        let gauge = format!("{at}/BAT0");
+        let mut flash = data_flash(&gauge, part);
+        let place = |id: u8| subclasses.iter().find(|row| row.0 == id).expect("a subclass").1;
+        // [RSVD] of bits 6 and 4, and [LFPRelax], which has a name.
+        flash[place(64) + 2] &= !0x54;
+        flash[place(80) + 53..place(80) + 55].copy_from_slice(&3100u16.to_be_bytes());
+        fs::write(&image, file(&flash, firmware, 2)).expect("a file");
+        let old = read(&gauge, "df/64/2");
+        let import = ["import", "--same-chemistry", &gauge, &image, "--exclude"];
+        let written = gaugefs(&[&import[..], &["keys,learned"]].concat());
+        assert_eq!(written.code, Some(3), "{}", written.err);
+        let lines: Vec<&str> = written.out.lines().collect();
+        assert!(lines.contains(&"it-cfg/cell-terminate-voltage: 3000 -> 3100 mV"), "{lines:?}");
+        assert!(lines.len() == 2 && written.out.contains("pack-configuration-b: "), "{lines:?}");
+        let says = format!("differs from the gauge's {old} in bits 0x50, which stay as they are");
+        assert!(written.err.contains(&says), "{}", written.err);
+        let word = |text: &str| u8::from_str_radix(text.trim_start_matches("0x"), 16).expect("a byte");
+        assert_eq!(word(&read(&gauge, "df/64/2")), word(&old) & !0x04, "only the bit with a name is new");
+        assert_eq!(read(&gauge, "df/80/53"), "3100");
+        let accepted = gaugefs(&[&import[..], &["keys,learned,undocumented"]].concat());
+        assert_eq!((accepted.code, accepted.out.as_str()), (Some(0), ""), "{}", accepted.err);
+        // A comparison shows the bits, unless it is told not to.
+        let shown = gaugefs(&["diff", &gauge, &image, "--exclude", "keys,learned"]);
+        assert!(shown.code == Some(1) && shown.out.lines().count() == 1, "{}", shown.out);
+        let excluded = gaugefs(&["diff", &gauge, &image, "--exclude", "keys,learned,undocumented"]);
+        assert_eq!((excluded.code, excluded.out.as_str()), (Some(0), ""), "{}", excluded.err);
+        gaugefs(&["umount", &at]).done();
+    });
+}
+
 #[test]
 fn an_image_of_the_other_part_or_with_firmware_is_refused() {
     all_parts(|part| {

@@ -512,12 +512,21 @@ impl Task<'_> {
         let target = Target { role: Role::VoltageNow, wanted: voltage_mv.unwrap_or(read.mean), spread };
         match self.write(target, read, &new, false) {
             Ok(done) => Ok(format!("flash can be written; limit {} is {ok} mV; {done}", Place::from(limit))),
-            Err(error) if matches!(error.cause(), Cause::StateUnknown(_)) => Err(error),
-            Err(error) => Ok(format!(
-                "flash can be written; {first}; but limit {} stays 0, with which flash is open at any voltage, and the \
-                 divider as given: {error}",
-                Place::from(limit)
-            )),
+            Err(error) => {
+                // The first transaction stays: with it the gauge measures its pack, which can be charged now.
+                let left = match error.cause() {
+                    Cause::StateUnknown(_) => "limit and divider are unknown".to_string(),
+                    _ => format!(
+                        "its limit stays 0, with which it is open at any voltage, and the divider {divider} mV"
+                    ),
+                };
+                let why = format!(
+                    "not complete: {first}, and flash can be written, but {left}: {error}; run the same command again, \
+                     or write a limit of your own to df/{}",
+                    Place::from(limit)
+                );
+                Err(Error::new(chip.model, Cause::StateUnknown(why)))
+            }
         }
     }
 }

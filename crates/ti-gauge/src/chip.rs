@@ -65,7 +65,7 @@ pub struct Chip {
     pub identity: Identity,
     /// How a firmware file of the part is recognised, for a gauge that is left in ROM mode; `None` where no source shows
     /// a whole one.
-    pub rom: Option<Rom>,
+    pub firmware_file: Option<FirmwareFile>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
     /// Standard commands, by address.
@@ -171,10 +171,10 @@ pub struct RomImage {
     pub chemistry_sum: u16,
 }
 
-/// The Device Name in the data flash of a firmware file. Only that and the version of the firmware show which part a
+/// A file with the whole firmware, by the Device Name in its data flash. Only that and the version of the firmware show which part a
 /// file is for.
 #[derive(Debug)]
-pub struct Rom {
+pub struct FirmwareFile {
     /// Index of its length byte in the 32 rows.
     pub name: usize,
     /// What TI's files have there. A user may have changed it.

@@ -6,7 +6,7 @@
 use std::fmt;
 use std::path::Path;
 
-use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Subclass, kebab_case};
+use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass, kebab_case};
 use crate::codec;
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
@@ -404,6 +404,32 @@ impl Image {
             }
         }
         Ok(image)
+    }
+
+    /// Gives reserved bits of this file the values that a gauge has: no document says what they do, and a gauge may
+    /// hold others than the manual prints. What the file has in them is left out.
+    pub fn keep_reserved(&mut self, gauge: &Image) {
+        for entry in &mut self.entries {
+            let Some(Safe::Keep(mask, why)) = entry.parameter.safe else { continue };
+            // A bit with a name has a meaning that the file asks for: that is refused.
+            let named = entry.parameter.bits.iter().fold(0, |all, bit| all | u32::from(bit.mask));
+            let mask = i64::from(mask & !named);
+            let there =
+                gauge.entries.iter().find(|there| there.is(entry)).map(|there| (there.text(), &there.value));
+            let (Some((stored, Value::Int(old))), Value::Int(new)) = (there, &entry.value) else { continue };
+            let differ = (old ^ new) & mask;
+            if differ == 0 {
+                continue;
+            }
+            let name = parameter_name(self.chip, entry.subclass, entry.parameter);
+            let text = format!(
+                "line {}: {name}: {} differs from the gauge's {stored} in bits 0x{differ:x}, which stay as they are: {why}",
+                entry.line,
+                entry.text(),
+            );
+            self.left_out.push(LeftOut { text, group: Some(Group::Undocumented) });
+            entry.value = Value::Int(new & !mask | old & mask);
+        }
     }
 
     /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
@@ -1026,6 +1052,25 @@ mod tests {
         assert!(changes.is_empty());
         assert_eq!(passed_over.len(), 1, "{passed_over:?}");
         assert!(passed_over[0].ends_with(": its address or range is unproven"), "{passed_over:?}");
+    }
+
+    /// Bits 6 and 4 of Pack Configuration B are reserved. Files of real packs have 0 in them, and the manual 1.
+    #[test]
+    fn reserved_bits_of_a_file_stay_as_the_gauge_has_them() {
+        let chip = chip("bq34z100-g1");
+        for (word, kept, left_out) in [(0xaf, 0xff, 1), (0xab, 0xfb, 1), (0x7f, 0x7f, 0), (0xff, 0xff, 0)] {
+            let (gauge, mut file) = (defaults(chip), defaults(chip));
+            let is_it = |entry: &&mut Entry| entry.parameter.name == "Pack Configuration B";
+            file.entries.iter_mut().find(is_it).expect("a row").value = Value::Int(word);
+            file.keep_reserved(&gauge);
+            let Changes { changes, passed_over } = gauge.changes(&file, &[], false).expect("one chip");
+            assert_eq!(passed_over.len(), left_out, "{word:x}: {passed_over:?}");
+            let written: Vec<_> = changes.iter().map(|change| change.new.value.clone()).collect();
+            let expected = if kept == 0xff { Vec::new() } else { vec![Value::Int(kept)] };
+            assert_eq!(written, expected, "{word:x}");
+            let excluded = gauge.changes(&file, &[Group::Undocumented], false).expect("one chip");
+            assert!(excluded.passed_over.is_empty(), "{word:x}: {:?}", excluded.passed_over);
+        }
     }
 
     #[test]

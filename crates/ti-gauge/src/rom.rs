@@ -17,7 +17,7 @@
 
 use std::time::Duration;
 
-use crate::chip::{Chip, Rom};
+use crate::chip::{Chip, FirmwareFile};
 use crate::error::{Cause, Error, Result};
 use crate::image::at_line;
 use crate::image::flashstream::{self, Command};
@@ -92,7 +92,7 @@ impl Firmware {
     /// Checks that a file is the whole firmware of a chip, and that it can be interrupted anywhere.
     pub fn parse(text: &str, chip: &'static Chip) -> Result<Self> {
         let refuse = |why: String| Error::new("", Cause::Invalid(why));
-        let Some(rom) = &chip.rom else {
+        let Some(known) = &chip.firmware_file else {
             return Err(refuse(format!(
                 "it is not known how a firmware file of the {} is recognised",
                 chip.model
@@ -153,7 +153,7 @@ impl Firmware {
                 chip.model
             )));
         }
-        let name = loader.name(rom, chip).map_err(refuse)?;
+        let name = loader.name(known, chip).map_err(refuse)?;
         Ok(Self { version, name, steps })
     }
 
@@ -499,10 +499,10 @@ impl Loader {
     }
 
     /// The Device Name, which must be one that the chip can have.
-    fn name(&self, rom: &Rom, chip: &Chip) -> Result<String, String> {
+    fn name(&self, known: &FirmwareFile, chip: &Chip) -> Result<String, String> {
         let data: Vec<u8> = self.data.iter().flat_map(|row| row.unwrap_or([0xff; DATA_ROW])).collect();
-        let length = usize::from(data[rom.name]);
-        let name = data.get(rom.name + 1..rom.name + 1 + length).unwrap_or(&[]);
+        let length = usize::from(data[known.name]);
+        let name = data.get(known.name + 1..known.name + 1 + length).unwrap_or(&[]);
         let is_text = (1..32).contains(&length) && name.iter().all(|byte| (b' '..=b'~').contains(byte));
         if !is_text {
             return Err(format!(
@@ -513,7 +513,7 @@ impl Loader {
         let name = printable(&String::from_utf8_lossy(name));
         // A name of the user's own tells nothing; one of TI's does.
         if name.to_lowercase().starts_with("bq")
-            && !rom.names.iter().any(|known| known.eq_ignore_ascii_case(&name))
+            && !known.names.iter().any(|one| one.eq_ignore_ascii_case(&name))
         {
             return Err(format!("it is for a {name}, not for a {}", chip.model));
         }

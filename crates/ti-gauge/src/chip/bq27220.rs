@@ -35,7 +35,7 @@ pub static CHIP: Chip = Chip {
     evidence: &[Evidence::Manual, Evidence::Drivers],
     // Every driver asks for this type. No source gives a firmware or hardware version.
     identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
-    rom: None,
+    firmware_file: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

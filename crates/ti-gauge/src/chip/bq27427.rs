@@ -39,7 +39,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x00,
     },
-    rom: None,
+    firmware_file: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

@@ -35,7 +35,7 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[0x48, G1B],
         answer: 0x00,
     },
-    rom: None,
+    firmware_file: None,
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

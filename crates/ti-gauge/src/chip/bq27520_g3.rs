@@ -39,7 +39,7 @@ pub static CHIP: Chip = Chip {
         answer: 0x00,
     },
     // bq_bqfs_g3.h of github.com/pelotoncycle/opensource-quartz (firmware 3.24, whole).
-    rom: Some(super::Rom { name: 670, names: &["bq27520"] }),
+    firmware_file: Some(super::FirmwareFile { name: 670, names: &["bq27520"] }),
     technology: "Li-ion",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

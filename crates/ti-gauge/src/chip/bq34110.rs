@@ -34,7 +34,7 @@ pub static CHIP: Chip = Chip {
     evidence: &[Evidence::Drivers, Evidence::Transcript],
     // All drivers; nobody tells a firmware or hardware version.
     identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
-    rom: None,
+    firmware_file: None,
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

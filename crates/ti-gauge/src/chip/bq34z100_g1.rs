@@ -34,7 +34,7 @@ pub static CHIP: Chip = Chip {
         answer: 0x00,
     },
     // bq34z100_dffs.h of github.com/tibms/kernel-4.4 (firmware 0.16).
-    rom: Some(super::Rom { name: 633, names: &["bq34z100-G1"] }),
+    firmware_file: Some(super::FirmwareFile { name: 633, names: &["bq34z100-G1"] }),
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

@@ -37,7 +37,7 @@ pub static CHIP: Chip = Chip {
         answer: 0x00,
     },
     // BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files (firmware 2.02, all 512 rows).
-    rom: Some(super::Rom { name: 640, names: &["bq34z100-G1"] }),
+    firmware_file: Some(super::FirmwareFile { name: 640, names: &["bq34z100-G1"] }),
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

@@ -40,8 +40,8 @@ pub static CHIP: Chip = Chip {
         dm_codes: &[],
         answer: 0x40,
     },
+    firmware_file: None,
     // Li-MnO2 and Li-SOCl2 are primary cells, for which the kernel has no name.
-    rom: None,
     technology: "Unknown",
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,

@@ -157,7 +157,7 @@ const fn gauge(
         documents: &["Linux 6.12, bq27xxx_battery.c"],
         evidence: &[Evidence::Drivers, Evidence::Kernel],
         identity: Identity::NONE,
-        rom: None,
+        firmware_file: None,
         technology: "Li-ion",
         registers,
         subcommands: &[],

@@ -211,6 +211,40 @@ fn a_new_board_gets_its_old_values_back_if_the_voltage_is_wrong() {
     rig.write(80, 53, "3100").expect("flash is open");
 }
 
+/// The second transaction of a bring-up, which sets the limit, is put back: that is no success, and the same command
+/// completes it.
+#[test]
+fn regression_a_bring_up_without_its_limit_was_a_success() {
+    for (knob, text, undone) in
+        [("fault", "corrupt-commit", true), ("noise_mv", "1000", true), ("fault", "torn-commit 1", false)]
+    {
+        let case = Case { chip: "bq34z100-g1", knobs: NEW_BOARD, job: BRING_UP, found: Seal::Sealed };
+        let mut rig = case.rig();
+        let sim = rig.sim.clone();
+        let mut tell = |step: &str| {
+            if step.starts_with("writing") {
+                sim.set(knob, text).expect("a knob");
+            }
+        };
+        let outcome = run(&mut rig.dataflash, &mut rig.gauge, &BRING_UP, Duration::ZERO, &mut tell);
+        let error = outcome.expect_err("the limit is not set");
+        let says = error.to_string();
+        assert_eq!(cause(&error), "StateUnknown", "{says}");
+        assert!(says.contains("not complete") && says.contains("run the same command again"), "{says}");
+        assert_eq!(says.contains("its limit stays 0"), undone, "{says}");
+        if !undone {
+            continue;
+        }
+        rig.sim.set(knob, if knob == "fault" { "none" } else { "0" }).expect("a knob");
+        assert_eq!(rig.read(68, 0), Ok(vec![0, 0]));
+        rig.write(80, 53, "3100").expect("flash is open");
+        let done = case.run(&mut rig).unwrap_or_else(|error| panic!("{knob}: {error}"));
+        assert!(done.contains("limit 68/0 is 29"), "{done}");
+        assert_ne!(rig.read(68, 0), Ok(vec![0, 0]));
+        assert_eq!(rig.seal(), Seal::Sealed);
+    }
+}
+
 #[test]
 fn a_gauge_that_a_dead_host_has_left_in_calibration_mode_is_led_out() {
     for found in [Seal::Sealed, Seal::Unsealed] {
@@ -273,7 +307,12 @@ fn a_fault_at_any_transfer_of_a_calibration_causes_no_false_success() {
             let name = outcome.as_ref().map_or_else(cause, |_| "success");
             *counts.entry(name).or_insert(0) += 1;
             match name {
-                "success" => assert!(flash != old && others, "{at}: success is false: {outcome:?}"),
+                "success" => {
+                    assert!(flash != old && others, "{at}: success is false: {outcome:?}");
+                    let is_open =
+                        matches!(case.job, Job::BringUp { .. }) && rig.read(68, 0) == Ok(vec![0, 0]);
+                    assert!(!is_open, "{at}: without its limit: {outcome:?}");
+                }
                 "StateUnknown" => {}
                 _ => assert!(is_as(&flash, &old), "{at}: {outcome:?}, but data flash has changed"),
             }

@@ -5,6 +5,7 @@ mod calibration;
 mod defaults;
 mod ensemble;
 mod faults;
+mod firmware;
 mod gate;
 mod gauge;
 mod journal;
