@@ -195,6 +195,32 @@ fn production_by_hand_is_as_printed() {
     assert!(ran > 30, "{ran} commands");
 }
 
+/// The text of all sources in a folder, without the ends of lines that a long string is broken at.
+fn sources(folder: &Path) -> String {
+    let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    entries
+        .map(
+            |path| if path.is_dir() { sources(&path) } else { fs::read_to_string(&path).unwrap_or_default() },
+        )
+        .map(|text| text.split("\\\n").map(str::trim_start).collect::<String>())
+        .collect()
+}
+
+#[test]
+fn what_can_go_wrong_is_said_so() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = sources(&root.join("src")) + &sources(&root.join("crates/ti-gauge/src"));
+    let section = TEXT.split_once("\n### What can go wrong\n").expect("the section is there").1;
+    let rows: Vec<&str> = section.lines().filter(|line| line.starts_with("| `")).collect();
+    assert!(rows.len() > 6, "{rows:?}");
+    for row in rows {
+        let cell = row.split('|').nth(1).expect("a cell");
+        for part in cell.split('`').nth(1).expect("a text").split("...") {
+            assert!(text.contains(part.trim()), "no message has `{part}`: {row}");
+        }
+    }
+}
+
 #[test]
 fn a_document_that_is_wrong_is_noticed() {
     let shown = "2026-11-22T13:02:36Z: Current(): -2060.0 mA\n(8 readings), 10 to 12; 0x0107\n";

@@ -2,8 +2,9 @@
 
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
-use super::{CHIP, Folder, can_mount, gaugefs, read};
+use super::{CHIP, Folder, can_mount, gaugefs, read, within};
 
 #[test]
 fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
@@ -45,5 +46,41 @@ fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
 
     gaugefs(&["mount", "--sim", "bq27441-g1", &at]).done();
     gaugefs(&["calibrate", &gauge, "board-offset"]).failed(&["calibration is documented"]);
+    gaugefs(&["umount", &at]).done();
+}
+
+/// The voltage becomes noisy while the second transaction is measured, so that it is put back and the limit stays 0.
+#[test]
+fn a_bring_up_that_is_not_complete_fails_and_the_same_command_completes_it() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let gauge = format!("{at}/BAT0");
+    let set = |knob: &str, text: &str| fs::write(format!("{gauge}/sim/{knob}"), text).expect("a knob");
+    gaugefs(&["mount", "--sim", CHIP, "--state-dir", &folder.file("state"), &at]).done();
+    set("cells", "7");
+    set("board_divider", "33000");
+    let bring_up = ["bringup", &gauge, "--cells", "7", "--divider", "33000", "--voltage-now", "26985"];
+    let refused = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let is_measured = || read(&gauge, "gauge/calibration").contains("and measuring again");
+            within(Duration::from_secs(60), "the second transaction", is_measured);
+            set("noise_mv", "1000");
+        });
+        gaugefs(&bring_up)
+    });
+    assert_eq!(refused.code, Some(1), "{}{}", refused.out, refused.err);
+    for says in
+        ["not complete", "its limit stays 0", "the old value was restored", "run the same command again"]
+    {
+        assert!(refused.err.contains(says), "{says}: {}", refused.err);
+    }
+    assert_eq!((read(&gauge, "df/68/0"), read(&gauge, "df/104/14")), ("0".into(), "33000".into()));
+    set("noise_mv", "0");
+    let told = gaugefs(&bring_up).done();
+    assert!(told.contains("limit 68/0 is 2970 mV"), "{told}");
+    assert_eq!((read(&gauge, "df/68/0"), read(&gauge, "gauge/seal")), ("2970".into(), "sealed".into()));
     gaugefs(&["umount", &at]).done();
 }
