@@ -9,6 +9,7 @@ mod keys;
 mod manual;
 mod model;
 mod mount;
+mod ordinary;
 mod others;
 mod over;
 mod report;
