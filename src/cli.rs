@@ -38,7 +38,8 @@ Examples:
   gaugefs umount /tmp/gauges
 
   gaugefs probe --bus /dev/i2c-1                  scan a bus for gauges
-  gaugefs mount --bus /dev/i2c-1 /run/gauges      mount the gauge on it";
+  gaugefs mount --bus /dev/i2c-1 ~/gauges         mount the gauge on it, for you alone
+  sudo gaugefs mount --bus /dev/i2c-1 /run/gauges     for all users to read";
 
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
 #[derive(Debug, Parser)]
@@ -125,9 +126,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
-            let text = error.to_string();
-            let text = text.strip_prefix("error: ").map_or(text.clone(), |text| format!("gaugefs: {text}"));
-            eprint!("{text}");
+            eprint!("{}", reworded(&error.to_string()));
             return ExitCode::from(2);
         }
         Err(help) => {
@@ -139,6 +138,22 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         eprintln!("gaugefs: {error}");
         ExitCode::FAILURE
     })
+}
+
+/// What clap says of a misuse, as gaugefs says it. Its advice to put `--` before an unknown option is left out: nothing
+/// here takes one as a value. Of a list that is too long to be read, what it suggests is left, and where the list is.
+fn reworded(text: &str) -> String {
+    const LONGEST: usize = 200;
+    let text =
+        text.strip_prefix("error: ").map_or_else(|| text.to_string(), |text| format!("gaugefs: {text}"));
+    let kept = text.split("\n\n").filter(|part| !part.starts_with("  tip: to pass '"));
+    let lines = kept.collect::<Vec<_>>().join("\n\n");
+    let is_long = |line: &str| line.starts_with("  [possible values: bq") && line.len() > LONGEST;
+    let lines = lines.split_inclusive('\n').map(|line| match is_long(line) {
+        true => "  `gaugefs chips` lists the chips\n",
+        false => line,
+    });
+    lines.collect()
 }
 
 /// Prints to standard output. A closed pipe is not an error: the reader has what it wanted.

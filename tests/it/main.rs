@@ -7,6 +7,7 @@ mod ends;
 mod input;
 mod keys;
 mod manual;
+mod messages;
 mod model;
 mod mount;
 mod ordinary;
