@@ -13,6 +13,8 @@ mod mount;
 mod ordinary;
 mod others;
 mod over;
+mod packaging;
+mod readme;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
