@@ -123,10 +123,15 @@ impl Command {
 
 /// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let cli = match Cli::try_parse_from(arguments) {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
-            eprint!("{}", reworded(&error.to_string()));
+            let bus = bare_bus(&arguments);
+            let tip = bus.map_or_else(String::new, |bus| {
+                format!("  tip: a bus is given with an option: --bus {bus}\n\n")
+            });
+            eprint!("{}", reworded(&error.to_string()).replacen("Usage: ", &format!("{tip}Usage: "), 1));
             return ExitCode::from(2);
         }
         Err(help) => {
@@ -154,6 +159,13 @@ fn reworded(text: &str) -> String {
         false => line,
     });
     lines.collect()
+}
+
+/// A bus among the arguments that is not the value of an option.
+fn bare_bus(arguments: &[OsString]) -> Option<&str> {
+    let pairs = arguments.windows(2).filter_map(|pair| Some((pair[0].to_str()?, pair[1].to_str()?)));
+    let mut bare = pairs.filter(|(before, _)| !before.starts_with("--")).map(|(_, bus)| bus);
+    bare.find(|bus| bus.starts_with("/dev/i2c-"))
 }
 
 /// Prints to standard output. A closed pipe is not an error: the reader has what it wanted.

@@ -173,6 +173,8 @@ fn misuse_has_exit_code_2() {
             "mount --sim bq34z100-g1 --sim-key 0414 /tmp/x",
             "mount --sim bq34z100-g1 --energy-scale 0 /tmp/x",
             "mount --sim bq34z100-g1 --group no-such-group /tmp/x",
+            "mount /dev/i2c-1 /tmp/x",
+            "probe /dev/i2c-1",
             "mount --sim bq34z10-g1 /tmp/x",
             "mount --sim bq34z100-g1 -x /tmp/x",
             "mount --sim bq34z100-g1 /tmp/x /tmp/y",

@@ -138,6 +138,23 @@ user "$gaugefs" mount --config gauges.toml --check; echo "=> $?"
 }
 
 #[test]
+fn a_bus_without_permission_is_on_the_list_of_a_check() {
+    let folder = Folder::new();
+    let commands = r#"
+mknod -m 600 ../i2c-250 c 89 250
+printf '[mount]\nmountpoint = "gauges"\n[[gauge]]\nname = "PACK"\nbus = "../i2c-250"\n' > gauges.toml
+user "$gaugefs" mount --config gauges.toml --check; echo "=> $?"
+"#;
+    let Some(said) = script(&folder, commands) else { return };
+    let refusals: Vec<_> = said.lines().filter(|line| line.starts_with("gaugefs: ")).collect();
+    assert!(
+        matches!(refusals[..], [one] if one.contains("PACK: ") && one.contains("no permission")),
+        "{said}"
+    );
+    assert!(said.contains("\n=> 1\n"), "{said}");
+}
+
+#[test]
 fn the_mount_of_another_user_is_not_unmounted_and_its_owner_is_named() {
     let folder = Folder::new();
     let commands = r#"
