@@ -18,6 +18,7 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::look::{self, Found, Look};
+use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
@@ -254,7 +255,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
     let subject = path.display().to_string();
-    let mut command = Command::new("fusermount3");
+    let mut command = Command::new(preflight::helper().unwrap_or_else(|| "fusermount3".into()));
     command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
     let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)

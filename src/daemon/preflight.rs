@@ -2,7 +2,9 @@
 //! `gaugefs mount --check` also looks at what each gauge needs, and lists all of it.
 
 use std::env;
+use std::ffi::OsStr;
 use std::fs::{self, File};
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,13 +29,13 @@ const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
 /// What prevents a mount whatever its gauges are.
 pub(super) fn mount(options: &MountOptions) -> Result<()> {
     group(options)?;
-    helper()
+    can_mount()
 }
 
 /// Everything that a setup would stumble over. Nothing is mounted, written or sent on a bus.
 pub(crate) fn check(setup: &Setup, names: &[String]) -> Vec<Error> {
     let MountOptions { log, state_dir, .. } = &setup.mount;
-    let needs = [group(&setup.mount), device(), helper()];
+    let needs = [group(&setup.mount), device(), can_mount()];
     let mut found: Vec<Error> = needs.into_iter().filter_map(Result::err).collect();
     found.extend(mountpoint::check(setup.mountpoint()).err());
     found.extend(log.iter().filter_map(|path| can_be_written(path).err()));
@@ -59,16 +61,23 @@ pub(super) fn device() -> Result<()> {
     Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.cause())))
 }
 
-/// Users other than root mount with the help of a program.
-fn helper() -> Result<()> {
-    let named = env::var_os("FUSERMOUNT_PATH").map(PathBuf::from);
+/// The program that mounts and unmounts for users other than root.
+pub(super) fn helper() -> Option<PathBuf> {
     let path = env::var_os("PATH").unwrap_or_default();
-    let folders = || env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]);
-    let is_there = match named {
-        Some(named) => named.exists(),
-        None => folders().any(|folder| HELPERS.iter().any(|name| folder.join(name).exists())),
-    };
-    if is_there || geteuid().is_root() {
+    let folders: Vec<_> = env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]).collect();
+    // A name with a slash is taken as it is.
+    let find = |name: &OsStr| folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
+    match env::var_os("FUSERMOUNT_PATH") {
+        Some(name) if name.as_bytes().contains(&b'/') => {
+            Some(name.into()).filter(|path: &PathBuf| path.is_file())
+        }
+        Some(name) => find(&name),
+        None => HELPERS.iter().find_map(|name| find(OsStr::new(name))),
+    }
+}
+
+fn can_mount() -> Result<()> {
+    if geteuid().is_root() || helper().is_some() {
         return Ok(());
     }
     let why = "not found, and only root can mount without it; install the package fuse3 (sudo apt-get install fuse3), or \

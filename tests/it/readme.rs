@@ -155,6 +155,15 @@ fn each_figure_has_a_measurement() {
     };
     let missing: Vec<_> = figures.iter().filter(|row| !is_measured(row)).collect();
     assert!(missing.is_empty(), "{missing:?} are not measured");
+    // Figures that are limits or constants of the measurements.
+    for (figure, constant) in [
+        ("3 transfers, 43 bytes", "const POLL: Cost = Cost::of(3, 43);"),
+        ("16 transfers, 79 bytes", "(\"bq34z100-g1\", Cost::of(16, 79))"),
+        ("below 6 MiB", "const MEMORY_MIB: f64 = 6.0;"),
+    ] {
+        let is_told = figures.iter().any(|row| row.iter().any(|cell| cell.contains(figure)));
+        assert!(is_told && sources.iter().any(|source| source.contains(constant)), "{figure}");
+    }
 }
 
 /// An example that mounts where only root may says so.
