@@ -197,7 +197,9 @@ fn trouble(root: &Path, error: &io::Error) -> String {
             let mount = mountpoint::of(root);
             mounted::died(mount.as_deref().unwrap_or(root).display())
         }
-        None | Some(Errno::ENOENT) => "not mounted".into(),
+        None | Some(Errno::ENOENT) => {
+            "not mounted; give the folder of a mounted gauge, or its mount point".into()
+        }
         Some(errno) => errno.desc().to_string(),
     }
 }

@@ -91,6 +91,7 @@ const ACTIONS: &[&str] = &[
     "gaugefs settle d/BAT0",
     "gaugefs report d/BAT0",
     "gaugefs top --json --count 1 d/BAT0",
+    "gaugefs top --json --count 1 none",
     "gaugefs log d/BAT0 --count 1",
     // A file.
     "gaugefs lint none.toml",
