@@ -38,7 +38,8 @@ Examples:
   gaugefs umount /tmp/gauges
 
   gaugefs probe --bus /dev/i2c-1                  scan a bus for gauges
-  gaugefs mount --bus /dev/i2c-1 /run/gauges      mount the gauge on it";
+  gaugefs mount --bus /dev/i2c-1 ~/gauges         mount the gauge on it, for you alone
+  sudo gaugefs mount --bus /dev/i2c-1 /run/gauges     for all users to read";
 
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
 #[derive(Debug, Parser)]
@@ -122,12 +123,15 @@ impl Command {
 
 /// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let cli = match Cli::try_parse_from(arguments) {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
-            let text = error.to_string();
-            let text = text.strip_prefix("error: ").map_or(text.clone(), |text| format!("gaugefs: {text}"));
-            eprint!("{text}");
+            let bus = bare_bus(&arguments);
+            let tip = bus.map_or_else(String::new, |bus| {
+                format!("  tip: a bus is given with an option: --bus {bus}\n\n")
+            });
+            eprint!("{}", reworded(&error.to_string()).replacen("Usage: ", &format!("{tip}Usage: "), 1));
             return ExitCode::from(2);
         }
         Err(help) => {
@@ -139,6 +143,29 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         eprintln!("gaugefs: {error}");
         ExitCode::FAILURE
     })
+}
+
+/// What clap says of a misuse, as gaugefs says it. Its advice to put `--` before an unknown option is left out: nothing
+/// here takes one as a value. Of a list that is too long to be read, what it suggests is left, and where the list is.
+fn reworded(text: &str) -> String {
+    const LONGEST: usize = 200;
+    let text =
+        text.strip_prefix("error: ").map_or_else(|| text.to_string(), |text| format!("gaugefs: {text}"));
+    let kept = text.split("\n\n").filter(|part| !part.starts_with("  tip: to pass '"));
+    let lines = kept.collect::<Vec<_>>().join("\n\n");
+    let is_long = |line: &str| line.starts_with("  [possible values: bq") && line.len() > LONGEST;
+    let lines = lines.split_inclusive('\n').map(|line| match is_long(line) {
+        true => "  `gaugefs chips` lists the chips\n",
+        false => line,
+    });
+    lines.collect()
+}
+
+/// A bus among the arguments that is not the value of an option.
+fn bare_bus(arguments: &[OsString]) -> Option<&str> {
+    let pairs = arguments.windows(2).filter_map(|pair| Some((pair[0].to_str()?, pair[1].to_str()?)));
+    let mut bare = pairs.filter(|(before, _)| !before.starts_with("--")).map(|(_, bus)| bus);
+    bare.find(|bus| bus.starts_with("/dev/i2c-"))
 }
 
 /// Prints to standard output. A closed pipe is not an error: the reader has what it wanted.

@@ -164,10 +164,11 @@ pub(crate) struct MountOptions {
     /// Refuse every write
     #[arg(long, help_heading = "Access")]
     pub(crate) read_only: bool,
-    /// Deny other users access to the mount; always so without root
+    /// Deny other users access to the mount; always so without root, unless there is a --group
     #[arg(long, help_heading = "Access")]
     pub(crate) private: bool,
-    /// Let this group read and write data flash, besides the owner
+    /// Let this group read and write data flash, besides the owner; without root, a group of yours,
+    /// and /etc/fuse.conf must have user_allow_other
     #[arg(long, value_name = "GROUP", value_parser = values::group, help_heading = "Access")]
     #[serde(deserialize_with = "from_toml::group")]
     pub(crate) group: Option<u32>,

@@ -19,6 +19,7 @@ pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
 pub mod node;
+pub(crate) mod preflight;
 mod report;
 pub mod service;
 mod shutdown;
@@ -54,7 +55,10 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
 
     let (mountpoint, device) = match mode {
         Mode::Service => (setup.mountpoint().to_path_buf(), Some(service::device()?)),
-        Mode::Background | Mode::Foreground => (mountpoint::prepare(setup.mountpoint())?, None),
+        Mode::Background | Mode::Foreground => {
+            preflight::mount(&setup.mount)?;
+            (mountpoint::prepare(setup.mountpoint())?, None)
+        }
     };
     let Setup { mount, gauges, configured } = setup;
     let covered = mountpoint::covered(&mountpoint)?;
@@ -101,7 +105,12 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
-    let how = fuse::Options { private: mount.private, read_only: mount.read_only, ..Default::default() };
+    let how = fuse::Options {
+        private: mount.private,
+        shared: mount.group.is_some(),
+        read_only: mount.read_only,
+        ..Default::default()
+    };
     let mounted = match device {
         Some(device) => {
             // Its mount is the answer.
@@ -112,6 +121,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             mounted
         }
         None => {
+            preflight::device()?;
             mountpoint::make(&mountpoint)?;
             let mounted = fuse::mount(tree, &mountpoint, how, signal)?;
             shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));

@@ -39,6 +39,8 @@ pub use notify::Announcer;
 pub struct Options {
     /// Only the mount's owner has access.
     pub private: bool,
+    /// Others have access, although an ordinary user mounts; see `daemon::preflight`.
+    pub shared: bool,
     /// Every write is refused.
     pub read_only: bool,
     /// The kernel keeps no names of files, as before Linux 6.16.
@@ -96,7 +98,7 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
         config.mount_options.push(MountOption::RO);
     }
     // The kernel refuses this option to ordinary users unless the administrator allows it.
-    if nix::unistd::geteuid().is_root() && !options.private {
+    if (nix::unistd::geteuid().is_root() || options.shared) && !options.private {
         config.acl = SessionACL::All;
     }
     start(fs, options, signal, |adapter| {

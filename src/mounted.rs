@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Word, snake_case};
@@ -10,12 +10,78 @@ use ti_gauge::dataflash::Place;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
-use crate::error::{Cause, Error, Result};
+use crate::daemon::mountpoint;
+use crate::error::{Cause, Error, Result, shown};
+
+/// What all commands that take a gauge say of a path that is none.
+const NO_GAUGE: &str = "not a mounted gauge";
+
+/// The error about a path that is not the folder of a mounted gauge: what it is, and which path to give.
+pub(crate) fn not_a_gauge(path: &Path) -> Error {
+    let why = match mountpoint::of(path) {
+        Some(mount) if mountpoint::is_dead(&mount) => {
+            let mount = shown(&mount);
+            return Error::host(path.display().to_string(), Errno::ENOTCONN, died(&mount));
+        }
+        Some(mount) => {
+            let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+            let is_gauge = |path: &PathBuf| path.join("uevent").exists() && path.join("gauge").exists();
+            let inside =
+                || whole.ancestors().skip(1).filter(|above| above.starts_with(&mount)).map(Path::to_path_buf);
+            let all = || fs::read_dir(&mount).into_iter().flatten().flatten().map(|entry| entry.path());
+            let what = if whole == mount { "the mount point of" } else { "inside the mount of" };
+            match inside().find(is_gauge).or_else(|| all().filter(is_gauge).min()) {
+                Some(gauge) => {
+                    format!("it is {what} gauges; give the folder of one, such as {}", shown(&gauge))
+                }
+                None => format!("the mount at {} shows none that may be read", shown(&mount)),
+            }
+        }
+        None if path.is_file() => "it is a file; give the folder of one, such as /run/gauges/BAT0".into(),
+        None => {
+            const SHOWN: usize = 3;
+            let is_there = if path.exists() { "no gaugefs is mounted there" } else { "it does not exist" };
+            let places: Vec<String> = mountpoint::list().iter().map(|place| shown(place)).collect();
+            match &*places {
+                [] => format!("{is_there}, nor is one mounted anywhere; mount a gauge with: gaugefs mount"),
+                [first, ..] => {
+                    let some = places.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+                    let more = match places.len().saturating_sub(SHOWN) {
+                        0 => String::new(),
+                        more => format!(" and {more} more places"),
+                    };
+                    format!(
+                        "{is_there}; gauges are mounted at {some}{more}: give the folder of one, such as {first}/BAT0"
+                    )
+                }
+            }
+        }
+    };
+    Error::host(path.display().to_string(), Errno::ENOENT, format!("{NO_GAUGE}: {why}"))
+}
+
+/// What to do about a mount whose daemon is gone.
+pub(crate) fn died(mount: impl std::fmt::Display) -> String {
+    format!("its daemon has died; remove the mount with: gaugefs umount {mount}")
+}
+
+/// Makes sure that a path is the folder of a gauge, and that its part has a file, without which it has no `what`.
+pub(crate) fn has(gauge: &Path, file: &str, what: &str) -> Result<()> {
+    match fs::symlink_metadata(gauge.join(file)) {
+        Ok(_) => Ok(()),
+        Err(_) if !gauge.join("uevent").exists() => Err(not_a_gauge(gauge)),
+        Err(_) => {
+            let why =
+                format!("gaugefs knows no {what} of this part; `gaugefs chips` lists what works on each");
+            Err(Error::host(gauge.display().to_string(), Errno::ENOENT, why))
+        }
+    }
+}
 
 /// Reads a mounted gauge as it is now, or a file of any format. `chip` is what a file is for where it does not say
 /// so itself. An image that holds firmware as well is refused, unless only its data flash is asked for.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-    if path.is_dir() {
+    if path.is_dir() || mountpoint::of(path).is_some() {
         return now(path);
     }
     let image = Image::open(path, chip)?;
@@ -25,11 +91,8 @@ pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -
 
 /// The chip of a mounted gauge, without reading its data flash.
 pub(crate) fn chip(gauge: &Path) -> Result<&'static Chip> {
-    let name = gauge.display().to_string();
-    if !gauge.is_dir() {
-        return Err(Error::host(name, Errno::ENOTDIR, "not a mounted gauge's folder"));
-    }
-    part(gauge).map_err(|error| error.within(&name))
+    has(gauge, "df/index", "data flash")?;
+    part(gauge).map_err(|error| error.within(&gauge.display().to_string()))
 }
 
 /// Polls a mounted gauge and reads its configuration anew.
@@ -49,8 +112,9 @@ pub(crate) fn poll(gauge: &Path) -> Result<()> {
             String::new()
         }
         Err(error) => match error.raw_os_error().map(Errno::from_raw) {
-            // Every caller then reads or writes another file of the gauge, and explains that it is not there.
-            Some(Errno::ENOENT | Errno::ENOTDIR) => return Ok(()),
+            Some(Errno::ENOENT | Errno::ENOTDIR | Errno::ENOTCONN | Errno::ECONNABORTED) => {
+                return Err(not_a_gauge(gauge));
+            }
             Some(errno @ (Errno::EACCES | Errno::EPERM | Errno::EROFS)) => {
                 format!("; not polled now, and values may be as old: gauge/refresh: {}", errno.desc())
             }
@@ -94,13 +158,8 @@ fn word(text: &str) -> Option<u16> {
 
 /// The text of a file that every mounted gauge with data flash has.
 fn text(folder: &Path, name: &str) -> Result<String> {
-    fs::read_to_string(folder.join(name)).map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::ENOENT) => {
-            let why = "is not there; this is not a mounted gauge's folder with data flash";
-            Error::host(name, Errno::ENOENT, why)
-        }
-        _ => Error::io(name, "cannot be read; gauge/last_error says more", &error),
-    })
+    let failed = |error: io::Error| Error::io(name, "cannot be read; gauge/last_error says more", &error);
+    fs::read_to_string(folder.join(name)).map_err(failed)
 }
 
 fn part(folder: &Path) -> Result<&'static Chip> {

@@ -93,12 +93,8 @@ fn order(gauge: &Path) -> Result<Order> {
             Error::new(path.display().to_string(), Cause::Protocol("is not a byte order".into()))
         }),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            let why = if gauge.join("gauge/seal").exists() {
-                "gaugefs knows no authentication for this part"
-            } else {
-                "not a mounted gauge; give a folder such as /run/gauges/BAT0"
-            };
-            Err(Error::host(name, Errno::ENOENT, why))
+            mounted::has(gauge, "gauge/auth_order", "authentication")?;
+            Err(Error::io(name, "cannot read its byte order", &error))
         }
         Err(error) => Err(Error::io(path.display().to_string(), "cannot read it", &error)),
     }

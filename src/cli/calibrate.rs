@@ -9,10 +9,9 @@ use std::thread;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use nix::errno::Errno;
 
 use super::print;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::mounted;
 
 /// Time between two looks at the steps, which cause no bus traffic.
@@ -86,11 +85,7 @@ impl Calibrate {
 /// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them.
 pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
     let path = gauge.join("gauge/calibrate");
-    if !path.exists() {
-        let why =
-            "not a mounted gauge whose calibration is documented; give a folder such as /run/gauges/BAT0";
-        return Err(Error::host(gauge.display().to_string(), Errno::ENOENT, why));
-    }
+    mounted::has(gauge, "gauge/calibrate", "calibration")?;
     let file = gauge.join("gauge/calibration");
     let told = move || fs::read_to_string(&file).unwrap_or_default();
     let before = told();

@@ -9,7 +9,6 @@ use std::process::ExitCode;
 
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
-use nix::errno::Errno;
 use nix::sys::termios::{LocalFlags, SetArg, SpecialCharacterIndices, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
@@ -79,11 +78,7 @@ impl Change {
         let name = Name::ALL.into_iter().find(|name| name.as_str() == self.key);
         let name = name.expect("clap accepts only names of keys");
         let path = self.gauge.join("gauge/keys");
-        let subject = self.gauge.display().to_string();
-        if !path.exists() {
-            let why = "not a mounted gauge with keys; give a folder such as /run/gauges/BAT0";
-            return Err(Error::host(subject, Errno::ENOENT, why));
-        }
+        mounted::has(&self.gauge, "gauge/keys", "keys")?;
         mounted::poll(&self.gauge)?;
         let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);

@@ -7,17 +7,18 @@ use clap::{ArgGroup, Args};
 
 use super::{align, print};
 use crate::config::{GaugeOptions, MountOptions, Setup};
-use crate::daemon::{self, Mode, Source, background, mountpoint, service};
+use crate::daemon::{self, Mode, Source, background, mountpoint, preflight, service};
 use crate::error::Result;
 use crate::fs::Covered;
 
 const MOUNT: &str = "\
 Examples:
   gaugefs mount --sim bq34z100-g1 /tmp/gauges
-  gaugefs mount --bus /dev/i2c-1 /run/gauges
-  gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys /run/gauges
-  gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     together with the kernel's supplies
-  gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
+  gaugefs mount --bus /dev/i2c-1 ~/gauges                         for you alone
+  sudo gaugefs mount --bus /dev/i2c-1 --group i2c /run/gauges     all may read, the group write
+  gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys ~/gauges
+  sudo gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     with the kernel's supplies
+  sudo gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
 
 Each gauge is a folder in MOUNTPOINT with the files of a kernel power supply: BAT0/voltage_now,
 BAT0/capacity and so on. Its data flash is in BAT0/df, everything else in BAT0/gauge.";
@@ -29,7 +30,8 @@ pub(super) struct Mount {
     /// TOML file that lists the gauges to mount; --bus applies to gauges that name none
     #[arg(long, value_name = "FILE", help_heading = "Gauge")]
     config: Option<PathBuf>,
-    /// Check the configuration and print what it would mount, without mounting
+    /// Print what the configuration would mount, and list all that the mount would stumble over; mounts
+    /// nothing
     #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     check: bool,
     #[command(flatten)]
@@ -58,8 +60,7 @@ pub(super) struct Attach {
 impl Mount {
     pub(super) fn run(self) -> Result<ExitCode> {
         if self.check {
-            print(&plan(&self.setup()?)?);
-            return Ok(ExitCode::SUCCESS);
+            return check(&self.setup()?);
         }
         let mode = match (self.foreground, self.service) {
             (_, true) => Mode::Service,
@@ -85,15 +86,25 @@ impl Attach {
     }
 }
 
-/// The gauges that a configuration would mount.
-fn plan(setup: &Setup) -> Result<String> {
+/// Prints the gauges that a configuration would mount, and each thing that the mount would stumble over.
+fn check(setup: &Setup) -> Result<ExitCode> {
     let covered = mountpoint::covered(setup.mountpoint())?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let rows = daemon::names(&setup.gauges, &taken).into_iter().zip(&setup.gauges).map(|(name, gauge)| {
+    let names = daemon::names(&setup.gauges, &taken);
+    print(&plan(setup, &names));
+    let found = preflight::check(setup, &names);
+    for error in &found {
+        eprintln!("gaugefs: {error}");
+    }
+    Ok(if found.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn plan(setup: &Setup, names: &[String]) -> String {
+    let rows = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
         let source = Source::of(gauge);
         let chip = source.chip().map_or("asked", |chip| chip.name);
         let place = setup.mountpoint().join(name).display().to_string();
         [place, source.to_string(), chip.to_string()]
     });
-    Ok(align(&rows.collect::<Vec<_>>()))
+    align(&rows.collect::<Vec<_>>())
 }

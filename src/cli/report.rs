@@ -106,9 +106,14 @@ fn of_mounted(gauge: &Path) -> Result<String> {
     let file = File::options().write(true).open(&path);
     let mut file = file.map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
         Some(errno @ (Errno::ENOENT | Errno::ENOTDIR)) => {
-            let why = "not a mounted gauge; give a folder such as /run/gauges/BAT0, or a bus with --bus";
-            Error::host(&name, errno, why)
+            let error = mounted::not_a_gauge(gauge);
+            Error::host(
+                gauge.display().to_string(),
+                errno,
+                format!("{}; or give a bus with --bus", error.cause()),
+            )
         }
+        Some(Errno::ENOTCONN | Errno::ECONNABORTED) => mounted::not_a_gauge(gauge),
         Some(Errno::EROFS) => {
             let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
             Error::host(&name, Errno::EROFS, why)

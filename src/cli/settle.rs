@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use nix::errno::Errno;
 
 use super::print;
 use crate::error::{Error, Result};
@@ -61,10 +60,7 @@ impl Settle {
 fn exchange(gauge: &Path, word: &str) -> Result<String> {
     let path = gauge.join("gauge/settle");
     let name = gauge.display().to_string();
-    if !path.exists() {
-        let why = "not a mounted gauge with data flash; give a folder such as /run/gauges/BAT0";
-        return Err(Error::host(name, Errno::ENOENT, why));
-    }
+    mounted::has(gauge, "gauge/settle", "data flash")?;
     // One write(2) is one request.
     let written = fs::File::options().write(true).open(&path).and_then(|mut file| {
         use std::io::Write;

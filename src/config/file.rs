@@ -14,7 +14,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::{GaugeOptions, MountOptions, make_absolute};
+use super::{GaugeOptions, MountOptions, make_absolute, values};
 use crate::daemon::Source;
 use crate::error::{Cause, Error, Result};
 
@@ -85,7 +85,8 @@ impl File<'_> {
     fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
         // One line: TOML's own errors may have several, and so may a key in quotes.
         let why = why.lines().collect::<Vec<_>>().join(", ");
-        let subject = format!("{}: line {}: {}", self.name, self.line(at), key.escape_debug());
+        let key = if key.is_empty() { "\"\"".into() } else { key.escape_debug().to_string() };
+        let subject = format!("{}: line {}: {key}", self.name, self.line(at));
         Error::new(subject, Cause::Invalid(why))
     }
 
@@ -122,6 +123,14 @@ impl File<'_> {
 
     /// Refuses keys that do not belong together.
     fn check_keys(&self, gauges: usize) -> Result<()> {
+        for place in self.places.iter().filter(|place| place.key == "address") {
+            // A decimal number, as it was written.
+            let written = self.text[place.value.clone()].trim_matches(['"', '\'']);
+            let is_decimal = written.bytes().all(|byte| byte.is_ascii_digit());
+            if let Some(why) = values::address(written).err().filter(|_| is_decimal) {
+                return Err(self.refuse(place.at, &place.key, &why));
+            }
+        }
         if let Some(own) = OWN.iter().find_map(|key| self.place(Table::Defaults, key)) {
             return Err(self.refuse(own.at, &own.key, &unknown(own.table, &own.key)));
         }
@@ -157,8 +166,8 @@ impl File<'_> {
             let start = gauge.span().start;
             let gauge = gauge.into_inner().over(defaults);
             if gauge.sim.is_none() && gauge.replay.is_none() && gauge.bus.is_none() {
-                let why = "no source given: set bus, sim or replay, or pass --bus";
-                return Err(self.refuse(start, "gauge", why));
+                let why = "no source given; below it, set bus = \"/dev/i2c-1\", sim or replay, or pass --bus";
+                return Err(self.refuse(start, "[[gauge]]", why));
             }
             for (key, mark) in marks(&gauge) {
                 // Without the key, the gauge as a whole is where the default is from.

@@ -43,8 +43,12 @@ pub(super) fn ac<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Option<Str
     })
 }
 
+/// TOML's numbers do not say how they were written; the file is asked for that.
 pub(super) fn address<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u8>, D::Error> {
-    word(from, values::address)
+    word(from, |text| match text.parse::<u8>() {
+        Ok(number) => values::address(&format!("{number:#04x}")),
+        Err(_) => values::address(text),
+    })
 }
 
 pub(super) fn chip<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static Chip>, D::Error> {

@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
+use clap::error::{ContextKind, ContextValue};
+use gauge_bus::GAUGE_ADDRESS;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
@@ -36,7 +38,18 @@ pub(crate) fn chips() -> impl TypedValueParser<Value = &'static Chip> {
 }
 
 pub(super) fn chip(name: &str) -> Result<&'static Chip, String> {
-    Chip::by_name(name).ok_or_else(|| format!("unknown chip `{name}`; `gaugefs chips` lists the known ones"))
+    Chip::by_name(name).ok_or_else(|| {
+        // As the command line suggests one.
+        let refused = clap::Command::new("")
+            .no_binary_name(true)
+            .arg(clap::Arg::new("chip").value_parser(chip_names()));
+        let refused = refused.try_get_matches_from([name]).err();
+        let meant = match refused.as_ref().and_then(|error| error.get(ContextKind::SuggestedValue)) {
+            Some(ContextValue::String(meant)) => format!("did you mean {meant}? "),
+            _ => String::new(),
+        };
+        format!("unknown chip `{name}`; {meant}`gaugefs chips` lists the known ones")
+    })
 }
 
 pub(super) fn key(text: &str) -> Result<Key, String> {
@@ -49,9 +62,19 @@ pub(super) fn order(text: &str) -> Result<Order, String> {
 }
 
 pub(crate) fn address(text: &str) -> Result<u8, String> {
-    match text::unsigned(text) {
-        Some(address @ 0x08..=0x77) => Ok(address),
-        _ => Err("expected a 7-bit address, 0x08 to 0x77".into()),
+    const FORM: &str = "expected a 7-bit address, 0x08 to 0x77";
+    // Data sheets write addresses in hexadecimal.
+    let as_hex = u8::from_str_radix(text, 16).ok().filter(|&address| address == GAUGE_ADDRESS);
+    match (text::unsigned::<u8>(text), as_hex) {
+        (Some(address), Some(meant)) if address != meant => Err(format!(
+            "{text} is 0x{address:02x}; did you mean 0x{meant:02x}? Write it in hexadecimal, with 0x"
+        )),
+        (Some(address @ 0x08..=0x77), _) => Ok(address),
+        // With the bit that says whether a byte is read or written, as it is on the wire.
+        (Some(wire @ 0x78..), _) if wire >> 1 == GAUGE_ADDRESS => {
+            Err(format!("{FORM}; {text} is the 8-bit form of 0x{:02x}: write that", wire >> 1))
+        }
+        _ => Err(FORM.into()),
     }
 }
 
@@ -111,6 +134,17 @@ mod tests {
         assert_eq!(address("0x55"), Ok(0x55));
         assert_eq!(address("85"), Ok(0x55));
         assert!(["0x07", "0x78", "0xaa", "55h", ""].iter().all(|text| address(text).is_err()));
+        let refused = |text: &str| address(text).expect_err(text);
+        assert!(refused("55").starts_with("55 is 0x37; did you mean 0x55?"), "{}", refused("55"));
+        for text in ["0xaa", "0xab", "170"] {
+            assert!(refused(text).ends_with("is the 8-bit form of 0x55: write that"), "{}", refused(text));
+        }
+        assert_eq!(refused("0x78"), "expected a 7-bit address, 0x08 to 0x77");
+        assert_eq!(address("0x37"), Ok(0x37));
+        assert_eq!(
+            chip("bq34z10-g1").expect_err("unknown").split("; ").nth(1),
+            Some("did you mean bq34z100-g1? `gaugefs chips` lists the known ones")
+        );
         assert_eq!(interval("0.5"), Ok(Duration::from_millis(500)));
         assert!(["0.4", "3601", "NaN", "-1", "inf"].iter().all(|text| interval(text).is_err()));
         assert!(["0", "-1", "NaN", "1e9"].iter().all(|text| factor(text).is_err()));

@@ -202,13 +202,13 @@ fn slow() -> Error {
     Error::new("", Cause::TimedOut(format!("no answer within {} s", PATIENCE.as_secs())))
 }
 
-fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
+pub(super) fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
     let image = Image::open(path, Some(chip))?;
     Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
 }
 
 /// The gauge's keys, from its key file or else from systemd's credential.
-fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
+pub(super) fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
     let mut keys = match &gauge.key_file {
         Some(path) => key_file::from_file(path, name)?,
         None => key_file::from_credential(name)?.unwrap_or_default(),

@@ -15,9 +15,10 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
-use nix::unistd::geteuid;
+use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::look::{self, Found, Look};
+use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
@@ -52,11 +53,44 @@ pub fn is_ours(path: &Path) -> bool {
     topmost(&table, path).is_some_and(|mount| ours(&mount.kind, &mount.source))
 }
 
+/// The mount point of the gaugefs that a path belongs to.
+pub fn of(path: &Path) -> Option<PathBuf> {
+    let path = std::path::absolute(path).ok()?;
+    let table = table().ok()?;
+    containing(&table, &path).filter(|mount| ours(&mount.kind, &mount.source)).map(|mount| mount.path)
+}
+
+/// Whether the daemon of the gaugefs that is mounted there has ended.
+pub fn is_dead(mountpoint: &Path) -> bool {
+    examine(mountpoint).is_ok_and(|(_, mounted)| mounted == Mounted::Dead)
+}
+
 /// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
 /// detached first.
 pub fn prepare(path: &Path) -> Result<PathBuf> {
     let (path, mounted) = clear(path)?;
+    usable(&path, &mounted).map(|()| path)
+}
+
+/// The same as it is now, without a change. A dead gaugefs may be there.
+pub fn check(path: &Path) -> Result<PathBuf> {
+    let (path, mounted) = examine(path)?;
+    usable(&path, &mounted)?;
+    if mounted == Mounted::Nothing {
+        may_be_made(&path)?;
+    }
+    Ok(path)
+}
+
+fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
     let subject = path.display().to_string();
+    if let Some(around) = path.parent().and_then(of) {
+        let why = format!(
+            "inside the gaugefs that is mounted at {}; choose a folder outside of it",
+            shown(&around)
+        );
+        return Err(Error::host(subject, Errno::EINVAL, why));
+    }
     match mounted {
         Mounted::Alive => {
             let why = format!("a gaugefs is mounted there; end it with: gaugefs umount {subject}");
@@ -74,7 +108,10 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
         }
         Mounted::Nothing | Mounted::Dead => {}
     }
-    match fs::metadata(&path) {
+    if *mounted == Mounted::Dead {
+        return Ok(());
+    }
+    match fs::metadata(path) {
         Ok(status) if !status.is_dir() => Err(Error::host(
             subject,
             Errno::ENOTDIR,
@@ -83,7 +120,31 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
         Err(error) if error.kind() != ErrorKind::NotFound => {
             Err(Error::io(subject, "cannot be examined", &error))
         }
-        _ => Ok(path),
+        _ => Ok(()),
+    }
+}
+
+/// Whether this account may mount there: it may write to the folder or, if that is missing, to the nearest one above
+/// it, in which it is created.
+fn may_be_made(path: &Path) -> Result<()> {
+    let Some(there) = path.ancestors().find(|folder| folder.exists()) else { return Ok(()) };
+    access(there, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|errno| {
+        forbidden(path, if there == path { "cannot be mounted on" } else { CANNOT_CREATE }, errno)
+    })
+}
+
+const CANNOT_CREATE: &str = "cannot create the folder";
+
+/// What an ordinary user can do about a folder of root's.
+fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
+    let error = Error::io(path.display().to_string(), what, &errno.into());
+    match errno {
+        Errno::EACCES | Errno::EROFS if !geteuid().is_root() => {
+            let why =
+                format!("{}; choose a folder of yours, such as ~/gauges, or run it with sudo", error.cause());
+            Error::host(path.display().to_string(), errno, why)
+        }
+        _ => error,
     }
 }
 
@@ -120,8 +181,9 @@ pub(super) fn clear_all() -> Result<()> {
 
 /// Creates the folder if it is missing.
 pub fn make(path: &Path) -> Result<()> {
-    fs::create_dir_all(path)
-        .map_err(|error| Error::io(path.display().to_string(), "cannot create the folder", &error))
+    fs::create_dir_all(path).map_err(|error| {
+        forbidden(path, CANNOT_CREATE, Errno::from_raw(error.raw_os_error().unwrap_or_default()))
+    })
 }
 
 /// The kernel's power supplies, if a mount at that path would hide them.
@@ -129,7 +191,7 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     if !path.ends_with("class/power_supply") {
         return Ok(None);
     }
-    let is_theirs = containing(&table()?, path).is_some_and(|kind| kind == "sysfs");
+    let is_theirs = containing(&table()?, path).is_some_and(|mount| mount.kind == "sysfs");
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
@@ -137,6 +199,15 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
 pub fn unmount(path: &Path) -> Result<()> {
     let (path, mounted) = examine(path)?;
     let subject = path.display().to_string();
+    let owner = topmost(&table()?, &path)
+        .filter(|mount| ours(&mount.kind, &mount.source))
+        .and_then(|mount| mount.owner);
+    if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid()) {
+        let name = User::from_uid(owner).ok().flatten().map_or_else(|| owner.to_string(), |user| user.name);
+        let why =
+            format!("mounted by user {name}, who may unmount it, as root may: sudo gaugefs umount {subject}");
+        return Err(Error::new(subject, Cause::NotPermitted(why)));
+    }
     match mounted {
         Mounted::Alive => retry_busy(|| detach(&path, false)).map_err(|error| {
             if error.errno() != Errno::EBUSY {
@@ -144,8 +215,10 @@ pub fn unmount(path: &Path) -> Result<()> {
             }
             let users = users(&path);
             let who = if users.is_empty() { String::new() } else { format!(" by {}", users.join(", ")) };
-            let why =
-                format!("in use{who}; try again when it is free, or detach it with: umount -l {subject}");
+            let here = std::env::current_dir().is_ok_and(|here| here.starts_with(&path));
+            let until = if here { "after `cd`, from outside of it" } else { "when it is free" };
+            let lazily = if geteuid().is_root() { "umount -l" } else { "fusermount3 -uz" };
+            let why = format!("in use{who}; try again {until}, or detach it with: {lazily} {subject}");
             Error::new(&subject, Cause::Busy(why))
         }),
         Mounted::Dead | Mounted::Hung => force(&path),
@@ -157,9 +230,11 @@ pub fn unmount(path: &Path) -> Result<()> {
             };
             Err(Error::host(subject, Errno::EINVAL, why))
         }
-        Mounted::Other(what) => {
-            Err(Error::host(subject, Errno::EINVAL, format!("{what} is mounted there, not gaugefs")))
-        }
+        Mounted::Other(what) => Err(Error::host(
+            subject,
+            Errno::EINVAL,
+            format!("{what} is mounted there, not gaugefs; umount(8) removes it"),
+        )),
     }
 }
 
@@ -180,7 +255,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
     let subject = path.display().to_string();
-    let mut command = Command::new("fusermount3");
+    let mut command = Command::new(preflight::helper().unwrap_or_else(|| "fusermount3".into()));
     command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
     let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)
@@ -295,6 +370,8 @@ pub struct Entry {
     pub source: String,
     /// The number of its FUSE connection, if it is a FUSE mount.
     connection: Option<u64>,
+    /// The user who has mounted it, if it is a FUSE mount.
+    owner: Option<Uid>,
 }
 
 /// The file system that was mounted last at a path.
@@ -302,10 +379,10 @@ fn topmost(table: &[u8], path: &Path) -> Option<Entry> {
     entries(table).filter(|mount| mount.path == path).last()
 }
 
-/// The type of the file system that a path belongs to.
-fn containing(table: &[u8], path: &Path) -> Option<String> {
+/// The file system that a path belongs to.
+fn containing(table: &[u8], path: &Path) -> Option<Entry> {
     let mounts = entries(table).filter(|mount| path.starts_with(&mount.path));
-    mounts.max_by_key(|mount| mount.path.components().count()).map(|mount| mount.kind)
+    mounts.max_by_key(|mount| mount.path.components().count())
 }
 
 /// The lines of mountinfo.
@@ -319,7 +396,9 @@ pub fn entries(table: &[u8]) -> impl Iterator<Item = Entry> {
         let path = unescape(fields.nth(1)?);
         let mut rest = fields.skip_while(|field| *field != b"-").skip(1);
         let mut text = || Some(unescape(rest.next()?).to_string_lossy().into_owned());
-        Some(Entry { path: PathBuf::from(path), kind: text()?, source: text()?, connection })
+        let (kind, source, options) = (text()?, text()?, text().unwrap_or_default());
+        let owner = options.split(',').find_map(|option| option.strip_prefix("user_id=")?.parse().ok());
+        Some(Entry { path: path.into(), kind, source, connection, owner: owner.map(Uid::from_raw) })
     })
 }
 
@@ -343,19 +422,25 @@ fn unescape(field: &[u8]) -> OsString {
     OsString::from_vec(bytes)
 }
 
-/// The processes that have something open there, as far as this user may see them.
+/// The processes that have something open there, as far as this user may see them, without this one.
 fn users(path: &Path) -> Vec<String> {
     let inside = |link: PathBuf| fs::read_link(link).is_ok_and(|target| target.starts_with(path));
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let using =
         processes.filter(|process| process.file_name().as_bytes()[0].is_ascii_digit()).filter(|process| {
+            if process.file_name().to_str() == Some(&std::process::id().to_string()) {
+                return false;
+            }
             let process = process.path();
             let files = fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
             inside(process.join("cwd")) || files.map(|file| file.path()).any(inside)
         });
     let named = using.map(|process| {
         let name = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-        format!("process {} ({})", process.file_name().display(), name.trim().escape_debug())
+        let number = process.file_name();
+        let is_caller = number.to_str() == Some(&getppid().to_string());
+        let caller = if is_caller { ", which has started this command" } else { "" };
+        format!("process {} ({}{caller})", number.display(), name.trim().escape_debug())
     });
     named.collect()
 }
@@ -383,7 +468,7 @@ mod tests {
 
     #[test]
     fn a_path_belongs_to_the_innermost_mount() {
-        let kind = |path: &str| containing(LINES, Path::new(path));
+        let kind = |path: &str| containing(LINES, Path::new(path)).map(|mount| mount.kind);
         assert_eq!(kind("/etc").as_deref(), Some("ext4"));
         assert_eq!(kind("/mnt/xy").as_deref(), Some("ext4"));
         assert_eq!(kind("/mnt/x/y").as_deref(), Some("fuse"));

@@ -359,19 +359,22 @@ fn text(data: &[u8]) -> &str {
 
 fn seal(data: &[u8]) -> Result<Seal> {
     let seals = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
-    let found = seals.into_iter().find(|seal| seal.as_str() == text(data));
-    let why = "write sealed, unsealed or full-access";
+    let found = seals.into_iter().find(|seal| seal.as_str().eq_ignore_ascii_case(text(data)));
+    let why = "not a state of the seal; write sealed, unsealed or full-access";
     found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
 }
 
 /// `show`, or what somebody has decided about an interrupted write.
 fn decision(data: &[u8]) -> Result<Option<Decision>> {
-    match text(data) {
+    match &*text(data).to_ascii_lowercase() {
         "show" => Ok(None),
         "undo" => Ok(Some(Decision::Undo)),
         "finish" => Ok(Some(Decision::Finish)),
         "discard" => Ok(Some(Decision::Discard)),
-        _ => Err(Error::new("settle", Cause::Invalid("write show, undo, finish or discard".into()))),
+        _ => Err(Error::new(
+            "settle",
+            Cause::Invalid("not a decision; write show, undo, finish or discard".into()),
+        )),
     }
 }
 
@@ -418,9 +421,22 @@ fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {
             let allowed = chip.subcommands.iter().filter(|one| is_allowed(one.effect));
             let allowed: Vec<_> = allowed.map(|one| one.name).collect();
             // An unknown word is not repeated: it may be half of a key.
-            let what = found
-                .map_or("unknown subcommand".into(), |found| format!("{} is not allowed here", found.name));
-            let why = format!("{what}; write one of {}", allowed.join(" "));
+            let what = found.map_or("unknown subcommand".into(), |found| match found.effect {
+                Effect::Never => format!("{} may ruin or lock a gauge and is never sent", found.name),
+                _ => format!("{} is not allowed here", found.name),
+            });
+            // A name that other tools use for it is told as well.
+            let means = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(word));
+            let instead = match found.map(|found| found.code) {
+                Some(code) if code == chip.security.seal => "; write sealed to gauge/seal",
+                None if means(&["seal", "sealed"]) => "; write sealed to gauge/seal",
+                None if means(&["unseal", "unsealed"]) => "; write unsealed to gauge/seal",
+                _ if means(&["reset", "soft_reset"]) || found.is_some_and(|found| found.name == "RESET") => {
+                    "; gaugefs resets the gauge itself after a write that needs it"
+                }
+                _ => "",
+            };
+            let why = format!("{what}{instead}; allowed are {}", allowed.join(" "));
             Err(Error::new("control", Cause::Invalid(why)))
         }
     }

@@ -15,6 +15,7 @@ use super::learning;
 use super::sample::Sample;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
+use crate::mounted;
 use ti_gauge::chip::{CHIPS, Parameter, Subclass, kebab_case};
 use ti_gauge::learning::Limits;
 
@@ -193,9 +194,12 @@ fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
 fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
-            format!("its daemon has died; remove the mount with: gaugefs umount {}", root.display())
+            let mount = mountpoint::of(root);
+            mounted::died(mount.as_deref().unwrap_or(root).display())
         }
-        None | Some(Errno::ENOENT) => "not mounted".into(),
+        None | Some(Errno::ENOENT) => {
+            "not mounted; give the folder of a mounted gauge, or its mount point".into()
+        }
         Some(errno) => errno.desc().to_string(),
     }
 }

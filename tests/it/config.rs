@@ -30,32 +30,67 @@ impl Folder {
     }
 }
 
-#[test]
-fn the_example_is_accepted() {
-    let shown = gaugefs(&["mount", "--config", "udev/gaugefs.toml", "--check"]).done();
-    assert_eq!(
-        shown,
-        "/run/gauges/BAT0  /dev/i2c-1 address 0x55  bq34z100-g1\n\
-         /run/gauges/BAT1  /dev/i2c-7 address 0x55  bq34110\n\
-         /run/gauges/SIM   simulated gauge          bq27441-g1\n"
-    );
+/// The example with all of its gauges: without the # before their lines, and with buses that no machine has.
+fn whole_example() -> String {
+    let text = fs::read_to_string("udev/gaugefs.toml").expect("the example");
+    let is_key = |line: &str| {
+        line.starts_with("[[") || line.split_once(" = ").is_some_and(|(key, _)| !key.contains(' '))
+    };
+    let lines = text.lines().map(|line| line.strip_prefix('#').filter(|line| is_key(line)).unwrap_or(line));
+    let text = lines.map(|line| format!("{line}\n")).collect::<String>();
+    text.replace("/dev/i2c-1\"", "/dev/i2c-998\"").replace("/dev/i2c-7\"", "/dev/i2c-999\"")
 }
 
-/// With other buses, in case the machine has these, and in another folder.
 #[test]
 fn the_example_mounts_as_it_is_shipped() {
     if !can_mount() {
         return;
     }
     let folder = Folder::new();
-    let text = fs::read_to_string("udev/gaugefs.toml").expect("the example");
-    let path =
-        folder.config(&text.replace("/dev/i2c-1", "/dev/i2c-998").replace("/dev/i2c-7", "/dev/i2c-999"));
     let at = folder.file("m");
+    let example = ["mount", "--config", "udev/gaugefs.toml", &at];
+    let shown = gaugefs(&[&example[..], &["--check"]].concat()).done();
+    assert_eq!(shown, format!("{at}/SIM  simulated gauge  bq27441-g1\n"));
+    gaugefs(&example).done();
+    assert_eq!(read(&at, "SIM/present"), "1");
+    assert_eq!(read(&at, "SIM/gauge/poll_interval"), "3");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn the_whole_example_waits_for_its_hardware_and_its_check_names_it() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let path = folder.config(&whole_example());
+    let group = nix::unistd::Group::from_name("i2c").is_ok_and(|group| group.is_some());
+    if !group {
+        let without = whole_example().replace("\ngroup = ", "\n# group = ");
+        gaugefs(&["mount", "--config", &path, "--check"]).failed(&["group: no such group"]);
+        folder.config(&without);
+    }
+    let at = folder.file("m");
+    let ran = gaugefs(&["mount", "--config", &path, &at, "--check"]);
+    let lines: Vec<&str> = ran.err.lines().collect();
+    assert_eq!((ran.code, lines.len()), (Some(1), 5), "{}{}", ran.out, ran.err);
+    assert_eq!(ran.out.lines().count(), 3, "{}", ran.out);
+    for (line, words) in lines.iter().zip([
+        ["SIM: ", "/gauges.keys: cannot read the key file: No such file"],
+        ["BAT0: ", "/gauges.keys: cannot read the key file: No such file"],
+        ["BAT0: ", "/dev/i2c-998: no such bus"],
+        ["BAT1: ", "/usb.keys: cannot read the key file: No such file"],
+        ["BAT1: ", "/dev/i2c-999: no such bus"],
+    ]) {
+        assert!(words.iter().all(|word| line.contains(word)), "{words:?}: {line}");
+    }
+    for keys in ["gauges.keys", "usb.keys"] {
+        fs::write(folder.file(keys), "unseal = 0414 3672\n").expect("a file");
+        fs::set_permissions(folder.file(keys), Permissions::from_mode(0o600)).expect("its owner's");
+    }
     let ran = gaugefs(&["mount", "--config", &path, &at]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     assert_eq!(read(&at, "SIM/present"), "1");
-    assert_eq!(read(&at, "SIM/gauge/poll_interval"), "3");
     assert_eq!((read(&at, "BAT0/present"), read(&at, "BAT1/present")), ("0".into(), "0".into()));
     assert_eq!(read(&at, "BAT0/gauge/poll_interval"), "10");
     gaugefs(&["umount", &at]).done();
@@ -83,7 +118,7 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[[gague]]\n", &["line 1: gague: unknown key; did you mean [[gauge]]?"]),
         ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),
         ("x.y = 3\n", &["line 1: x: unknown key; a file has the tables [mount], [defaults] and [[gauge]]"]),
-        ("[mount]\n'' = 3\n'--help' = 3\n", &["line 2: : unknown key; known here are"]),
+        ("[mount]\n'' = 3\n'--help' = 3\n", &["line 2: \"\": unknown key; known here are"]),
         ("[mount]\n\"a\\nb\" = 3\n", &["line 2: a\\nb: unknown key; known here are"]),
         // Keys in the wrong table, as in files without [mount] and [defaults].
         ("mountpoint = 'm'\n", &["line 1: mountpoint: belongs to the mount; move it below [mount]"]),
@@ -110,7 +145,16 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[mount]\nprivate = 'yes'\n", &["line 2: private:", "expected a boolean"]),
         ("[defaults]\npoll = 0.1\n", &["line 2: poll: expected 0.5 to 3600 seconds"]),
         ("[defaults]\nenergy = 'yes'\n", &["line 2: energy:", "expected a boolean"]),
-        ("[defaults]\naddress = 0xaa\n", &["line 2: address: expected a 7-bit address"]),
+        (
+            "[defaults]\naddress = 0xaa\n",
+            &["line 2: address: expected a 7-bit address", "8-bit form of 0x55"],
+        ),
+        ("[defaults]\naddress = 55\n", &["line 2: address: 55 is 0x37; did you mean 0x55?"]),
+        ("[[gauge]]\naddress = '55'\n", &["line 2: address: 55 is 0x37; did you mean 0x55?"]),
+        (
+            "[[gauge]]\nsim = 'bq34z10-g1'\n",
+            &["line 2: sim: unknown chip `bq34z10-g1`; did you mean bq34z100-g1?"],
+        ),
         ("[defaults]\ncurrent-scale = []\n", &["line 2: current-scale: expected a number or a string"]),
         ("defaults = { poll = 0.1 }\n", &["line 1: poll: expected 0.5 to 3600 seconds"]),
         ("[[gauge]]\nname = 'a/b'\n", &["line 2: name: expected letters"]),
@@ -121,7 +165,7 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[[gauge]]\nreplay = 'r'\nbus = 'b'\n", &["line 3: bus: cannot be combined with replay"]),
         ("[[gauge]]\nreplay = 'r'\ntrace = 't'\n", &["line 3: trace: cannot be combined with replay"]),
         ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: only for simulated gauges"]),
-        (&format!("{mount}[[gauge]]\nname = 'A'\n"), &["line 3: gauge: no source given", "--bus"]),
+        (&format!("{mount}[[gauge]]\nname = 'A'\n"), &["line 3: [[gauge]]: no source given", "--bus"]),
         (mount, &["no gauge", "[[gauge]]"]),
         ("", &["no gauge", "[[gauge]]"]),
         (sim, &["no mount point", "[mount]"]),
@@ -177,7 +221,8 @@ fn defaults_names_and_the_command_line_are_combined() {
     };
     let check = |more: &[&str]| {
         let arguments = [&["mount", "--config", &path, "--check"], more].concat();
-        squeeze(gaugefs(&arguments).done())
+        // It also lists the buses that are missing.
+        squeeze(gaugefs(&arguments).out)
     };
     assert_eq!(check(&[]), at(&folder.file("m"), "/dev/i2c-1"));
     assert_eq!(check(&["--bus", "/dev/i2c-9", "/mnt/x"]), at("/mnt/x", "/dev/i2c-9"));

@@ -76,7 +76,7 @@ fn a_refused_key_change_reports_the_reason() {
     let change = |key: &str| {
         gaugefs(&["keys", "change", &format!("{at}/BAT0"), key, "--key-file", &old, "--new-key-file", &new])
     };
-    change("unseal").failed(&["not a mounted gauge with keys"]);
+    change("unseal").failed(&["not a mounted gauge: it does not exist"]);
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
     fs::set_permissions(&new, Permissions::from_mode(0o604)).expect("its mode");
     change("unseal").failed(&["others may read", "mode 604"]);

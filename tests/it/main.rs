@@ -7,11 +7,15 @@ mod ends;
 mod input;
 mod keys;
 mod manual;
+mod messages;
 mod model;
 mod mount;
+mod ordinary;
 mod others;
 mod over;
 mod production;
+mod packaging;
+mod readme;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]

@@ -258,6 +258,8 @@ chown 65534:65534 "$1"
 (user "$1" "$1/gaugefs" mount --foreground --sim bq34z100-g1 "$1/m") & daemon=$!
 until (user "$1" cat "$1/m/BAT0/present") 2>&-; do kill -0 $daemon; sleep 0.05; done
 kill -STOP $daemon
+# One thread takes the signal, and then stops the others.
+while grep -L '^State:.T' /proc/$daemon/task/*/status | grep -q .; do sleep 0.01; done
 (user "$1" cat "$1/m/BAT0/gauge/seal") & reader=$!
 sleep 0.5
 kill -0 $reader

@@ -54,7 +54,7 @@ impl Adapter {
         let status = match fs::metadata(path) {
             Ok(status) => status,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(Error::new(name, ErrorKind::NotFound, missing(&adapters(Path::new("/")))));
+                return Err(Error::new(name, ErrorKind::NotFound, missing(path, &adapters(Path::new("/")))));
             }
             Err(error) => return Err(Error::io(name, "cannot read its type", &error)),
         };
@@ -411,7 +411,10 @@ fn list(adapters: &[(u64, String)]) -> String {
     format!("available: {}", each.collect::<Vec<_>>().join(", "))
 }
 
-fn missing(adapters: &[(u64, String)]) -> String {
+fn missing(path: &Path, adapters: &[(u64, String)]) -> String {
+    if let Some(meant) = meant(path) {
+        return format!("no such bus; did you mean {meant}?");
+    }
     if adapters.is_empty() {
         "no such bus; this machine has none. The kernel module i2c-dev creates them; as root: modprobe i2c-dev"
             .into()
@@ -420,15 +423,34 @@ fn missing(adapters: &[(u64, String)]) -> String {
     }
 }
 
+/// The node that somebody means who gives `1` or `i2c-1`, below whatever folder.
+fn meant(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_str()?;
+    let number: u64 = name.strip_prefix("i2c-").unwrap_or(name).parse().ok()?;
+    (!path.starts_with("/dev")).then(|| format!("/dev/i2c-{number}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_missing_bus_is_reported_with_the_available_ones() {
-        assert!(missing(&[]).ends_with("modprobe i2c-dev"));
+        let path = Path::new("/dev/i2c-3");
+        assert!(missing(path, &[]).ends_with("modprobe i2c-dev"));
         let two = [(0, "SMBus I801".to_string()), (7, "bcm2835".to_string())];
-        assert_eq!(missing(&two), "no such bus; available: /dev/i2c-0 (SMBus I801), /dev/i2c-7 (bcm2835)");
+        assert_eq!(
+            missing(path, &two),
+            "no such bus; available: /dev/i2c-0 (SMBus I801), /dev/i2c-7 (bcm2835)"
+        );
+    }
+
+    #[test]
+    fn a_bus_without_its_folder_is_suggested() {
+        for path in ["1", "i2c-1", "/home/me/1", "/home/me/i2c-1"] {
+            assert_eq!(missing(Path::new(path), &[]), "no such bus; did you mean /dev/i2c-1?", "{path}");
+        }
+        assert_eq!((meant(Path::new("/dev/i2c-1")), meant(Path::new("pack"))), (None, None));
     }
 
     #[test]

@@ -133,7 +133,7 @@ impl Error {
     pub fn within(mut self, subject: &str) -> Self {
         if self.subject.is_empty() {
             self.subject = subject.to_string();
-        } else if self.subject != subject {
+        } else if !subject.is_empty() && self.subject != subject {
             self.subject = format!("{subject}: {}", self.subject);
         }
         self
@@ -195,5 +195,18 @@ impl From<BusError> for Error {
 impl From<gauge_bus::Error> for Error {
     fn from(error: gauge_bus::Error) -> Self {
         Self::new(error.subject, Cause::Adapter(error.kind, error.text))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_subject_that_is_empty_leaves_no_colon() {
+        let error = Error::new("Cell Terminate Voltage", Cause::Invalid("x".into()));
+        assert_eq!(error.clone().within("").to_string(), "Cell Terminate Voltage: x");
+        assert_eq!(error.clone().within("line 3").to_string(), "line 3: Cell Terminate Voltage: x");
+        assert_eq!(Error::new("", Cause::Invalid("x".into())).within("").to_string(), "x");
     }
 }

@@ -115,7 +115,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
         }
         (Type::F4, range) => {
             let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
-            let value = value.ok_or_else(|| invalid("the value is not a number".into()))?;
+            let value = value.ok_or_else(|| invalid(wanted(parameter, range, text)))?;
             if let Some(Range::Float { min, max, .. }) = range
                 && !(*min..=*max).contains(&value)
             {
@@ -127,8 +127,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
             Ok(Value::Float(value))
         }
         (kind, range) => {
-            let value = integer(text)
-                .ok_or_else(|| invalid("the value is not a whole number; write decimal, 0x or 0b".into()))?;
+            let value = integer(text).ok_or_else(|| invalid(wanted(parameter, range, text)))?;
             let bounds = match range {
                 Some(Range::Int { min, max, .. }) => Some((*min, *max)),
                 Some(Range::Float { .. } | Range::Text { .. }) | None => kind.bounds(),
@@ -143,6 +142,76 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
             }
         }
     }
+}
+
+/// What to write instead of a text that is not a number.
+fn wanted(parameter: &Parameter, range: Option<&Range>, text: &str) -> String {
+    let unit = parameter.unit;
+    if let Some(number) = without_unit(parameter, range, text) {
+        return format!("the value has a unit; write the number in {unit}: {number}");
+    }
+    let (what, limits) = match (parameter.kind, range) {
+        (Type::F4, Some(Range::Float { min, max, .. })) => {
+            ("number", Some((min.to_string(), max.to_string())))
+        }
+        (Type::F4, _) => ("number", None),
+        (kind, Some(Range::Int { min, max, .. })) => {
+            let show = |bound: &i64| render(kind, &Value::Int(*bound));
+            ("whole number", Some((show(min), show(max))))
+        }
+        _ => ("whole number", None),
+    };
+    let limits = limits.map_or("a number".into(), |(min, max)| format!("{min} to {max}"));
+    let unit = if quantity(unit).is_some() { format!(", in {unit}") } else { String::new() };
+    let notations = if what == "number" { "" } else { ", as decimal, 0x or 0b" };
+    format!("the value is not a {what}; write {limits}{unit}{notations}")
+}
+
+/// Symbols of units, with what they measure and their size.
+const UNITS: [(&str, &str, f64); 16] = [
+    ("V", "voltage", 1.0),
+    ("mV", "voltage", 1e-3),
+    ("A", "current", 1.0),
+    ("mA", "current", 1e-3),
+    ("Ah", "charge", 1.0),
+    ("mAh", "charge", 1e-3),
+    ("W", "power", 1.0),
+    ("mW", "power", 1e-3),
+    ("Wh", "energy", 1.0),
+    ("mWh", "energy", 1e-3),
+    ("s", "time", 1.0),
+    ("min", "time", 60.0),
+    ("h", "time", 3600.0),
+    ("°C", "temperature", 1.0),
+    ("%", "share", 1.0),
+    ("mΩ", "resistance", 1e-3),
+];
+
+/// What a unit measures, and its size; the unit of a parameter may be a fraction such as `0.1°C`, and that of a cell.
+fn quantity(unit: &str) -> Option<(&'static str, f64)> {
+    let symbol = unit.trim_start_matches(|letter: char| letter.is_ascii_digit() || letter == '.');
+    let fraction = &unit[..unit.len() - symbol.len()];
+    let fraction = if fraction.is_empty() { 1.0 } else { fraction.parse().ok()? };
+    let symbol = symbol.strip_suffix("/cell").unwrap_or(symbol);
+    let (_, what, size) = UNITS.iter().find(|(known, ..)| *known == symbol)?;
+    Some((what, size * fraction))
+}
+
+/// The number that a value with a unit stands for, in the unit of the parameter, if it may have that value. This is all
+/// that a message repeats of what was written: other text may be a key.
+fn without_unit(parameter: &Parameter, range: Option<&Range>, text: &str) -> Option<String> {
+    let end = text.find(|letter: char| !(letter.is_ascii_digit() || "+-.".contains(letter)))?;
+    let (number, symbol) = text.split_at(end);
+    // `367A` may be the half of a key, and `367 A` is not.
+    if symbol == "A" && !number.contains('.') {
+        return None;
+    }
+    let (what, size) = quantity(symbol.trim())?;
+    let (own, step) = quantity(parameter.unit)?;
+    let value = number.parse::<f64>().ok().filter(|_| what == own)? * size / step;
+    // What is left of the division, which is not exact.
+    let value = ((value * 1e6).round() / 1e6).to_string();
+    parse_in(parameter, range, value.as_bytes()).is_ok().then_some(value)
 }
 
 /// `None` for text that is not a number, `Some(None)` for a number too large for any type.
@@ -356,6 +425,35 @@ mod tests {
         assert!(is_invalid(&refusal(&NAME, "LiFePO4")));
         assert!(is_invalid(&refusal(&NAME, "a\u{1b}b")));
         assert!(is_invalid(&parse(&VOLTAGE, b"\xff\xfe").expect_err("not UTF-8")));
+    }
+
+    #[test]
+    fn a_value_with_a_unit_is_refused_with_the_number_to_write() {
+        const DELTA: Parameter = Parameter::int(0, Type::I(2), "OT Chg", 0, 1200, 550, "0.1°C");
+        const CURRENT: Parameter = Parameter::int(0, Type::I(2), "Quit Current", 0, 1000, 40, "mA");
+        let voltage = "the value is not a whole number; write 1000 to 3700, in mV, as decimal, 0x or 0b";
+        for (parameter, text, says) in [
+            (&VOLTAGE, "3100mV", "the value has a unit; write the number in mV: 3100"),
+            (&VOLTAGE, "3100 mV\n", "the value has a unit; write the number in mV: 3100"),
+            (&VOLTAGE, "3.1V", "the value has a unit; write the number in mV: 3100"),
+            (&VOLTAGE, "+3.15 V", "the value has a unit; write the number in mV: 3150"),
+            (&CURRENT, "0.05A", "the value has a unit; write the number in mA: 50"),
+            (&CURRENT, "1 A", "the value has a unit; write the number in mA: 1000"),
+            (&DELTA, "55 °C", "the value has a unit; write the number in 0.1°C: 550"),
+            (&GAIN, "0.5 mΩ", "the value has a unit; write the number in mΩ: 0.5"),
+            // Not that quantity, not in the range, no whole number, or none at all.
+            (&VOLTAGE, "3100 mA", voltage),
+            (&VOLTAGE, "99 V", voltage),
+            (&VOLTAGE, "3.1001 V", voltage),
+            (&VOLTAGE, "3,1", voltage),
+            (&VOLTAGE, "", voltage),
+            // It may be the half of a key.
+            (&CURRENT, "1A", "the value is not a whole number; write 0 to 1000, in mA, as decimal, 0x or 0b"),
+            (&CONFIG, "x", "the value is not a whole number; write 0x0000 to 0xffff, as decimal, 0x or 0b"),
+            (&GAIN, "x", "the value is not a number; write 0.1 to 40, in mΩ"),
+        ] {
+            assert_eq!(refusal(parameter, text).to_string(), format!("{}: {says}", parameter.name), "{text}");
+        }
     }
 
     #[test]

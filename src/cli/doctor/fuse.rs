@@ -66,7 +66,6 @@ fn fusermount(host: &Host) -> Finding {
 fn others(host: &Host) -> Finding {
     let set = host.text("/etc/fuse.conf").lines().any(|line| line.trim() == "user_allow_other");
     let is = if set { "is set" } else { "is not set" };
-    let means =
-        "gaugefs does not need it: root's mounts are open to all users, another user's only to that user";
+    let means = "only a user who mounts with --group needs it; root's mounts are open to all users";
     ok("user_allow_other", format!("{is}; {means}"))
 }

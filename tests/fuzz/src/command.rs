@@ -92,7 +92,10 @@ pub(crate) fn options(input: &[u8]) {
             let code = run(&arguments(["probe", "--bus", NOWHERE, &given]));
             assert_eq!(
                 code == 1,
-                whole.is_some_and(|number| (0x08..=0x77).contains(&number)) && is_address(value)
+                whole.is_some_and(|number| (0x08..=0x77).contains(&number))
+                    && is_address(value)
+                    // Most likely 0x55 is meant.
+                    && value.trim_start_matches('0') != "55"
             );
         }
         "width" => {

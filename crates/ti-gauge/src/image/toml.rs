@@ -57,12 +57,23 @@ fn quoted(string: &[u8]) -> String {
     format!("\"{}\"", letters.collect::<String>())
 }
 
+/// Whether a text that is not TOML was meant to be: it has a table, a comment or a chip.
+fn is_meant(text: &str) -> bool {
+    let begins = |line: &str| line.starts_with(['[', '#']) || line.starts_with("chip");
+    text.lines().map(str::trim_start).any(begins)
+}
+
 /// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
 /// type.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
     let document = DeTable::parse(text).map_err(|error| {
         let number = line(error.span().map_or(0, |span| span.start));
+        if !is_meant(text) {
+            let why = "none of the formats that gaugefs reads: TOML as `gaugefs export` writes it, gg.csv, or FlashStream \
+                       (.gm.fs, .df.fs)";
+            return Error::new("", Cause::Invalid(why.into()));
+        }
         let why = error.message().lines().collect::<Vec<_>>().join(", ");
         duplicate(text, number).unwrap_or_else(|| at_line(number, format!("not TOML: {why}")))
     })?;
@@ -142,10 +153,18 @@ fn add_table(
             return Err(at_line(number, format!("a {} has no parameter {name}", chip.model)));
         };
         let is_text = matches!(value.get_ref(), DeValue::String(_));
-        let text = plain(value.get_ref()).filter(|_| is_text == matches!(parameter.kind, Type::S(_)));
+        let is_for_text = matches!(parameter.kind, Type::S(_));
+        let text = plain(value.get_ref()).filter(|_| is_text == is_for_text);
         let Some(text) = text else {
-            let found = value.get_ref().type_str();
-            return Err(at_line(number, format!("{name}: {found}, but {} is expected", parameter.kind)));
+            let remedy = match value.get_ref() {
+                DeValue::String(text) if !is_for_text => match text::parse(parameter, text.as_bytes()) {
+                    Ok(_) => "; write it without quotes".into(),
+                    Err(error) => format!("; {}", error.cause()),
+                },
+                _ => String::new(),
+            };
+            let (found, kind) = (value.get_ref().type_str(), parameter.kind);
+            return Err(at_line(number, format!("{name}: {found}, but {kind} is expected{remedy}")));
         };
         let value = if is_text {
             let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(letter).ok()).collect();
@@ -203,7 +222,16 @@ mod tests {
             ("[codes]\n", "line 2: codes: images never contain keys; remove the table"),
             (
                 "[it-cfg]\n\ncell-terminate-voltage = \"3\"",
-                "line 4: it-cfg/cell-terminate-voltage: string, but I2 is expected",
+                "line 4: it-cfg/cell-terminate-voltage: string, but I2 is expected; the value is outside 1000 to 3700 mV",
+            ),
+            (
+                "[it-cfg]\ncell-terminate-voltage = \"3100\"",
+                "line 3: it-cfg/cell-terminate-voltage: string, but I2 is expected; write it without quotes",
+            ),
+            (
+                "[it-cfg]\ncell-terminate-voltage = \"3.1 V\"",
+                "line 3: it-cfg/cell-terminate-voltage: string, but I2 is expected; the value has a unit; write the \
+                 number in mV: 3100",
             ),
             (
                 "[it-cfg]\ncell-terminate-voltage = true",

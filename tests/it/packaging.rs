@@ -1,0 +1,169 @@
+//! `docs/PACKAGING.md`: its commands and scripts are run as they are written there.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::cli::{Folder, can_mount, within};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn page() -> String {
+    fs::read_to_string(root().join("docs/PACKAGING.md")).expect("the page")
+}
+
+/// The first block of that kind below a heading.
+fn block(heading: &str, kind: &str) -> String {
+    let page = page();
+    let below = page.split_once(&format!("\n## {heading}\n")).expect("the heading").1;
+    let below = below.split("\n## ").next().expect("its text");
+    let block = below.split_once(&format!("\n```{kind}\n")).expect("a block of that kind").1;
+    block.split("```").next().expect("its end").to_string()
+}
+
+/// A folder with the program, a configuration of one simulated gauge, and a script.
+fn prepared(kind: &str) -> (Folder, String) {
+    let folder = Folder::new();
+    let bin = folder.file("bin");
+    fs::create_dir(&bin).expect("a folder");
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_gaugefs"), Path::new(&bin).join("gaugefs"))
+        .expect("a link");
+    let config = "[mount]\nmountpoint = \"m\"\n[[gauge]]\nsim = \"bq34z100-g1\"\n";
+    fs::write(folder.file("gaugefs.toml"), config).expect("a configuration");
+    let script = folder.file("script");
+    fs::write(&script, block("Without systemd", kind)).expect("a script");
+    fs::set_permissions(&script, Permissions::from_mode(0o755)).expect("its mode");
+    (folder, script)
+}
+
+/// A command that finds the program and the configuration.
+fn run(folder: &Folder, program: &str) -> Command {
+    let path = std::env::var("PATH").unwrap_or_default();
+    let mut command = Command::new(program);
+    command
+        .env("PATH", format!("{}:{path}", folder.file("bin")))
+        .env("CONFIG", folder.file("gaugefs.toml"))
+        .env("MOUNTPOINT", folder.file("m"))
+        .current_dir(&folder.0)
+        .stdin(Stdio::null());
+    command
+}
+
+#[track_caller]
+fn succeeds(output: &Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn the_script_for_busybox_starts_and_stops() {
+    if !can_mount() {
+        return;
+    }
+    let (folder, script) = prepared("busybox");
+    let gauge = folder.0.join("m/BAT0/capacity");
+    let does = |what: &str| run(&folder, &script).arg(what).output().expect("a shell");
+    succeeds(&does("start"));
+    assert!(gauge.exists());
+    succeeds(&does("restart"));
+    assert!(gauge.exists());
+    succeeds(&does("stop"));
+    assert!(!gauge.exists());
+    assert_eq!(does("stop").status.code(), Some(1));
+    assert_eq!(does("reload").status.code(), Some(2));
+}
+
+#[test]
+fn the_script_for_openrc_starts_and_stops() {
+    if !can_mount() {
+        return;
+    }
+    let (folder, script) = prepared("openrc");
+    let gauge = folder.0.join("m/BAT0/capacity");
+    let functions = "ebegin() { :; }; eend() { return $1; }; need() { :; }; use() { :; }; after() { :; }";
+    let does = |what: &str| {
+        let whole = format!("{functions}; config=$CONFIG; mountpoint=$MOUNTPOINT; . \"$0\"; depend; {what}");
+        run(&folder, "sh").args(["-c", &whole, &script]).output().expect("a shell")
+    };
+    succeeds(&does("start"));
+    assert!(gauge.exists());
+    succeeds(&does("stop"));
+    assert!(!gauge.exists());
+    assert_eq!(does("stop").status.code(), Some(1));
+}
+
+#[test]
+fn the_script_for_runit_runs_until_it_is_told_to_end() {
+    if !can_mount() {
+        return;
+    }
+    let (folder, script) = prepared("runit");
+    let gauge = folder.0.join("m/BAT0/capacity");
+    let mut service = run(&folder, &script).stdout(Stdio::null()).spawn().expect("a shell");
+    within(Duration::from_secs(60), "mounted", || gauge.exists());
+    kill(Pid::from_raw(service.id() as i32), Signal::SIGTERM).expect("it runs");
+    assert_eq!(service.wait().expect("its end").code(), Some(0));
+    assert!(!gauge.exists());
+}
+
+#[test]
+fn the_files_are_installed() {
+    let folder = Folder::new();
+    let commands = block("Files", "sh").replace("target/release/gaugefs", env!("CARGO_BIN_EXE_gaugefs"));
+    let mut shell = Command::new("sh");
+    shell.args(["-euc", &commands]).env("DESTDIR", &folder.0).current_dir(root());
+    succeeds(&shell.output().expect("a shell"));
+    for file in [
+        "usr/bin/gaugefs",
+        "usr/share/doc/gaugefs/examples/gaugefs.toml",
+        "usr/share/man/man1/gaugefs.1",
+        "usr/share/man/man5/gaugefs.toml.5",
+        "usr/share/bash-completion/completions/gaugefs",
+    ] {
+        assert!(fs::metadata(folder.0.join(file)).is_ok_and(|status| status.len() > 1000), "{file}");
+    }
+    let mode = fs::metadata(folder.0.join("var/lib/gaugefs")).expect("a folder").permissions().mode();
+    assert_eq!(mode & 0o777, 0o700);
+}
+
+/// `tests/cross` builds with the targets, packages and linkers of the page, and the page with its command.
+#[test]
+fn the_cross_builds_are_those_of_tests_cross() {
+    let tried = fs::read_to_string(root().join("tests/cross")).expect("the script");
+    let page = page();
+    let builds: Vec<&str> = tried.lines().map(str::trim).filter(|line| line.starts_with("arm a")).collect();
+    assert_eq!(builds.len(), 2, "{builds:?}");
+    for build in builds {
+        let (target, rest) = build["arm ".len()..].split_once(" '").expect("a target");
+        let (packages, rest) = rest.split_once("' ").expect("packages");
+        let prefix = rest.split(' ').next().expect("a prefix");
+        let row = format!("| `{target}` | `{packages}` | `{prefix}-gcc` |");
+        assert!(page.contains(&row), "{row}");
+    }
+    let commands = block("Building", "sh");
+    for words in
+        ["rustup target add aarch64", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross", "--locked --bin gaugefs"]
+    {
+        assert!(commands.contains(words), "{words}");
+    }
+    assert!(tried.contains("--locked --bin gaugefs"));
+}
+
+#[test]
+fn the_kernels_options_are_found_where_it_shows_them() {
+    let commands = block("The kernel", "sh");
+    let (first, second) = commands.split_once('\n').expect("two commands");
+    assert_eq!(second.trim(), "gaugefs doctor");
+    if !Path::new("/proc/config.gz").exists() || !can_mount() {
+        eprintln!("SKIPPED: the kernel does not show its configuration, or has no FUSE");
+        return;
+    }
+    let output = Command::new("sh").args(["-c", first]).output().expect("a shell");
+    assert!(String::from_utf8_lossy(&output.stdout).contains("CONFIG_FUSE_FS="), "{output:?}");
+}

@@ -1,0 +1,208 @@
+//! The numbers of the README, and what produces each:
+//!
+//! | numbers | produced by |
+//! | --- | --- |
+//! | parameters of each part, "eleven", "25 more", "thirty-five" | `parts_and_parameters_are_counted` |
+//! | what the simulated gauge of "Try it" shows | `the_first_example_prints_what_it_says` |
+//! | commands | `every_command_is_in_the_default_build` |
+//! | exit codes | `exit_codes_are_those_of_the_commands` |
+//! | the table "How good is it", and the transfers of "Compared with others" | `benches/run`, which fails if a promise is broken; `each_figure_has_a_measurement` |
+//! | `--cells 7 --divider 33000 --voltage-now 26985` | `cli::calibrating` |
+//! | `--actual -2000` | `cli::calibrating` |
+//! | what `--check` prints of the example | `config::the_example_mounts_as_it_is_shipped` |
+//! | 3000 -> 3100 mV of diff and import | `cli::diff_shows_what_a_gauge_has_changed` |
+//! | the time of the first build | `time cargo build --release --bin gaugefs`, user and system, measured by hand |
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use ti_gauge::chip::{CHIPS, Chip, kernel};
+
+use super::cli::{Folder, can_mount, gaugefs};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn readme() -> String {
+    fs::read_to_string(root().join("README.md")).expect("the README")
+}
+
+/// The cells of the rows of a section's tables.
+fn rows(section: &str) -> Vec<Vec<String>> {
+    let text = readme();
+    let after = text.split_once(&format!("\n## {section}\n")).expect("the section").1;
+    let section = after.split("\n## ").next().expect("its text");
+    let rows = section.lines().filter_map(|line| line.strip_prefix("| ")?.strip_suffix('|'));
+    rows.map(|row| row.split('|').map(|cell| cell.trim().to_string()).collect()).collect()
+}
+
+fn first_number(text: &str) -> Option<usize> {
+    let digits = text.trim_start_matches(|letter: char| !letter.is_ascii_digit());
+    digits.split(|letter: char| !letter.is_ascii_digit()).next()?.parse().ok()
+}
+
+#[test]
+fn parts_and_parameters_are_counted() {
+    let count = |chip: &Chip| chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum::<usize>();
+    let mut told = 0;
+    for row in rows("Gauges") {
+        if let Some(chip) = CHIPS.iter().find(|chip| chip.model.eq_ignore_ascii_case(&row[0])) {
+            assert_eq!(first_number(&row[2]), Some(count(chip)), "{}: {}", row[0], row[2]);
+            told += 1;
+        } else if row[0].contains("25 more") {
+            assert_eq!(kernel::GAUGES.len(), 25);
+        }
+    }
+    assert_eq!((told, CHIPS.len()), (11, 11), "the README says eleven");
+    // "some thirty-five of TI's, on I2C; eleven with data flash"
+    let all = Chip::all().count();
+    assert!((34..=37).contains(&all), "{all} parts");
+    assert!(readme().contains("some thirty-five of TI's, on I2C; eleven with data flash"));
+}
+
+/// The commands of the first example, and what the README shows below each.
+#[test]
+fn the_first_example_prints_what_it_says() {
+    if !can_mount() {
+        return;
+    }
+    let text = readme();
+    let block = text.split("$ cd /tmp/gauges/BAT0\n").nth(1).and_then(|text| text.split("$ cd - ").next());
+    let mut steps: Vec<(String, String)> = Vec::new();
+    for line in block.expect("the example").lines() {
+        match line.strip_prefix("$ ") {
+            Some(command) => steps.push((command.to_string(), String::new())),
+            None => steps.last_mut().expect("a command").1.push_str(&format!("{line}\n")),
+        }
+    }
+    assert!(steps.len() >= 9, "{steps:?}");
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", "bq34z100-g1", "--poll", "0.5", &at]).done();
+    let gauge = Path::new(&at).join("BAT0");
+    let run = |command: &str| {
+        let output = Command::new("bash").args(["-c", command]).current_dir(&gauge).output().expect("bash");
+        String::from_utf8(output.stdout).expect("text") + &String::from_utf8(output.stderr).expect("text")
+    };
+    // A shell without a terminal names itself and the line in an error, and a line of last_error has its time.
+    let plain = |text: &str| {
+        let lines = text.lines().map(|line| line.strip_prefix("bash: ").unwrap_or(line));
+        let lines = lines.map(|line| line.strip_prefix("line 1: ").unwrap_or(line));
+        let is_time = |word: &str| word.ends_with("Z:") && word.starts_with("20");
+        let lines = lines
+            .map(|line| line.split(' ').filter(|word| !is_time(word)).collect::<Vec<_>>().join(" ") + "\n");
+        lines.collect::<String>()
+    };
+    for (command, shown) in steps {
+        // What is measured has changed after a few polls; what is written is written once.
+        let writes = command.contains('>');
+        if !writes {
+            let start = Instant::now();
+            while plain(&run(&command)) != plain(&shown) && start.elapsed() < Duration::from_secs(30) {
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        }
+        assert_eq!(plain(&run(&command)), plain(&shown), "{command}");
+    }
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn exit_codes_are_those_of_the_commands() {
+    let text = readme();
+    for (claim, help, code) in
+        [("exits with 3 instead of 0", "import", "3"), ("by parameter; exit codes of diff(1)", "diff", "0")]
+    {
+        assert!(text.contains(claim), "{claim}");
+        let help = gaugefs(&[help, "--help"]).done();
+        assert!(help.contains(code), "{claim}");
+    }
+    let image = root().join("tests/it/images/pack.toml");
+    let image = image.to_str().expect("a path");
+    assert_eq!(gaugefs(&["diff", image, image]).code, Some(0));
+    assert_eq!(gaugefs(&["diff", image, "/none"]).code, Some(2));
+}
+
+/// Each row of "How good is it" is one that `benches/run` prints.
+#[test]
+fn each_figure_has_a_measurement() {
+    let sources = ["benches/run", "benches/attributes.rs", "benches/bus.rs", "benches/gauges.rs"];
+    let sources = sources.map(|path| fs::read_to_string(root().join(path)).expect("a measurement"));
+    // Text that a line of source breaks.
+    let sources: Vec<String> = sources
+        .iter()
+        .map(|text| text.replace("\\\n", "").split_whitespace().collect::<Vec<_>>().join(" "))
+        .collect();
+    let figures: Vec<_> =
+        rows("How good is it").into_iter().filter(|row| !row[0].is_empty() && row[0] != "---").collect();
+    assert!(figures.len() >= 12, "{figures:?}");
+    // `benches/run` prints these for every part, or in other words.
+    let in_other_words = [
+        ("bus transfers caused by 1000 readers", "bus transfers for 1000 readers of all attributes"),
+        ("a full poll of a bq34z100-G1", "transfers/bytes: a poll"),
+        ("one parameter of a bq34z100-G1", "a parameter, found sealed"),
+        ("a golden image that changes all 23 blocks", "an image of {blocks} blocks"),
+    ];
+    let is_measured = |row: &&Vec<String>| {
+        let words =
+            in_other_words.iter().find(|(readme, _)| row[0].starts_with(readme)).map(|(_, bench)| *bench);
+        let words = words.unwrap_or_else(|| row[0].split([',', ':', '(']).next().unwrap_or_default().trim());
+        sources.iter().any(|source| source.contains(words))
+    };
+    let missing: Vec<_> = figures.iter().filter(|row| !is_measured(row)).collect();
+    assert!(missing.is_empty(), "{missing:?} are not measured");
+    // Figures that are limits or constants of the measurements.
+    for (figure, constant) in [
+        ("3 transfers, 43 bytes", "const POLL: Cost = Cost::of(3, 43);"),
+        ("16 transfers, 79 bytes", "(\"bq34z100-g1\", Cost::of(16, 79))"),
+        ("below 6 MiB", "const MEMORY_MIB: f64 = 6.0;"),
+    ] {
+        let is_told = figures.iter().any(|row| row.iter().any(|cell| cell.contains(figure)));
+        assert!(is_told && sources.iter().any(|source| source.contains(constant)), "{figure}");
+    }
+}
+
+/// An example that mounts where only root may says so.
+#[test]
+fn examples_for_root_say_sudo() {
+    let help = fs::read_to_string(root().join("tests/it/golden/help")).expect("the help texts");
+    let page = gaugefs(&["man"]).done().replace("\\-", "-");
+    let docs = ["README.md", "docs/MONITORS.md", "docs/SEMANTICS.md", "docs/PACKAGING.md"]
+        .map(|path| fs::read_to_string(root().join(path)).expect(path));
+    let mut seen = 0;
+    for line in docs.iter().chain([&help, &page]).flat_map(|text| text.lines()).map(str::trim) {
+        let command = line.trim_start_matches("$ ");
+        let for_root = ["/run/", "/sys/", "--config /etc/"].iter().any(|place| command.contains(place));
+        if for_root && ["gaugefs mount ", "gaugefs umount "].iter().any(|verb| command.starts_with(verb)) {
+            panic!("without sudo: {line}");
+        }
+        seen += usize::from(command.starts_with("sudo gaugefs mount "));
+    }
+    assert!(seen >= 6, "{seen}");
+}
+
+/// `cargo run -- VERB` and `cargo install` have every command of the README: there is one program, and what draws is
+/// part of its default features.
+#[test]
+fn every_command_is_in_the_default_build() {
+    let text = readme();
+    let commands = text.lines().filter_map(|line| {
+        let line = line.strip_prefix("$ ")?;
+        line.strip_prefix("sudo ").unwrap_or(line).strip_prefix("gaugefs ")?.split(' ').next()
+    });
+    let commands: BTreeSet<&str> = commands.collect();
+    assert!(
+        ["mount", "top", "learn", "log", "plot"].iter().all(|verb| commands.contains(verb)),
+        "{commands:?}"
+    );
+    for verb in commands {
+        let missing = cfg!(not(feature = "screen")) && ["top", "learn", "log", "plot"].contains(&verb);
+        assert_eq!(gaugefs(&[verb, "--help"]).code == Some(0), !missing, "{verb}");
+    }
+    let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("the manifest");
+    assert!(manifest.contains("\n[features]\ndefault = [\"screen\"]\n") && !manifest.contains("[[bin]]"));
+}
