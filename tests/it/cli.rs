@@ -65,7 +65,7 @@ impl Ran {
 
     /// What a comparison prints that has found a difference.
     #[track_caller]
-    fn differs(self) -> String {
+    pub(crate) fn differs(self) -> String {
         assert_eq!((self.code, self.err.as_str()), (Some(1), ""), "{}", self.out);
         self.out
     }
@@ -78,7 +78,7 @@ impl Ran {
 
     /// The same for exit code 2: the question could not be answered.
     #[track_caller]
-    fn troubled(self, words: &[&str]) {
+    pub(crate) fn troubled(self, words: &[&str]) {
         self.failed_with(2, words);
     }
 
@@ -122,10 +122,13 @@ fn help_texts() {
             "--help",
             "mount --help",
             "umount --help",
+            "list --help",
             "probe --help",
             "rescue --help",
             "chips --help",
             "report --help",
+            "get --help",
+            "set --help",
             "export --help",
             "import --help",
             "diff --help",
@@ -321,7 +324,7 @@ fn diff_shows_what_a_gauge_has_changed() {
     fs::write(format!("{gauge}/df/80/53"), "3100\n").expect("a write");
     let diff = gaugefs(&["diff", &file, &gauge]);
     assert_eq!((diff.code, diff.out.as_str()), (Some(1), "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n"));
-    gaugefs(&["export", &at]).failed(&["model_name", "not a mounted gauge's folder"]);
+    gaugefs(&["export", &folder.file("")]).failed(&["model_name", "not a mounted gauge's folder"]);
     gaugefs(&["umount", &at]).done();
 }
 
@@ -1332,7 +1335,10 @@ fn the_first_write_leaves_a_backup_of_what_was_there() {
     assert_eq!(fs::metadata(backup).expect("a file").permissions().mode() & 0o777, 0o600);
     let log = fs::read_to_string(&log).expect("the log");
     assert!(log.contains(&format!("configuration saved in {}", backup.display())), "{log}");
-    assert!(log.contains("Z Design Capacity: 3400 -> 3500 mAh, written and verified\n"), "{log}");
+    assert!(
+        log.contains("Z serial 0x0001: Design Capacity: 3400 -> 3500 mAh, written and verified\n"),
+        "{log}"
+    );
     // It can be applied again.
     let file = backup.display().to_string();
     gaugefs(&["import", &gauge, &file]).done();
