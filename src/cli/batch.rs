@@ -121,8 +121,8 @@ impl Report {
 }
 
 impl Batch {
-    /// Does something with each gauge. `about` is what lines on standard error begin with after the gauge, and `failure` the
-    /// exit code of a gauge that failed.
+    /// Does something with each gauge, which returns the exit code for that gauge alone. That of a gauge that failed is
+    /// `failure`.
     pub(super) fn run(
         self,
         gauges: &[PathBuf],

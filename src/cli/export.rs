@@ -12,11 +12,11 @@ use crate::mounted;
 use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
-toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send to
-a gauge. A .df.fs is not offered: nobody could check an image for ROM mode. Keys are never exported.
-The gauge is polled and its configuration read first. Exit code 0: done, 3: values that the gauge
-does not show are missing in the file, 1: failed. Each of several gauges is exported for itself; the
-exit code is the worst.
+toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send
+to a gauge. A .df.fs is not offered: nobody could check an image for ROM mode. Keys are never
+exported. The gauge is polled and its configuration read first. Exit code 0: done, 3: values that
+the gauge does not show are missing in the file, 1: failed. Each of several gauges is exported for
+itself; the exit code is the worst.
 
 Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml

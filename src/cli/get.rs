@@ -14,9 +14,10 @@ use ti_gauge::chip::Row;
 use ti_gauge::unit;
 
 const GET: &str = "\
-NAME is a parameter's name in df/by-name, without its class if no other class has one of that name, or
-its place, such as 80/53. Without a name, all parameters are shown. The gauge is polled first, and data
-flash read anew. Exit code 0: done, 1: failed, 3: a value that the gauge does not show is missing.
+NAME is a parameter's name in df/by-name, without its class if no other class has one of that
+name, or its place, such as 80/53. Without a name, all parameters are shown. The gauge is polled
+first, and data flash read anew. Exit code 0: done, 1: failed, 3: a value that the gauge does not
+show is missing.
 
 Examples:
   gaugefs get /run/gauges/BAT0 it-cfg/cell-terminate-voltage

@@ -13,9 +13,9 @@ use crate::daemon::mountpoint;
 use crate::error::{Error, Result, shown};
 
 const LIST: &str = "\
-What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon has
-died or does not answer within 5 s is shown as that. Exit code 0: all answer, 1: one does not, or none
-is mounted.
+What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
+has died or does not answer within 5 s is shown as that. Exit code 0: all answer, 1: one does not,
+or none is mounted.
 
 Examples:
   gaugefs list
@@ -33,7 +33,7 @@ pub(super) struct List {
 /// A mount without its gauges, for --json.
 #[derive(Serialize)]
 struct Silent<'a> {
-    path: &'a Path,
+    path: &'a str,
     error: &'a str,
 }
 
@@ -55,7 +55,7 @@ impl List {
             let Some(error) = trouble(&mount, &found) else { continue };
             code = ExitCode::FAILURE;
             if self.json {
-                print_json(&Silent { path: &mount, error: &error });
+                print_json(&Silent { path: &mount.to_string_lossy(), error: &error });
             } else {
                 eprintln!("gaugefs: {}: {error}", shown(&mount));
             }
@@ -87,5 +87,12 @@ fn row(gauge: &Listed) -> [String; 6] {
         seconds => format!("{} h", seconds / 3600),
     });
     let capacity = gauge.capacity.map_or("-".into(), |percent| format!("{percent} %"));
-    [shown(&gauge.path), or_none(&gauge.part), or_none(&gauge.serial), capacity, or_none(&gauge.status), age]
+    [
+        ti_gauge::text::printable(&gauge.path),
+        or_none(&gauge.part),
+        or_none(&gauge.serial),
+        capacity,
+        or_none(&gauge.status),
+        age,
+    ]
 }

@@ -20,8 +20,8 @@ use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
 That is harmless to other devices. With --address, a device that reads like a gauge is also asked
-for its type. An address that a kernel driver uses is not touched. Without --bus, the answer names each
-bus that was skipped, and why.
+for its type. An address that a kernel driver uses is not touched. Without --bus, the answer names
+each bus that was skipped, and why.
 
 Examples:
   gaugefs probe

@@ -14,14 +14,15 @@ use ti_gauge::chip::Row;
 use ti_gauge::image::Changes;
 
 const SET: &str = "\
-NAME is a parameter's name in df/by-name, without its class if no other class has one of that name, or
-its place, such as 80/53. VALUE is a number in the parameter's unit, or one with a unit (3.1V, 2200mAh,
-25degC) that gives exactly a value which can be stored; a date is 2026-11-22. All values are written in
-one transaction, or none. Data flash has the numbers that the gauge stores: --current-scale and the like
-do not apply to it.
+NAME is a parameter's name in df/by-name, without its class if no other class has one of that
+name, or its place, such as 80/53. VALUE is a number in the parameter's unit, or one with a unit
+(3.1V, 2200mAh, 25degC) that gives exactly a value which can be stored; a date is 2026-11-22. All
+values are written in one transaction, or none. Data flash has the numbers that the gauge stores:
+--current-scale and the like do not apply to it.
 
-Exit code 0: the gauge has these values, 1: failed. With --dry-run, as diff(1) has them: 0: the gauge has
-them already, 1: it has not, 2: they could not be compared. Of several gauges, the worst.
+Exit code 0: the gauge has these values, 1: failed. With --dry-run, as diff(1) has them: 0: the
+gauge has them already, 1: it has not, 2: they could not be compared. Of several gauges, the
+worst.
 
 Examples:
   gaugefs set /run/gauges/BAT0 it-cfg/cell-terminate-voltage=3.1V

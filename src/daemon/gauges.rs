@@ -184,8 +184,8 @@ pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
     let Some(path) = gauge.trace.as_deref().filter(|_| gauge.trace_replace != Some(true)) else {
         return Ok(());
     };
-    // A link that leads nowhere is refused later.
-    if path.symlink_metadata().is_err() {
+    // What is no file is refused when it is opened.
+    if !path.symlink_metadata().is_ok_and(|status| status.is_file() && status.len() > 0) {
         return Ok(());
     }
     let why =

@@ -43,7 +43,8 @@ pub(crate) struct Found {
 /// A mounted gauge at its last poll.
 #[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Listed {
-    pub(crate) path: PathBuf,
+    /// Its folder; characters that are no text are replaced.
+    pub(crate) path: String,
     pub(crate) part: Option<String>,
     pub(crate) serial: Option<String>,
     pub(crate) capacity: Option<i64>,
@@ -53,12 +54,12 @@ pub(crate) struct Listed {
 
 impl Listed {
     /// Reads what causes no transfer.
-    fn read(path: PathBuf) -> Self {
+    fn read(path: &Path) -> Self {
         let text = |name: &str| Some(fs::read_to_string(path.join(name)).ok()?.trim().to_string());
-        let (part, serial) = mounted::pack(&path);
+        let (part, serial) = mounted::pack(path);
         let capacity = text("capacity").and_then(|text| text.parse().ok());
         let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
-        Self { part, serial, capacity, status, age_ms, path }
+        Self { part, serial, capacity, status, age_ms, path: path.to_string_lossy().into_owned() }
     }
 }
 
@@ -126,7 +127,7 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
             gauges => gauges,
         };
         for gauge in below.into_iter().filter(|gauge| mounted::is_gauge(gauge)) {
-            let listed = serde_json::to_vec(&Listed::read(gauge));
+            let listed = serde_json::to_vec(&Listed::read(&gauge));
             say(&listed.map_err(|error| failed(error.into()))?)?;
         }
     }

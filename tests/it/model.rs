@@ -1379,7 +1379,7 @@ fn parameters(chip: &'static Chip) -> Vec<Parameter> {
             let own = kebab_case(row.name);
             let all = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
             let is_only = all.filter(|other| kebab_case(other.name) == own).count() == 1;
-            let whole = format!("{}/{own}", kebab_case(subclass.name));
+            let whole = format!("{}/{own}", chip.class_dir(subclass));
             let mut names = vec![place.clone(), format!("by-name/{whole}"), whole.to_uppercase(), whole];
             names.extend(is_only.then_some(own));
             Some(Parameter {

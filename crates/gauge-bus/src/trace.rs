@@ -74,8 +74,8 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Records the transfers of `bus` in a file that only its owner can read. A file that is there already is an error,
-    /// unless it is to be replaced.
+    /// Records the transfers of `bus` in a file that only its owner can read. A file that has something in it is an
+    /// error, unless it is to be replaced.
     pub fn new(
         bus: Box<dyn Bus>,
         address: u8,
@@ -86,8 +86,12 @@ impl Trace {
     ) -> Result<Self> {
         let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
         let mut options = File::options();
-        options.write(true).create_new(!replace).create(true).truncate(true).mode(0o600);
+        options.write(true).create(true).truncate(false).mode(0o600);
         let mut file = regular::open(&options, path).map_err(failed)?;
+        if !replace && file.metadata().map_err(failed)?.len() > 0 {
+            return Err(failed(std::io::Error::from(std::io::ErrorKind::AlreadyExists)));
+        }
+        file.set_len(0).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
         file.write_all(text(head, &[], address, &[]).as_bytes()).map_err(failed)?;
         Ok(Self { bus, file: Some(file), clock, address, secret: false })
