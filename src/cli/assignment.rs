@@ -22,8 +22,8 @@ impl FromStr for Assignment {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (name, value) = text.split_once('=').filter(|(name, _)| !name.trim().is_empty()).ok_or_else(
-            || "write NAME=VALUE, such as it-cfg/cell-terminate-voltage=3.1V; `gaugefs get` shows the names",
+        let (name, value) = text.split_once('=').filter(|(name, _)| !name.trim().is_empty()).ok_or(
+            "write NAME=VALUE, such as it-cfg/cell-terminate-voltage=3.1V; `gaugefs get` shows the names",
         )?;
         Ok(Self { name: name.trim().into(), value: value.into() })
     }
@@ -31,21 +31,17 @@ impl FromStr for Assignment {
 
 /// The parameter of that name, as the error has it if there is none.
 pub(super) fn row(chip: &'static Chip, name: &str) -> Result<Row> {
-    chip.find(name).map_err(|unnamed| {
-        let unknown = |why: String| Error::host(name, Errno::ENOENT, why);
-        match unnamed {
-            Unnamed::Unknown(Some(row)) => {
-                let (model, meant) = (chip.model, chip.name_of(row));
-                unknown(format!("a {model} has no such parameter; did you mean {meant}?"))
-            }
-            Unnamed::Unknown(None) => unknown(format!(
-                "a {} has no such parameter; `gaugefs get` without a name lists them",
-                chip.model
-            )),
-            Unnamed::Several(names) => {
-                let why = format!("several parameters have that name; write one of {}", names.join(", "));
-                Error::new(name, Cause::Invalid(why))
-            }
+    chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
+        (Unnamed::Several(names), _) => {
+            let why = format!("several parameters have that name; write one of {}", names.join(", "));
+            Error::new(name, Cause::Invalid(why))
+        }
+        (Unnamed::Unknown, nearest) => {
+            let what = match nearest {
+                Some(row) => format!("did you mean {}?", chip.name_of(row)),
+                None => "`gaugefs get` without a name lists them".into(),
+            };
+            Error::host(name, Errno::ENOENT, format!("a {} has no such parameter; {what}", chip.model))
         }
     })
 }

@@ -10,7 +10,7 @@ use super::transaction::{self, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Attempt, Done, Request};
-use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, Unnamed, kebab_case};
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
@@ -372,27 +372,15 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
-/// The error about a path below `df` that is no file's. A name in another spelling is that of a parameter.
-pub(super) fn missing(chip: &Chip, path: &str) -> Error {
-    unknown(&chip.find(path).map_or_else(|unnamed| unnamed, |row| Unnamed::Unknown(Some(row))))
-}
-
 /// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
 /// what was written, which may be a secret in the wrong place.
-pub(super) fn unknown(unnamed: &Unnamed) -> Error {
-    match unnamed {
-        Unnamed::Unknown(Some(row)) => {
-            let why = format!("no such parameter; did you mean {} ({})?", Place::of(*row), row.1.name);
-            Error::host("", Errno::ENOENT, why)
-        }
-        Unnamed::Unknown(None) => {
-            Error::host("", Errno::ENOENT, "no such parameter; df/index lists them all")
-        }
-        Unnamed::Several(names) => {
-            let why = format!("several parameters have that name; write one of {}", names.join(", "));
-            Error::new("", Cause::Invalid(why))
-        }
-    }
+pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
+    // A path that no file has may be the name of a parameter in another spelling.
+    let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
+        Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
+        None => "no such parameter; df/index lists them all".into(),
+    };
+    Error::host("", Errno::ENOENT, why)
 }
 
 /// Name of a parameter's file on parts with a flat address space.
@@ -459,7 +447,7 @@ mod tests {
     fn an_unknown_parameter_is_reported_with_the_nearest_one() {
         let says = |chip: &str, place: &str| {
             let chip = Chip::by_name(chip).expect("it has a table");
-            let error = missing(chip, place);
+            let error = unknown(chip, place);
             assert_eq!(error.errno(), Errno::ENOENT, "{place}");
             error.to_string()
         };

@@ -266,10 +266,13 @@ pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
 fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
     let (place, value) = split(line);
     let (subclass, parameter) = rules.chip.find(place).map_err(|unnamed| match unnamed {
-        Unnamed::Unknown(None) if !place.contains('/') => invalid(
+        Unnamed::Several(names) => {
+            invalid(&format!("several parameters have that name; write one of {}", names.join(", ")))
+        }
+        Unnamed::Unknown if !place.contains('/') && rules.chip.nearest(place).is_none() => invalid(
             "write begin, SUBCLASS/OFFSET VALUE, CLASS/NAME VALUE, commit or abort; this is none of them",
         ),
-        unnamed => super::df::unknown(&unnamed),
+        Unnamed::Unknown => super::df::unknown(rules.chip, place),
     })?;
     let change = check(subclass, parameter, rules.allow_unproven, value.as_bytes())?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));

@@ -9,8 +9,8 @@ const ALIKE: f64 = 0.85;
 /// Why a name is not that of a parameter.
 #[derive(Clone, Debug)]
 pub enum Unnamed {
-    /// There is none; this is the one that was probably meant.
-    Unknown(Option<Row>),
+    /// There is none. [`Chip::nearest`] may know which one was meant.
+    Unknown,
     /// Several classes have one of this name: their whole names.
     Several(Vec<String>),
 }
@@ -40,7 +40,7 @@ impl Chip {
         // TI has names with a slash.
         let found: Vec<Row> = self.named(name).collect();
         match found[..] {
-            [] => Err(Unnamed::Unknown(self.nearest(name))),
+            [] => Err(Unnamed::Unknown),
             [row] => Ok(row),
             _ => Err(Unnamed::Several(found.into_iter().map(|row| self.name_of(row)).collect())),
         }
@@ -60,23 +60,20 @@ impl Chip {
 
     /// The parameter that was probably meant: at the nearest place in the same subclass, or with a name that is much like
     /// this one.
-    fn nearest(&self, name: &str) -> Option<Row> {
+    pub fn nearest(&self, name: &str) -> Option<Row> {
         let (class, own) = name.rsplit_once('/').unwrap_or(("", name));
         if let Some(at) = text::unsigned::<u16>(own) {
             let id = if class == "flash" { FLAT } else { text::unsigned(class)? };
             let near = self.rows().filter(|(subclass, _)| subclass.id == id);
             return near.min_by_key(|(_, row)| row.offset.abs_diff(at));
         }
-        let (own, whole) = (kebab_case(own), kebab_case(name));
-        let alike = |row: Row| {
-            let alone = strsim::jaro_winkler(&kebab_case(row.1.name), &own);
+        let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
+        let alone = self.rows().map(|row| (strsim::jaro_winkler(&kebab_case(row.1.name), &own), row));
+        let rows = alone.filter(|(alone, _)| *alone >= ALIKE).map(|(alone, row)| {
             // The class decides between parameters of the same name.
-            (
-                alone,
-                if class.is_empty() { 0.0 } else { strsim::jaro(&kebab_case(&self.name_of(row)), &whole) },
-            )
-        };
-        let rows = self.rows().map(|row| (alike(row), row)).filter(|((alone, _), _)| *alone >= ALIKE);
+            let with_class = if class.is_empty() { 0.0 } else { strsim::jaro(&self.name_of(row), &whole) };
+            ((alone, with_class), row)
+        });
         // Of those that are equally alike, the first.
         let best = rows.reduce(|best, row| if row.0 > best.0 { row } else { best });
         best.map(|(_, row)| row)
@@ -136,7 +133,7 @@ mod tests {
                     Err(Unnamed::Several(names)) => {
                         assert!(names.contains(&name), "{}: {names:?}", chip.name)
                     }
-                    Err(Unnamed::Unknown(_)) => panic!("{}: {name}", chip.name),
+                    Err(Unnamed::Unknown) => panic!("{}: {name}", chip.name),
                 }
             }
         }
@@ -173,7 +170,8 @@ mod tests {
             ("", None),
             ("/", None),
         ] {
-            let Err(Unnamed::Unknown(found)) = chip().find(name) else { panic!("{name} is found") };
+            assert!(matches!(chip().find(name), Err(Unnamed::Unknown)), "{name} is found");
+            let found = chip().nearest(name);
             assert_eq!(found.map(|row| chip().name_of(row)).as_deref(), meant, "{name}");
         }
     }
