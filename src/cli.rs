@@ -12,7 +12,9 @@ use crate::daemon::{look, service};
 use crate::error::Result;
 use crate::key_file;
 
+mod assignment;
 mod auth;
+mod batch;
 mod bringup;
 mod calibrate;
 mod chips;
@@ -20,14 +22,18 @@ mod completions;
 mod diff;
 mod doctor;
 mod export;
+mod get;
 mod import;
 mod keys;
 mod lint;
+mod list;
 mod manual;
 mod mount;
+mod names;
 mod probe;
 mod report;
 mod rescue;
+mod set;
 mod settle;
 mod umount;
 
@@ -53,10 +59,13 @@ struct Cli {
 enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
+    List(list::List),
     Probe(probe::Probe),
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
+    Get(get::Get),
+    Set(set::Set),
     Export(export::Export),
     Import(import::Import),
     Diff(diff::Diff),
@@ -87,7 +96,11 @@ enum Command {
     Look {
         /// The path
         path: PathBuf,
+        /// Print the gauges there, too
+        #[arg(long)]
+        gauges: bool,
     },
+    Names(names::Names),
 }
 
 impl Command {
@@ -95,10 +108,13 @@ impl Command {
         match self {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
+            Self::List(command) => command.run(),
             Self::Probe(command) => command.run(),
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),
+            Self::Get(command) => command.run(),
+            Self::Set(command) => command.run(),
             Self::Export(command) => command.run(),
             Self::Import(command) => command.run(),
             Self::Diff(command) => command.run(),
@@ -116,7 +132,8 @@ impl Command {
             Self::Attach(command) => command.run(),
             Self::Detach => service::detach().map(|()| ExitCode::SUCCESS),
             Self::CheckKeys { file } => key_file::check(&file).map(|()| ExitCode::SUCCESS),
-            Self::Look { path } => look::answer(&path).map(|()| ExitCode::SUCCESS),
+            Self::Look { path, gauges } => look::answer(&path, gauges).map(|()| ExitCode::SUCCESS),
+            Self::Names(command) => command.run(),
         }
     }
 }

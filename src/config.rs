@@ -144,9 +144,19 @@ pub(crate) struct GaugeOptions {
     #[serde(deserialize_with = "from_toml::order")]
     pub(crate) auth_order: Option<Order>,
 
-    /// Record every transfer in this file; keys are left out
+    /// Record every transfer in this file, which must be a new one; keys are left out
     #[arg(long, value_name = "FILE", conflicts_with = "config", help_heading = "Running")]
     pub(crate) trace: Option<PathBuf>,
+    /// Replace the file of --trace if there is one
+    #[arg(
+        long,
+        num_args = 0,
+        default_missing_value = "true",
+        requires = "trace",
+        conflicts_with = "config",
+        help_heading = "Running"
+    )]
+    pub(crate) trace_replace: Option<bool>,
 }
 
 #[derive(Args, Clone, Debug, Default, Deserialize)]

@@ -64,6 +64,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = names(&gauges, &taken);
+    gauges.iter().try_for_each(gauges::check_trace)?;
     let mains = mains_name(&mount, &names, &taken)?;
 
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
@@ -122,8 +123,8 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         }
         None => {
             preflight::device()?;
-            mountpoint::make(&mountpoint)?;
-            let mounted = fuse::mount(tree, &mountpoint, how, signal)?;
+            let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
+            let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;
             shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));
             mounted
         }
@@ -138,6 +139,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     }
     mounted.wait();
     shutdown.reach(Phase::Ending);
+    mountpoint::unmake();
     finish(&handles);
     for (_, place) in &logged {
         ::log::info!("{place} unmounted");

@@ -9,8 +9,8 @@ use nix::unistd::{User, geteuid};
 
 /// Folders for the locks of root's daemons and of the services.
 pub(crate) const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
-/// Root's folder for locks.
-const RUN: &str = "/run/gaugefs";
+/// Root's folder for locks, in which the services are mounted.
+pub(crate) const RUN: &str = "/run/gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 

@@ -131,7 +131,14 @@ impl Lock {
         let mut options = File::options();
         options.read(true).write(true).create(true).truncate(false).mode(0o600);
         loop {
-            let file = regular::open(&options, &path).map_err(failed)?;
+            let file = match regular::open(&options, &path) {
+                // The last holder of another lock has just removed the folder.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    self::folder()?;
+                    continue;
+                }
+                file => file.map_err(failed)?,
+            };
             let status = file.metadata().map_err(failed)?;
             let same = |there: Metadata| (there.dev(), there.ino()) == (status.dev(), status.ino());
             let is_there = || fs::symlink_metadata(&path).is_ok_and(same);
@@ -166,6 +173,7 @@ impl Drop for Lock {
         if let Some(at) = held.iter().position(|path| *path == self.path) {
             held.swap_remove(at);
             let _ = remove(&self.path);
+            leave(&self.path);
         }
     }
 }
@@ -175,6 +183,17 @@ impl Drop for Lock {
 pub fn remove_all() {
     for path in held().drain(..) {
         let _ = remove(&path);
+        leave(&path);
+    }
+}
+
+/// Removes the folder of a lock that was removed, if it is only for locks and this was the last one.
+fn leave(path: &Path) {
+    if let Some(folder) =
+        path.parent().filter(|folder| folders::state().is_none_or(|state| state != **folder))
+    {
+        // Another process may have a lock there.
+        let _ = fs::remove_dir(folder);
     }
 }
 

@@ -1,11 +1,11 @@
 //! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
-use ti_gauge::chip::{CHIPS, Chip, Kind, Word, snake_case};
+use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
 use ti_gauge::dataflash::Place;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
@@ -25,12 +25,10 @@ pub(crate) fn not_a_gauge(path: &Path) -> Error {
         }
         Some(mount) => {
             let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-            let is_gauge = |path: &PathBuf| path.join("uevent").exists() && path.join("gauge").exists();
             let inside =
                 || whole.ancestors().skip(1).filter(|above| above.starts_with(&mount)).map(Path::to_path_buf);
-            let all = || fs::read_dir(&mount).into_iter().flatten().flatten().map(|entry| entry.path());
             let what = if whole == mount { "the mount point of" } else { "inside the mount of" };
-            match inside().find(is_gauge).or_else(|| all().filter(is_gauge).min()) {
+            match inside().find(|path| is_gauge(path)).or_else(|| gauges(&mount).into_iter().next()) {
                 Some(gauge) => {
                     format!("it is {what} gauges; give the folder of one, such as {}", shown(&gauge))
                 }
@@ -78,15 +76,80 @@ pub(crate) fn has(gauge: &Path, file: &str, what: &str) -> Result<()> {
     }
 }
 
-/// Reads a mounted gauge as it is now, or a file of any format. `chip` is what a file is for where it does not say
-/// so itself. An image that holds firmware as well is refused, unless only its data flash is asked for.
-pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-    if path.is_dir() || mountpoint::of(path).is_some() {
-        return now(path);
+/// What stands for standard input in place of a file.
+const STANDARD_INPUT: &str = "-";
+
+/// The folder of a mounted gauge: the path itself, or that of the only gauge below a mount point.
+pub(crate) fn gauge(path: &Path) -> Result<PathBuf> {
+    let name = || path.display().to_string();
+    match fs::metadata(path.join(EVERY)).err().and_then(|error| error.raw_os_error()).map(Errno::from_raw) {
+        None => return Ok(path.to_path_buf()),
+        Some(errno @ (Errno::ENOTCONN | Errno::ECONNABORTED)) => {
+            return Err(Error::host(name(), errno, died(shown(path))));
+        }
+        Some(_) => {}
     }
-    let image = Image::open(path, chip)?;
-    image.check_firmware(data_flash).map_err(|error| error.within(&path.display().to_string()))?;
-    Ok(image)
+    match &gauges(path)[..] {
+        // Whoever reads its files says what is wrong with it.
+        [] => Ok(path.to_path_buf()),
+        [gauge] => Ok(gauge.clone()),
+        several => {
+            let names: Vec<_> = several.iter().map(|gauge| shown(gauge)).collect();
+            let why = format!("{} gauges are mounted there; name one: {}", names.len(), names.join(", "));
+            Err(Error::new(name(), Cause::Invalid(why)))
+        }
+    }
+}
+
+/// A file that every mounted gauge has, and no supply of the kernel's.
+const EVERY: &str = "gauge/last_error";
+
+/// The gauges below a mount point.
+pub(crate) fn gauges(mountpoint: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(mountpoint).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut gauges: Vec<_> = entries.filter(|entry| is_gauge(entry)).collect();
+    gauges.sort();
+    gauges
+}
+
+/// Whether it is the folder of a mounted gauge.
+pub(crate) fn is_gauge(path: &Path) -> bool {
+    path.join(EVERY).exists()
+}
+
+/// A configuration file, read once for any number of gauges.
+pub(crate) struct Source {
+    /// What to call it in messages.
+    pub(crate) name: String,
+    bytes: Vec<u8>,
+}
+
+impl Source {
+    /// Reads a file, or standard input where the path is `-`.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        let (name, bytes) = if path == Path::new(STANDARD_INPUT) {
+            let mut bytes = Vec::new();
+            ("standard input".to_string(), io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes))
+        } else {
+            (path.display().to_string(), fs::read(path))
+        };
+        let bytes = bytes.map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        Ok(Self { name, bytes })
+    }
+
+    /// What is in it. `chip` is what it is for where it does not say so itself. An image that holds firmware as well is
+    /// refused, unless only its data flash is asked for.
+    pub(crate) fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
+        let image = Image::read(&self.name, &self.bytes, chip)?;
+        image.check_firmware(data_flash).map_err(|error| error.within(&self.name))?;
+        Ok(image)
+    }
+}
+
+/// Reads a mounted gauge as it is now, or a file of any format, as [`Source::image`] does.
+pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
+    let is_mounted = path.is_dir() || mountpoint::of(path).is_some();
+    if is_mounted { now(path) } else { Source::read(path)?.image(chip, data_flash) }
 }
 
 /// The chip of a mounted gauge, without reading its data flash.
@@ -125,6 +188,19 @@ pub(crate) fn poll(gauge: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Which gauge it is, without a transfer: its part, and its serial number, for parts that show one.
+pub(crate) fn pack(gauge: &Path) -> (Option<String>, Option<String>) {
+    let model = text(gauge, "model_name").ok().map(|model| model.trim().to_string());
+    (model, part(gauge).ok().and_then(|chip| serial(gauge, chip)))
+}
+
+/// The serial number in the register that distinguishes packs.
+fn serial(gauge: &Path, chip: &Chip) -> Option<String> {
+    let register = chip.register_at(chip.serial_register()?)?;
+    let word = text(gauge, &format!("gauge/registers/{}", snake_case(register.name))).ok()?;
+    Some(format!("0x{:04x}", word.trim().parse::<u16>().ok()?))
+}
+
 /// The part, what distinguishes the pack, and when it was polled.
 fn identity(gauge: &Path) -> String {
     let text = |name: &str| Some(text(gauge, name).ok()?.trim().to_string());
@@ -132,11 +208,7 @@ fn identity(gauge: &Path) -> String {
     let chip = part(gauge).ok();
     let pack = chip.and_then(|chip| Some((chip, chip.preflight.pack.as_ref()?)));
     let pack = pack.and_then(|(chip, pack)| match pack.word {
-        Word::Register(code) => {
-            let register = chip.register_at(code)?;
-            let word: u16 = text(&format!("gauge/registers/{}", snake_case(register.name)))?.parse().ok()?;
-            Some(format!("{} 0x{word:04x}", pack.name))
-        }
+        Word::Register(_) => Some(format!("{} {}", pack.name, serial(gauge, chip)?)),
         Word::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
         Word::ControlStatus => None,
     });
@@ -168,6 +240,23 @@ fn part(folder: &Path) -> Result<&'static Chip> {
         let why = format!("no gauge that gaugefs knows: {}", model.trim());
         Error::new("model_name", Cause::Gone(why))
     })
+}
+
+/// The values that a mounted gauge has of some parameters.
+pub(crate) fn values(gauge: &Path, chip: &'static Chip, rows: &[Row]) -> Result<Image> {
+    let mut image = Image::new(chip, None);
+    for &row in rows {
+        let name = chip.name_of(row);
+        let (subclass, parameter) = row;
+        if subclass.kind == Kind::Security {
+            return Err(Error::new(name, Cause::NotPermitted("keys are never read".into())));
+        }
+        let text = fs::read_to_string(gauge.join("df/by-name").join(&name));
+        let text = text.map_err(|error| refused(gauge, &format!("{name} cannot be read"), &error))?;
+        let value = text::parse_stored(parameter, text.as_bytes())?;
+        image.entries.push(Entry { subclass, parameter, value, line: 0 });
+    }
+    Ok(image)
 }
 
 /// Reads the configuration of a mounted gauge.

@@ -35,7 +35,11 @@ pub(super) struct Auth {
 }
 
 impl Auth {
-    pub(super) fn run(self) -> Result<ExitCode> {
+    pub(super) fn run(mut self) -> Result<ExitCode> {
+        match mounted::gauge(&self.gauge) {
+            Ok(gauge) => self.gauge = gauge,
+            error => return trouble(error.map(|_| ExitCode::SUCCESS)),
+        }
         trouble(self.ask().map(|genuine| match genuine {
             Ok(text) => {
                 print(&text);

@@ -42,6 +42,7 @@ pub(super) struct BringUp {
 impl BringUp {
     pub(super) fn run(self) -> Result<ExitCode> {
         let Self { gauge, cells, divider, voltage_now } = self;
+        let gauge = mounted::gauge(&gauge)?;
         mounted::poll(&gauge)?;
         let voltage = voltage_now.map_or(String::new(), |voltage| format!(" {voltage}"));
         request(&gauge, &format!("bringup {cells} {divider}{voltage}"), "cannot be set up")

@@ -77,8 +77,9 @@ impl Calibrate {
             What::Temperature { actual } => format!("temperature {actual}"),
             What::Leave => "leave".into(),
         };
-        mounted::poll(&self.gauge)?;
-        request(&self.gauge, &line, "cannot be calibrated").map(|()| ExitCode::SUCCESS)
+        let gauge = mounted::gauge(&self.gauge)?;
+        mounted::poll(&gauge)?;
+        request(&gauge, &line, "cannot be calibrated").map(|()| ExitCode::SUCCESS)
     }
 }
 

@@ -26,7 +26,70 @@ impl Completions {
     pub(super) fn run(self) -> Result<ExitCode> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut Cli::command(), "gaugefs", &mut script);
-        print(&String::from_utf8_lossy(&script));
+        print(&with_names(self.shell, &String::from_utf8_lossy(&script)));
         Ok(ExitCode::SUCCESS)
     }
 }
+
+/// The script, with the names of parameters after the gauge of `get` and `set`. `gaugefs names` knows them, and answers within
+/// 5 s whatever the mount does.
+fn with_names(shell: Shell, script: &str) -> String {
+    match shell {
+        Shell::Bash => format!("{script}{BASH}"),
+        // The two commands alone have this hint.
+        Shell::Zsh => script.replace(":_hosts", ":_gaugefs_names").replacen("#compdef gaugefs\n", ZSH, 1),
+        Shell::Fish => format!("{script}{FISH}"),
+        _ => script.to_string(),
+    }
+}
+
+const BASH: &str = r#"
+_gaugefs_names() {
+    local word="${COMP_WORDS[COMP_CWORD]}" gauge at end=
+    case ${COMP_WORDS[1]} in set) end='=' ;; get) ;; *) _gaugefs "$@"; return ;; esac
+    for ((at = 2; at < COMP_CWORD; at++)); do
+        [[ ${COMP_WORDS[at]} == = ]] && return
+        [[ -z $gauge && ${COMP_WORDS[at]} != -* ]] && gauge=${COMP_WORDS[at]}
+    done
+    if [[ -z $gauge || $word == [-/.]* ]]; then
+        _gaugefs "$@"
+        return
+    fi
+    [[ $word == *=* ]] && return
+    mapfile -t COMPREPLY < <(compgen -S "$end" -W "$(gaugefs names -- "$gauge" 2>/dev/null)" -- "$word")
+    [[ -n $end ]] && compopt -o nospace 2>/dev/null
+}
+complete -F _gaugefs_names -o nosort -o bashdefault -o default gaugefs 2>/dev/null ||
+    complete -F _gaugefs_names -o bashdefault -o default gaugefs
+"#;
+
+const ZSH: &str = r#"#compdef gaugefs
+
+_gaugefs_names() {
+    local gauge=${words[(r)[/.]*]}
+    local -a names
+    if [[ -n $gauge && $PREFIX != [/.]* ]]; then
+        names=(${(f)"$(gaugefs names -- $gauge 2>/dev/null)"})
+        if [[ ${words[1]} == set ]]; then
+            compadd -S = -- $names
+        else
+            compadd -- $names
+        fi
+    fi
+    _files -/
+}
+"#;
+
+const FISH: &str = r#"
+function __gaugefs_names
+    set -l words (commandline -opc)
+    set -l gauge (string match -r '^[/.].*' -- $words)[1]
+    test -n "$gauge"; or return
+    set -l end
+    contains -- set $words; and set end =
+    for name in (gaugefs names -- $gauge 2>/dev/null)
+        echo $name$end
+    end
+end
+complete -c gaugefs -n "__fish_seen_subcommand_from get set" -a "(__gaugefs_names)"
+"#;

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::import::GroupName;
 use super::{counted, print, print_json, trouble};
 use crate::config::chip_names;
-use crate::error::Result;
+use crate::error::{Cause, Error, Result};
 use crate::mounted;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Group;
@@ -27,7 +27,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = DIFF)]
 pub(super) struct Diff {
-    /// Folder of a mounted gauge, or a configuration file
+    /// Folder of a mounted gauge, or a configuration file; - is standard input
     a: PathBuf,
     /// The folder or file to compare it with
     b: PathBuf,
@@ -60,7 +60,16 @@ impl Diff {
         trouble(self.compare())
     }
 
-    fn compare(self) -> Result<ExitCode> {
+    fn compare(mut self) -> Result<ExitCode> {
+        if [&self.a, &self.b].iter().all(|side| side.as_os_str() == "-") {
+            let why = "it has one file only; give a folder or a file for the other side";
+            return Err(Error::new("standard input", Cause::Invalid(why.into())));
+        }
+        for side in [&mut self.a, &mut self.b] {
+            if side.is_dir() {
+                *side = mounted::gauge(side)?;
+            }
+        }
         let named = self.chip.as_deref().and_then(Chip::by_name);
         // A mounted gauge says which chip a file without a name is for.
         let chip_of = |path: &Path| if path.is_dir() { mounted::chip(path).map(Some) } else { Ok(None) };
@@ -81,8 +90,8 @@ impl Diff {
         if self.json {
             let rows = differences.iter().map(|difference| Row {
                 name: &difference.name,
-                a: difference.old.text(),
-                b: difference.new.text(),
+                a: difference.old.shown(),
+                b: difference.new.shown(),
                 unit: difference.new.parameter.unit,
             });
             print_json(&rows.collect::<Vec<_>>());

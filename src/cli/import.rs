@@ -1,14 +1,16 @@
 //! `gaugefs import`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 
-use super::{PASSED_OVER, counted, print, trouble};
+use super::assignment::{self, Assignment};
+use super::batch::{Batch, FAILED, Report, TROUBLE};
+use super::counted;
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
-use crate::mounted;
+use crate::mounted::{self, Source};
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Changes, Group, Image};
 
@@ -26,20 +28,28 @@ mode is never entered. The chemistry in it is not written: the gauge must have t
 
 Exit code 0: the gauge has everything that the file asks for and no group excludes, 3: it has,
 except for what was passed over, 1: failed. With --dry-run, as diff(1) has them: 0: the gauge has
-everything already, 1: it has not, 2: they could not be compared.
+everything already, 1: it has not, 2: they could not be compared. Each of several gauges is done for
+itself; the exit code is the worst.
 
 Examples:
   gaugefs import --dry-run /run/gauges/BAT0 pack.toml
+  gaugefs import --set serial-number=42 /run/gauges/BAT0 golden.toml
+  gaugefs import --json /run/gauges/BAT* golden.toml
   gaugefs import --exclude calibration,serial /run/gauges/BAT0 golden.gm.fs";
 
 /// Write a configuration file to a mounted gauge, all of it or nothing
 #[derive(Args, Debug)]
 #[command(after_help = IMPORT)]
 pub(super) struct Import {
-    /// Folder of a mounted gauge, such as /run/gauges/BAT0
-    gauge: PathBuf,
-    /// Configuration file in any format that export writes
+    /// Folders of mounted gauges, such as /run/gauges/BAT0
+    #[arg(required = true, value_name = "GAUGE")]
+    gauges: Vec<PathBuf>,
+    /// Configuration file in any format that export writes; - is standard input
     file: PathBuf,
+    /// Write this value in place of the file's, with a name and a unit as `gaugefs set` takes them;
+    /// --exclude does not apply to it
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<Assignment>,
     /// Show what would change, and write nothing
     #[arg(long)]
     dry_run: bool,
@@ -64,6 +74,8 @@ pub(super) struct Import {
     /// The gauge has the chemistry of a .df.fs or .bq.fs, although its checksum does not prove that
     #[arg(long)]
     same_chemistry: bool,
+    #[command(flatten)]
+    batch: Batch,
 }
 
 /// The groups of parameters that an import or a comparison can skip.
@@ -83,58 +95,73 @@ pub(super) enum GroupName {
 
 impl Import {
     pub(super) fn run(self) -> Result<ExitCode> {
-        if self.dry_run { trouble(self.import()) } else { self.import() }
+        let failure = if self.dry_run { TROUBLE } else { FAILED };
+        let source = match Source::read(&self.file) {
+            Ok(source) => source,
+            Err(error) => {
+                eprintln!("gaugefs: {error}");
+                return Ok(failure.into());
+            }
+        };
+        Ok(self.batch.run(&self.gauges, failure, |gauge, report| self.import(gauge, &source, report)))
     }
 
-    fn import(&self) -> Result<ExitCode> {
+    fn import(&self, path: &Path, source: &Source, report: &mut Report) -> Result<u8> {
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
-        let named = |error: ti_gauge::error::Error| error.within(&self.file.display().to_string());
+        let named = |error: ti_gauge::error::Error| error.within(&source.name);
         // A file that is refused leaves the gauge alone.
-        let mut file = self.file(mounted::chip(&self.gauge)?, &groups)?;
-        let gauge = mounted::now(&self.gauge)?;
+        let chip = mounted::chip(path)?;
+        let set = assignment::image(chip, &self.set)?;
+        let mut file = self.file(chip, source, &groups, &set)?;
+        file.entries.retain(|entry| !set.entries.iter().any(|other| other.is(entry)));
+        let gauge = mounted::now(path)?;
+        report.identify(path);
         if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
-            let same = mounted::check_chemistry(&self.gauge, gauge.chip, sum)?;
-            eprintln!("gaugefs: {}: {same}", self.gauge.display());
+            let same = mounted::check_chemistry(path, gauge.chip, sum)?;
+            eprintln!("gaugefs: {}: {same}", path.display());
         }
         file.keep_reserved(&gauge);
-        let Changes { changes, passed_over } =
+        let Changes { mut changes, mut passed_over } =
             gauge.changes(&file, &groups, self.allow_unproven).map_err(named)?;
+        // What is named on the command line is in no group that is left out, and whether unproven ones may be written is
+        // the mount's to decide.
+        let Changes { changes: more, passed_over: hidden } = gauge.changes(&set, &[], true)?;
+        changes.extend(more);
+        passed_over.extend(hidden);
         let raw = if groups.contains(&Group::Undocumented) {
             Vec::new()
         } else {
-            file.raw_changes(|id| mounted::raw_of(&self.gauge, id), self.raw).map_err(named)?
+            file.raw_changes(|id| mounted::raw_of(path, id), self.raw).map_err(named)?
         };
         if !self.dry_run {
-            let bar = progress::Bar::start(&self.gauge);
-            let outcome = mounted::apply(&self.gauge, &changes, &raw);
+            let bar = progress::Bar::start(path);
+            let outcome = mounted::apply(path, &changes, &raw);
             bar.end();
             outcome?;
         }
-        print(&changes.iter().map(|change| format!("{change}\n")).collect::<String>());
-        print(&raw.iter().map(|change| format!("{change}\n")).collect::<String>());
+        report.change(&changes, &raw);
+        let head = if self.gauges.len() > 1 { format!("{}: ", path.display()) } else { String::new() };
         for line in &passed_over {
-            eprintln!("gaugefs: {}: {line}", self.file.display());
+            eprintln!("gaugefs: {head}{}: {line}", source.name);
         }
         if !passed_over.is_empty() {
-            eprintln!("gaugefs: {}: {} passed over", self.file.display(), passed_over.len());
+            eprintln!("gaugefs: {head}{}: {} passed over", source.name, passed_over.len());
         }
-        let is_equal = changes.is_empty() && raw.is_empty() && passed_over.is_empty();
-        Ok(match self.dry_run {
-            true if !is_equal => ExitCode::FAILURE,
-            false if !passed_over.is_empty() => PASSED_OVER.into(),
-            _ => ExitCode::SUCCESS,
-        })
+        report.passed_over = passed_over;
+        Ok(report.done(self.dry_run))
     }
 
-    /// Reads the file, which must name the chip and, with `--complete`, hold everything that can be written.
-    fn file(&self, chip: &'static Chip, exclude: &[Group]) -> Result<Image> {
+    /// Reads the file, which must name the chip and, with `--complete`, hold everything that can be written and is not
+    /// set on the command line.
+    fn file(&self, chip: &'static Chip, source: &Source, exclude: &[Group], set: &Image) -> Result<Image> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
-        let file = mounted::open(&self.file, named.or(Some(chip)), self.data_flash)?;
-        let refuse = |why: String| Err(Error::new(self.file.display().to_string(), Cause::Invalid(why)));
+        let file = source.image(named.or(Some(chip)), self.data_flash)?;
+        let refuse = |why: String| Err(Error::new(&source.name, Cause::Invalid(why)));
         if named.is_none() && !file.names_chip {
             return refuse("it does not say which gauge it is for; name it with --chip".into());
         }
-        let missing = if self.complete { file.missing(exclude) } else { Vec::new() };
+        let mut missing = if self.complete { file.missing(exclude) } else { Vec::new() };
+        missing.retain(|name| !set.entries.iter().any(|entry| set.name(entry) == *name));
         if missing.is_empty() {
             return Ok(file);
         }

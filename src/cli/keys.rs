@@ -66,7 +66,8 @@ struct Change {
 
 impl Command {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let Action::Change(change) = self.command;
+        let Action::Change(mut change) = self.command;
+        change.gauge = mounted::gauge(&change.gauge)?;
         print(&change.run()?);
         Ok(ExitCode::SUCCESS)
     }

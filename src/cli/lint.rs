@@ -12,6 +12,7 @@ use crate::error::Result;
 use crate::mounted;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Image;
+use ti_gauge::unit;
 
 const LINT: &str = "\
 No gauge is needed. A FlashStream is interpreted as a gauge would do it. A line that writes
@@ -25,7 +26,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = LINT)]
 pub(super) struct Lint {
-    /// Configuration file in any format that export writes
+    /// Configuration file in any format that export writes; - is standard input
     file: PathBuf,
     /// Chip to assume if the file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
@@ -69,7 +70,7 @@ impl<'a> Report<'a> {
     fn new(image: &'a Image) -> Self {
         let rows = image.entries.iter().map(|entry| Row {
             name: image.name(entry),
-            value: entry.text(),
+            value: entry.shown(),
             unit: entry.parameter.unit,
             line: entry.line,
         });
@@ -111,9 +112,8 @@ impl Lint {
     fn text(&self, image: &Image) -> String {
         let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
         let rows = image.entries.iter().map(|entry| {
-            let unit = entry.parameter.unit;
             let mark = if matches!(entry.not_imported(false), Ok(Some(_))) { "not imported" } else { "" };
-            let value = format!("{} {unit}", entry.text());
+            let value = format!("{}{}", entry.shown(), unit::suffix(entry.parameter));
             [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
         });
         let raw = image.raw.iter().filter(|_| self.raw);

@@ -1,6 +1,6 @@
 //! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`ti_gauge::probe`].
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::{align, print, print_json};
 use crate::config::address;
 use crate::error::{Error, Result};
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::linux::{Adapter, LinuxBus, adapters};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
@@ -20,26 +20,28 @@ use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
 That is harmless to other devices. With --address, a device that reads like a gauge is also asked
-for its type. An address that a kernel driver uses is not touched.
+for its type. An address that a kernel driver uses is not touched. Without --bus, the answer names
+each bus that was skipped, and why.
 
 Examples:
+  gaugefs probe
   gaugefs probe --bus /dev/i2c-1
   gaugefs probe --bus /dev/i2c-1 --address 0x55";
 
-/// Scan a bus for gauges without disturbing other devices
+/// Scan buses for gauges without disturbing other devices
 #[derive(Args, Debug)]
 #[command(after_help = PROBE)]
 pub(super) struct Probe {
-    /// The I2C bus, such as /dev/i2c-1
+    /// The I2C bus, such as /dev/i2c-1 [default: all buses that this user may use]
     #[arg(long, value_name = "DEVICE")]
-    bus: PathBuf,
+    bus: Option<PathBuf>,
     /// Identify the gauge at this 7-bit address
-    #[arg(long, value_name = "ADDRESS", value_parser = address)]
+    #[arg(long, value_name = "ADDRESS", value_parser = address, requires = "bus")]
     address: Option<u8>,
     /// Write one byte a transfer, for a bus above 100 kHz
     #[arg(long, requires = "address")]
     byte_writes: bool,
-    /// Print JSON
+    /// Print JSON, one object per line for each bus
     #[arg(long)]
     json: bool,
 }
@@ -81,24 +83,76 @@ struct Report {
     found: Vec<Found>,
 }
 
+/// A bus that was not looked at, for --json.
+#[derive(Serialize)]
+struct Skipped<'a> {
+    bus: &'a str,
+    adapter: &'a str,
+    skipped: &'a str,
+}
+
 impl Probe {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let adapter = Adapter::find(&self.bus)?;
-        let found = match self.address {
-            Some(address) => vec![examine(&adapter, address, true, self.byte_writes)?],
-            None => vec![examine(&adapter, GAUGE_ADDRESS, false, false)?, examine_rom(&adapter)?],
+        let any = match &self.bus {
+            Some(bus) => {
+                let report = self.look(&Adapter::find(bus)?)?;
+                if self.json {
+                    print_json(&report)
+                } else {
+                    print(&self.table(&report))
+                }
+                report.any()
+            }
+            None => self.all()?,
         };
-        let any = found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing));
-        if self.json {
-            let (bus, adapter) = (adapter.to_string(), adapter.name().unwrap_or_default());
-            print_json(&Report { bus, adapter, found });
-        } else {
-            print(&self.table(&adapter, &found));
-        }
         Ok(if any { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 
-    fn table(&self, adapter: &Adapter, found: &[Found]) -> String {
+    /// Looks at every bus that this user may use. Returns whether there is something.
+    fn all(&self) -> Result<bool> {
+        let mut any = false;
+        let buses = adapters(Path::new("/"));
+        if buses.is_empty() {
+            let why = "this machine has no I2C bus; `gaugefs doctor` says why";
+            return Err(Error::host("", Errno::ENOENT, why));
+        }
+        for (number, name) in buses {
+            let bus = format!("/dev/i2c-{number}");
+            let adapter = Adapter::find(Path::new(&bus)).map_err(Error::from);
+            let looked = adapter.and_then(|adapter| match adapter.speaks_i2c()? {
+                true => self.look(&adapter),
+                false => {
+                    let why = "supports only SMBus: not usable for gauges";
+                    Err(Error::host(&bus, Errno::EOPNOTSUPP, why))
+                }
+            });
+            match (looked, self.json) {
+                (Ok(report), true) => {
+                    any |= report.any();
+                    print_json(&report);
+                }
+                (Ok(report), false) => {
+                    any |= report.any();
+                    print(&format!("{bus} ({name})\n{}", self.table(&report)));
+                }
+                (Err(why), true) => {
+                    print_json(&Skipped { bus: &bus, adapter: &name, skipped: &why.to_string() });
+                }
+                (Err(why), false) => print(&format!("{bus} ({name})\nskipped: {why}\n")),
+            }
+        }
+        Ok(any)
+    }
+
+    fn look(&self, adapter: &Adapter) -> Result<Report> {
+        let found = match self.address {
+            Some(address) => vec![examine(adapter, address, true, self.byte_writes)?],
+            None => vec![examine(adapter, GAUGE_ADDRESS, false, false)?, examine_rom(adapter)?],
+        };
+        Ok(Report { bus: adapter.to_string(), adapter: adapter.name().unwrap_or_default(), found })
+    }
+
+    fn table(&self, Report { bus, found, .. }: &Report) -> String {
         let mut rows = vec![["ADDRESS", "DEVICE", "DETAILS"].map(String::from)];
         for found in found {
             let who = match found.state {
@@ -114,9 +168,16 @@ impl Probe {
         }
         let mut table = align(&rows);
         if self.address.is_none() {
-            table += &advice(found, &adapter.to_string());
+            table += &advice(found, bus);
         }
         table
+    }
+}
+
+impl Report {
+    /// Whether something is there that is, or may be, a gauge.
+    fn any(&self) -> bool {
+        self.found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing))
     }
 }
 

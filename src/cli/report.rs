@@ -68,7 +68,7 @@ impl Report {
             return Err(exists(file));
         }
         let text = match &self.gauge {
-            Some(gauge) => of_mounted(gauge)?,
+            Some(gauge) => of_mounted(&mounted::gauge(gauge)?)?,
             None => daemon::report(self.options())?,
         };
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();

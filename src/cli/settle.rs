@@ -38,7 +38,8 @@ pub(super) struct Settle {
 }
 
 impl Settle {
-    pub(super) fn run(self) -> Result<ExitCode> {
+    pub(super) fn run(mut self) -> Result<ExitCode> {
+        self.gauge = mounted::gauge(&self.gauge)?;
         let word = match (self.undo, self.finish, self.discard) {
             (true, _, _) => "undo",
             (_, true, _) => "finish",

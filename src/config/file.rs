@@ -28,11 +28,11 @@ struct Document {
 }
 
 /// Keys that belong to one gauge, and are no defaults for many.
-const OWN: [&str; 6] = ["sim", "sim-state", "sim-key", "replay", "name", "trace"];
+const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace", "trace-replace"];
 /// Keys of one gauge, and those that cannot be combined with them. The command line refuses the same.
 const CONFLICTS: [(&str, &[&str]); 2] = [
     ("sim", &["replay", "bus", "address", "chip"]),
-    ("replay", &["bus", "address", "chip", "restore", "trace"]),
+    ("replay", &["bus", "address", "chip", "restore", "trace", "trace-replace"]),
 ];
 /// Keys that are for simulated gauges only.
 const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];

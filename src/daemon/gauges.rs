@@ -138,7 +138,8 @@ impl Opening {
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
             let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
-            bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head)?);
+            let replace = gauge.trace_replace.unwrap_or_default();
+            bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head, replace)?);
         }
         let place = match self.read_only {
             true => None,
@@ -176,6 +177,20 @@ impl Opening {
         let what = format!("{} ({subject})", chip.model);
         Ok((Ready { entry, what, lock: opened.lock, node: opened.node }, begun))
     }
+}
+
+/// Refuses to record over a file that is there, before any gauge is opened.
+pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
+    let Some(path) = gauge.trace.as_deref().filter(|_| gauge.trace_replace != Some(true)) else {
+        return Ok(());
+    };
+    // What is no file is refused when it is opened.
+    if !path.symlink_metadata().is_ok_and(|status| status.is_file() && status.len() > 0) {
+        return Ok(());
+    }
+    let why =
+        "the trace is there already; move it away, choose another name, or replace it with --trace-replace";
+    Err(Error::host(path.display().to_string(), Errno::EEXIST, why))
 }
 
 /// Waits for a gauge's first poll. A failure is an error, or with `waits` the reason why it is not there yet.

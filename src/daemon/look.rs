@@ -5,6 +5,7 @@
 //! return in time.
 
 use std::ffi::OsStr;
+use std::fs;
 use std::io::{self, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
@@ -15,9 +16,11 @@ use std::time::{Duration, Instant};
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::statvfs::statvfs;
+use serde::{Deserialize, Serialize};
 
 use super::mountpoint;
 use crate::error::{Error, Result};
+use crate::mounted;
 
 /// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
@@ -33,6 +36,31 @@ pub(crate) struct Found {
     pub(crate) dead: Option<bool>,
     /// The time limit has passed.
     pub(crate) late: bool,
+    /// The gauges there, if they were asked for.
+    pub(crate) gauges: Vec<Listed>,
+}
+
+/// A mounted gauge at its last poll.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Listed {
+    /// Its folder; characters that are no text are replaced.
+    pub(crate) path: String,
+    pub(crate) part: Option<String>,
+    pub(crate) serial: Option<String>,
+    pub(crate) capacity: Option<i64>,
+    pub(crate) status: Option<String>,
+    pub(crate) age_ms: Option<u64>,
+}
+
+impl Listed {
+    /// Reads what causes no transfer.
+    fn read(path: &Path) -> Self {
+        let text = |name: &str| Some(fs::read_to_string(path.join(name)).ok()?.trim().to_string());
+        let (part, serial) = mounted::pack(path);
+        let capacity = text("capacity").and_then(|text| text.parse().ok());
+        let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
+        Self { part, serial, capacity, status, age_ms, path: path.to_string_lossy().into_owned() }
+    }
 }
 
 /// A look that has begun.
@@ -41,8 +69,12 @@ pub(crate) struct Look(Child, Instant);
 impl Look {
     /// Begins to look at a path.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
+        Self::begin_with(path, &[])
+    }
+
+    fn begin_with(path: &Path, options: &[&str]) -> Result<Self> {
         let mut command = Command::new("/proc/self/exe");
-        command.arg("look").arg("--").arg(path).stdin(Stdio::null()).stdout(Stdio::piped());
+        command.arg("look").args(options).arg("--").arg(path).stdin(Stdio::null()).stdout(Stdio::piped());
         let child = command.stderr(Stdio::null()).spawn().map_err(|error| {
             Error::io(path.display().to_string(), "cannot start a process to examine it", &error)
         })?;
@@ -56,8 +88,17 @@ impl Look {
         stop(&mut self.0, late);
         let mut words = bytes.split_inclusive(|&byte| byte == 0).filter_map(|word| word.strip_suffix(&[0]));
         let path = words.next().map(|path| PathBuf::from(OsStr::from_bytes(path)));
-        Found { path, dead: words.next().map(|word| word == b"dead"), late }
+        let dead = words.next().map(|word| word == b"dead");
+        let gauges = words.filter_map(|word| serde_json::from_slice(word).ok()).collect();
+        Found { path, dead, late, gauges }
     }
+}
+
+/// The gauges that are mounted at each of these paths, or that are at it. All are looked at together, so it takes no longer
+/// than one look.
+pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
+    let looks = paths.iter().map(|path| Look::begin_with(path, &["--gauges"])).collect::<Result<Vec<_>>>()?;
+    Ok(paths.iter().cloned().zip(looks.into_iter().map(Look::end)).collect())
 }
 
 /// Begins a look at a path, and waits for its end.
@@ -65,8 +106,9 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
     Ok(Look::begin(path)?.end())
 }
 
-/// In the child: prints the full path and whether its daemon is gone, each as soon as it is known.
-pub(crate) fn answer(path: &Path) -> Result<()> {
+/// In the child: prints the full path, whether its daemon is gone, and if they are asked for, the gauges there, each as
+/// soon as it is known.
+pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     let failed = |error: io::Error| Error::io("standard output", "cannot be written", &error);
     let mut out = io::stdout();
     let mut say = |word: &[u8]| {
@@ -78,7 +120,18 @@ pub(crate) fn answer(path: &Path) -> Result<()> {
     // Only STATFS is never answered from the kernel's cache.
     let dead =
         mountpoint::is_ours(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
-    say(if dead { b"dead" } else { b"alive" })
+    say(if dead { b"dead" } else { b"alive" })?;
+    if gauges && !dead {
+        let below = match mounted::gauges(&path) {
+            none if none.is_empty() => vec![path],
+            gauges => gauges,
+        };
+        for gauge in below.into_iter().filter(|gauge| mounted::is_gauge(gauge)) {
+            let listed = serde_json::to_vec(&Listed::read(&gauge));
+            say(&listed.map_err(|error| failed(error.into()))?)?;
+        }
+    }
+    Ok(())
 }
 
 /// Runs a program and returns whether it succeeded and what it printed to standard error; `None` after a time

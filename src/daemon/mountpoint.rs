@@ -11,6 +11,7 @@ use std::io::ErrorKind;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -20,6 +21,7 @@ use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 use super::look::{self, Found, Look};
 use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
+use crate::folders;
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
 
@@ -171,7 +173,12 @@ pub(super) fn clear_all() -> Result<()> {
     let mut outcome = Ok(());
     for (place, look) in looks {
         let cleared = look.and_then(|look| match look.end().dead {
-            Some(true) => clear(place).map(drop),
+            Some(true) => clear(place).map(|_| {
+                // `service::attach` has made it.
+                if place.parent() == Some(Path::new(folders::RUN)) {
+                    let _ = fs::remove_dir(place);
+                }
+            }),
             _ => Ok(()),
         });
         outcome = outcome.and(cleared);
@@ -179,11 +186,34 @@ pub(super) fn clear_all() -> Result<()> {
     outcome
 }
 
+/// The folders that this process has made to mount at, the innermost last.
+static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
 /// Creates the folder if it is missing.
 pub fn make(path: &Path) -> Result<()> {
+    let missing: Vec<_> = path.ancestors().take_while(|folder| !folder.exists()).collect();
+    MADE.lock().unwrap_or_else(PoisonError::into_inner).extend(missing.iter().rev().map(PathBuf::from));
     fs::create_dir_all(path).map_err(|error| {
         forbidden(path, CANNOT_CREATE, Errno::from_raw(error.raw_os_error().unwrap_or_default()))
     })
+}
+
+/// Removes the folders that [`make`] has made, as far as they are empty and nothing is mounted there again.
+pub(super) fn unmake() {
+    let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    while made.pop().is_some_and(|folder| fs::remove_dir(folder).is_ok()) {}
+    made.clear();
+}
+
+/// Creates the folder if it is missing, and mounts at it.
+pub(super) fn make_and_mount<T>(path: &Path, mount: impl Fn() -> Result<T>) -> Result<T> {
+    make(path)?;
+    let mounted = mount().or_else(|error| match path.exists() {
+        true => Err(error),
+        // The daemon that was mounted there before has just removed the folder that it had made.
+        false => make(path).and_then(|()| mount()),
+    });
+    mounted.inspect_err(|_| unmake())
 }
 
 /// The kernel's power supplies, if a mount at that path would hide them.
@@ -320,7 +350,7 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
 
 /// The full path, and what is mounted there.
 fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
-    let Found { path: found, dead, late } = look::at(path)?;
+    let Found { path: found, dead, late, .. } = look::at(path)?;
     let path = match found {
         Some(found) => found,
         None if late => {

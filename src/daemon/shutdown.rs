@@ -75,11 +75,13 @@ fn end(signal: Signal, phase: &mut Phase) {
         Err(error) if error.errno() == Errno::EBUSY => {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
+            mountpoint::unmake();
             answer(handles, announcer);
             std::process::exit(i32::from(detached.is_err()));
         }
         // Somebody else has detached it, but a file is still open.
         Err(_) if !mountpoint::is_ours(path) => {
+            mountpoint::unmake();
             answer(handles, announcer);
             std::process::exit(0);
         }

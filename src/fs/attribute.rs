@@ -2,10 +2,9 @@
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
-use jiff::civil::Date;
-
 use crate::owner::{Handle, Snapshot};
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
+use ti_gauge::date;
 use ti_gauge::value::Value;
 
 use super::Scales;
@@ -125,9 +124,9 @@ static ATTRIBUTES: &[Row] = &[
     text("manufacturer", |_| Some("Texas Instruments")),
     text("model_name", |reading| Some(reading.model)),
     hex("serial_number", |reading| reading.value(Role::SerialNumber)),
-    number("manufacture_year", |reading| Some(reading.manufactured()?.year().into())),
-    number("manufacture_month", |reading| Some(reading.manufactured()?.month().into())),
-    number("manufacture_day", |reading| Some(reading.manufactured()?.day().into())),
+    number("manufacture_year", |reading| Some(reading.manufactured()?[0])),
+    number("manufacture_month", |reading| Some(reading.manufactured()?[1])),
+    number("manufacture_day", |reading| Some(reading.manufactured()?[2])),
 ];
 
 /// The kernel's names for chemistries, by the short names that Smart Battery Data has for them.
@@ -263,10 +262,8 @@ impl Reading<'_> {
     }
 
     /// The date that data flash holds; none while that is 0 or another one that does not exist.
-    fn manufactured(&self) -> Option<Date> {
-        let date = self.stored_number(Role::ManufactureDate)?;
-        let year = 1980 + (date >> 9);
-        Date::new(year.try_into().ok()?, (date >> 5 & 15) as i8, (date & 31) as i8).ok()
+    fn manufactured(&self) -> Option<[i64; 3]> {
+        date::of(self.stored_number(Role::ManufactureDate)?)
     }
 
     /// The chemistry that data flash holds, if the kernel has a name for it.

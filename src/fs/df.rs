@@ -12,7 +12,7 @@ use crate::error::{Cause, Error, Result};
 use crate::owner::{Attempt, Done, Request};
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
-use ti_gauge::dataflash::{Change, Place, Row};
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
@@ -372,32 +372,15 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
-/// The error about a place where the table has no parameter, with the one that was probably meant. It does not repeat
+/// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
 /// what was written, which may be a secret in the wrong place.
 pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
-    let why = match nearest(chip, place) {
+    // A path that no file has may be the name of a parameter in another spelling.
+    let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
         Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
         None => "no such parameter; df/index lists them all".into(),
     };
     Error::host("", Errno::ENOENT, why)
-}
-
-/// The parameter at the nearest place in the same subclass, or with a name that begins alike.
-fn nearest(chip: &Chip, place: &str) -> Option<Row> {
-    let (subclass, offset) = place.rsplit_once('/').filter(|(_, offset)| !offset.is_empty())?;
-    let rows = |id: Option<u8>| {
-        let subclasses = chip.subclasses.iter().filter(move |subclass| id.is_none_or(|id| subclass.id == id));
-        subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |parameter| (subclass, parameter)))
-    };
-    if let Some(at) = text::unsigned::<u16>(offset) {
-        let id = if subclass == "flash" { FLAT } else { text::unsigned(subclass)? };
-        return rows(Some(id)).min_by_key(|(_, parameter)| parameter.offset.abs_diff(at));
-    }
-    let alike = |(_, parameter): &Row| {
-        let name = kebab_case(parameter.name);
-        name.bytes().zip(offset.bytes()).take_while(|(one, other)| one == other).count()
-    };
-    rows(None).max_by_key(alike).filter(|row| alike(row) * 2 >= offset.len())
 }
 
 /// Name of a parameter's file on parts with a flat address space.
@@ -463,14 +446,13 @@ mod tests {
     #[test]
     fn an_unknown_parameter_is_reported_with_the_nearest_one() {
         let says = |chip: &str, place: &str| {
-            let error = unknown(Chip::by_name(chip).expect("it has a table"), place);
+            let chip = Chip::by_name(chip).expect("it has a table");
+            let error = unknown(chip, place);
             assert_eq!(error.errno(), Errno::ENOENT, "{place}");
             error.to_string()
         };
         let terminate = "no such parameter; did you mean 80/53 (Cell Terminate Voltage)?";
-        for place in
-            ["80/54", "80/52", "it-cfg/cell-terminate-voltage", "by-name/it-cfg/cell-terminate-volts"]
-        {
+        for place in ["80/54", "80/52", "by-name/it-cfg/cell-terminate-volts"] {
             assert_eq!(says("bq34z100-g1", place), terminate, "{place}");
         }
         assert!(says("bq34110", "flash/0x41f6").contains("did you mean flash/0x41f5 ("));

@@ -12,9 +12,9 @@ use nix::errno::Errno;
 
 use super::raw;
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Kind, Parameter, Safe, Subclass};
+use ti_gauge::chip::{Chip, Kind, Parameter, Safe, Subclass, Unnamed};
 use ti_gauge::codec::WINDOW;
-use ti_gauge::dataflash::{Change, Place, Row};
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
 
 /// A transaction that is open for longer than this is dropped.
@@ -254,28 +254,26 @@ fn split(line: &str) -> (&str, &str) {
     line.split_once(char::is_whitespace).unwrap_or((line, ""))
 }
 
-fn row(chip: &'static Chip, place: &str) -> Option<Row> {
-    place.split_once('/').and_then(|(subclass, offset)| chip.row(subclass, offset))
-}
-
 /// The subclasses, by their indices in the table, that hold reserved bits which these lines are compared with.
 pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
     let lines = std::str::from_utf8(data).unwrap_or_default().lines();
-    let rows = lines.filter_map(|line| row(chip, split(line.trim()).0));
+    let rows = lines.filter_map(|line| chip.find(split(line.trim()).0).ok());
     let reserved = rows.filter(|(_, parameter)| matches!(parameter.safe, Some(Safe::Keep(..))));
     reserved.filter_map(|(own, _)| chip.subclasses.iter().position(|row| std::ptr::eq(row, own))).collect()
 }
 
-/// `80/53 3100`, checked as a write to that file is.
+/// `80/53 3100` or `it-cfg/cell-terminate-voltage 3100`, checked as a write to that file is.
 fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
     let (place, value) = split(line);
-    let Some((subclass, parameter)) = row(rules.chip, place) else {
-        if place.contains('/') {
-            return Err(super::df::unknown(rules.chip, place));
+    let (subclass, parameter) = rules.chip.find(place).map_err(|unnamed| match unnamed {
+        Unnamed::Several(names) => {
+            invalid(&format!("several parameters have that name; write one of {}", names.join(", ")))
         }
-        let why = "write begin, SUBCLASS/OFFSET VALUE, commit or abort; this is none of them";
-        return Err(invalid(why));
-    };
+        Unnamed::Unknown if !place.contains('/') && rules.chip.nearest(place).is_none() => invalid(
+            "write begin, SUBCLASS/OFFSET VALUE, CLASS/NAME VALUE, commit or abort; this is none of them",
+        ),
+        Unnamed::Unknown => super::df::unknown(rules.chip, place),
+    })?;
     let change = check(subclass, parameter, rules.allow_unproven, value.as_bytes())?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
     if let Some(stored) = index.and_then(rules.stored) {

@@ -13,6 +13,7 @@ use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::keys;
 use ti_gauge::text;
+use ti_gauge::unit;
 
 /// Requests queued longer than this are refused, so that write(2) returns within 30 s.
 const QUEUE_LIMIT: Duration = Duration::from_secs(12);
@@ -156,15 +157,15 @@ fn difference(change: &Change, old: &[u8]) -> String {
     let bytes = change.bytes.iter().zip(old).enumerate();
     let new: Vec<u8> = bytes.map(|(at, (new, old))| new & !kept(at) | old & kept(at)).collect();
     let show = |bytes: &[u8]| match change.row {
-        Some((_, parameter)) => text::render(parameter.kind, &codec::decode(parameter.kind, bytes)),
+        Some((_, parameter)) => unit::show(parameter, &codec::decode(parameter.kind, bytes)),
         None => text::hex(bytes),
     };
     let unit = match change.row {
         // The number says that already.
-        None | Some((_, Parameter { unit: "hex", .. })) => "",
-        Some((_, parameter)) => parameter.unit,
+        None | Some((_, Parameter { unit: "hex", .. })) => String::new(),
+        Some((_, parameter)) => unit::suffix(parameter),
     };
-    format!("{} -> {} {unit}", show(old), show(&new)).trim_end().to_string()
+    format!("{} -> {}{unit}", show(old), show(&new))
 }
 
 impl Owner {
@@ -368,7 +369,7 @@ impl Owner {
 
     /// Logs what each change of a write has replaced.
     pub(super) fn log_written(&self, changes: &[Change], outcome: &Outcome) {
-        let prefix = &self.shared.prefix;
+        let prefix = format!("{}{}", self.shared.prefix, self.serial());
         for change in changes {
             self.shared.note_scales(change.place.subclass, change.place.offset, &change.bytes);
         }
@@ -388,6 +389,14 @@ impl Owner {
                 }
             }
         }
+    }
+
+    /// The pack's serial number at the last poll, as the beginning of a line of the log.
+    fn serial(&self) -> String {
+        let register = self.gauge.chip.serial_register().and_then(|code| self.gauge.chip.register_at(code));
+        let published = self.shared.published();
+        let word = register.and_then(|register| published.snapshot.as_ref()?.value(register));
+        word.map_or_else(String::new, |word| format!("serial 0x{word:04x}: "))
     }
 
     /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls

@@ -307,7 +307,7 @@ fn many_gauges_are_mounted_together() {
         "BAT1: not there yet",
         "BAT2: left out",
         "warning: BAT3: ",
-        "BAT0: Cell Terminate Voltage: 3000 -> 3100 mV, written",
+        "BAT0: serial 0x0001: Cell Terminate Voltage: 3000 -> 3100 mV, written",
     ] {
         assert!(log().contains(line), "`{line}` is not in: {}", log());
     }
@@ -585,6 +585,8 @@ fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
     assert!(file("log").contains("Cell Terminate Voltage: 3000 -> 3100 mV, written"), "{}", file("log"));
     assert!(file("trace").contains("W: AA 3E 50"), "the trace has no write of that block");
     assert!(Path::new(files).join("journal").is_dir(), "no folder for the journal");
+    // It is not written over.
+    fs::remove_file(Path::new(files).join("trace")).expect("the trace");
     mount();
     assert_eq!(read(&at, "BAT0/df/80/53"), "3100");
     gaugefs(&["umount", &at]).done();

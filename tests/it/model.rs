@@ -23,7 +23,7 @@ use gaugefs::owner::{self, Handle, Settings, Signal};
 use nix::errno::Errno;
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, SeekFrom, Timespec, Timestamps, XattrFlags};
 use rustix::process::{Gid, Uid};
-use ti_gauge::chip::{Chip, Effect, Kind, Range};
+use ti_gauge::chip::{Chip, Effect, Kind, Range, kebab_case};
 use ti_gauge::dataflash::Limits;
 use ti_gauge::value::Type;
 
@@ -194,6 +194,9 @@ impl Class {
 /// A parameter, and what it may hold. That is one value, unless an answer has left it open.
 struct Parameter {
     place: String,
+    /// What a line of `df/transaction` may name it: its place, its names below `df` and `df/by-name`, and where no other
+    /// class has one of that name, its own.
+    names: Vec<String>,
     name: &'static str,
     /// Smallest and largest value; `None` for a text of that many characters.
     range: Result<(i64, i64), usize>,
@@ -383,7 +386,7 @@ impl Model {
         ];
         let mut files: Vec<_> = fixed.map(|(path, class)| (path.to_string(), class)).to_vec();
         let first = &parameters[0];
-        files.push((format!("df/by-name/it-cfg/{}", ti_gauge::chip::kebab_case(first.name)), Class::Link));
+        files.push((format!("df/by-name/it-cfg/{}", kebab_case(first.name)), Class::Link));
         files.extend(
             (0..).zip(&parameters).map(|(at, one)| (format!("df/{}", one.place), Class::Parameter(at))),
         );
@@ -947,12 +950,22 @@ impl Model {
                     commits = staged.take();
                     ("commit".to_string(), commits.is_none().then_some(Errno::ENODATA))
                 }
-                3 => ("80/9999 1".to_string(), Some(if is_open { Errno::ENOENT } else { Errno::ENODATA })),
+                3 => {
+                    let none = [
+                        "80/9999 1",
+                        "it-cfg/no-such 1",
+                        "power/cell-terminate-voltage 3100",
+                        "cell-terminate-volts 3100",
+                    ];
+                    let line = self.random.pick(&none).to_string();
+                    (line, Some(if is_open { Errno::ENOENT } else { Errno::ENODATA }))
+                }
                 4 => ("nonsense".to_string(), Some(if is_open { Errno::EINVAL } else { Errno::ENODATA })),
                 _ => {
                     let (text, verdict) = self.value(at);
                     let text = text.trim().to_string();
-                    let line = format!("{} {text}", self.parameters[at].place);
+                    let named = self.random.below(self.parameters[at].names.len() as u64) as usize;
+                    let line = format!("{} {text}", self.parameters[at].names[named]);
                     let refused = match verdict {
                         _ if !is_open => Some(Errno::ENODATA),
                         // A line end in it makes two lines of it, and a text without printable letters none.
@@ -1362,8 +1375,16 @@ fn parameters(chip: &'static Chip) -> Vec<Parameter> {
                 (Range::Text { .. }, Type::S(size)) => Err(usize::from(size) - 1),
                 _ => return None,
             };
+            let place = format!("{}/{}", subclass.id, row.offset);
+            let own = kebab_case(row.name);
+            let all = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
+            let is_only = all.filter(|other| kebab_case(other.name) == own).count() == 1;
+            let whole = format!("{}/{own}", chip.class_dir(subclass));
+            let mut names = vec![place.clone(), format!("by-name/{whole}"), whole.to_uppercase(), whole];
+            names.extend(is_only.then_some(own));
             Some(Parameter {
-                place: format!("{}/{}", subclass.id, row.offset),
+                place,
+                names,
                 name: row.name,
                 range,
                 values: BTreeSet::new(),

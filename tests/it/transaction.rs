@@ -146,6 +146,65 @@ fn lines_are_checked_at_once() {
 }
 
 #[test]
+fn a_line_names_its_parameter_by_place_or_by_name() {
+    let tree = tree("bq34z100-g1");
+    for (line, value) in [
+        ("80/53 3100", "3100"),
+        ("it-cfg/cell-terminate-voltage 3101", "3101"),
+        ("by-name/it-cfg/cell-terminate-voltage 3102", "3102"),
+        ("cell-terminate-voltage\t3103", "3103"),
+        ("IT-Cfg/Cell-Terminate-Voltage 0xc20", "3104"),
+    ] {
+        assert_eq!(tree.stage(&format!("begin\n{line}\n")), Ok(()), "{line}");
+        let staged = tree.read("df/transaction").expect("readable");
+        assert_eq!(staged, format!("Cell Terminate Voltage: 3000 -> {value}\n"), "{line}");
+        assert_eq!(tree.stage("abort\n"), Ok(()));
+    }
+    // The same parameter twice is one change, however it is named.
+    assert_eq!(tree.stage("begin\n80/53 3100\nit-cfg/cell-terminate-voltage 3200\ncommit\n"), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3200\n"));
+    for (line, errno, says) in [
+        ("it-cfg/cell-terminate-voltag 1", Errno::ENOENT, "did you mean 80/53 (Cell Terminate Voltage)?"),
+        ("cell-terminate-volt 1", Errno::ENOENT, "did you mean 80/53 (Cell Terminate Voltage)?"),
+        ("codes/sealed-to-unsealed 1", Errno::EPERM, "keys cannot be changed"),
+        ("it-cfg/cell-terminate-voltage 3.1V", Errno::EINVAL, "whole number"),
+        ("it-cfg/cell-terminate-voltage", Errno::EINVAL, "whole number"),
+        ("nonsense 1", Errno::EINVAL, "CLASS/NAME VALUE"),
+    ] {
+        assert_eq!(tree.stage(&format!("begin\n{line}\n")), Err(errno), "{line}");
+        let told = tree.handle.published().last_error.clone();
+        assert!(told.contains("line 2: ") && told.contains(says), "{line}: {told}");
+    }
+}
+
+/// The limit below which the gauge would store nothing is that of the parameter, whatever it is called.
+#[test]
+fn a_name_does_not_pass_by_what_a_place_is_checked_for() {
+    let tree = tree("bq34z100-g1");
+    let row = Chip::by_name("bq34z100-g1").and_then(|chip| chip.row("104", "14")).expect("Voltage Divider");
+    let name = ti_gauge::chip::kebab_case(row.1.name);
+    for place in ["104/14", &name] {
+        assert_eq!(tree.stage(&format!("begin\n{place} 0\n")), Err(Errno::ERANGE), "{place}");
+    }
+}
+
+#[test]
+fn a_name_that_several_classes_have_is_refused_with_all_of_them() {
+    for chip in ti_gauge::chip::CHIPS {
+        let names: Vec<String> = chip.rows().map(|row| ti_gauge::chip::kebab_case(row.1.name)).collect();
+        let Some(twice) = names.iter().find(|name| names.iter().filter(|other| other == name).count() > 1)
+        else {
+            continue;
+        };
+        let tree = tree(chip.name);
+        assert_eq!(tree.stage(&format!("begin\n{twice} 1\n")), Err(Errno::EINVAL), "{} {twice}", chip.name);
+        let told = tree.handle.published().last_error.clone();
+        assert!(told.contains("several parameters have that name; write one of "), "{told}");
+        assert!(told.matches(&format!("/{twice}")).count() > 1, "{told}");
+    }
+}
+
+#[test]
 fn an_unproven_parameter_is_not_staged() {
     let tree = tree("bq34110");
     let rows = Chip::by_name("bq34110").expect("a table").subclasses.iter();

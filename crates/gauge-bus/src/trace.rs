@@ -74,18 +74,24 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Records the transfers of `bus` in a file that only its owner can read. An existing file is replaced.
+    /// Records the transfers of `bus` in a file that only its owner can read. A file that has something in it is an
+    /// error, unless it is to be replaced.
     pub fn new(
         bus: Box<dyn Bus>,
         address: u8,
         path: &Path,
         clock: Arc<dyn Clock>,
         head: &str,
+        replace: bool,
     ) -> Result<Self> {
         let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
         let mut options = File::options();
-        options.write(true).create(true).truncate(true).mode(0o600);
+        options.write(true).create(true).truncate(false).mode(0o600);
         let mut file = regular::open(&options, path).map_err(failed)?;
+        if !replace && file.metadata().map_err(failed)?.len() > 0 {
+            return Err(failed(std::io::Error::from(std::io::ErrorKind::AlreadyExists)));
+        }
+        file.set_len(0).map_err(failed)?;
         file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
         file.write_all(text(head, &[], address, &[]).as_bytes()).map_err(failed)?;
         Ok(Self { bus, file: Some(file), clock, address, secret: false })
@@ -183,7 +189,7 @@ mod tests {
     fn transfers_are_recorded_without_keys() {
         let path = std::env::temp_dir().join(format!("gaugefs-trace-{}", std::process::id()));
         let clock = Arc::new(SimClock::new());
-        let mut bus = Trace::new(Box::new(Echo), 0x55, &path, clock.clone(), "test").expect("a trace");
+        let mut bus = Trace::new(Box::new(Echo), 0x55, &path, clock.clone(), "test", false).expect("a trace");
         clock.sleep(std::time::Duration::from_millis(1500));
         bus.transfer(&[0x61, 0], &mut []).expect("a write");
         bus.transfer(&[0x08], &mut [0; 2]).expect("a read");
@@ -193,6 +199,15 @@ mod tests {
         bus.transfer(&[0, 0x14, 0x04], &mut []).expect("a key word");
         bus.set_secret(false);
         let text = std::fs::read_to_string(&path).expect("the trace");
+        let again =
+            |replace| Trace::new(Box::new(Echo), 0x55, &path, clock.clone(), "again", replace).map(drop);
+        assert_eq!(
+            again(false).expect_err("it is there").kind,
+            crate::ErrorKind::Io(std::io::ErrorKind::AlreadyExists)
+        );
+        assert_eq!(std::fs::read_to_string(&path).expect("the trace"), text, "it was touched");
+        again(true).expect("it is replaced");
+        assert!(std::fs::read_to_string(&path).expect("the trace").starts_with("; gaugefs: again\n"));
         let mode = std::fs::metadata(&path).expect("the trace").permissions().mode();
         std::fs::remove_file(&path).expect("the trace");
         assert_eq!(mode & 0o777, 0o600);

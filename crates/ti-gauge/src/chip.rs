@@ -30,8 +30,8 @@ mod recognise;
 
 pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
-pub use names::{kebab_case, snake_case};
-pub use parameter::{FLAT, Kind, Parameter, Range, Safe, Subclass};
+pub use names::{Unnamed, kebab_case, snake_case};
+pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
 pub use recognise::{Limited, Recognised, recognise};
 

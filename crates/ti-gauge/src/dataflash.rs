@@ -17,6 +17,7 @@
 use std::fmt;
 use std::time::Duration;
 
+pub use crate::chip::Row;
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
@@ -59,9 +60,6 @@ pub struct Place {
     /// Offset in the subclass, or address.
     pub offset: u16,
 }
-
-/// A parameter and the subclass that it belongs to.
-pub type Row = (&'static Subclass, &'static Parameter);
 
 /// New bytes for one place in data flash.
 #[derive(Clone, Debug)]

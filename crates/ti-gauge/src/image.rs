@@ -6,11 +6,12 @@
 use std::fmt;
 use std::path::Path;
 
-use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass, kebab_case};
+use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass};
 use crate::codec;
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
 use crate::text;
+use crate::unit;
 use crate::value::Value;
 
 pub mod flashstream;
@@ -191,6 +192,11 @@ impl Entry {
         text::render(self.parameter.kind, &self.value)
     }
 
+    /// The value for people: a date as `2026-11-22`.
+    pub fn shown(&self) -> String {
+        unit::show(self.parameter, &self.value)
+    }
+
     /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
     /// other value outside its range is an error, with line and parameter.
     pub fn not_imported(&self, allow_unproven: bool) -> Result<Option<&'static str>> {
@@ -202,7 +208,8 @@ impl Entry {
         }
     }
 
-    fn is(&self, other: &Entry) -> bool {
+    /// Whether it is of the same parameter.
+    pub fn is(&self, other: &Entry) -> bool {
         // Subclasses may share their rows.
         std::ptr::eq(self.subclass, other.subclass) && self.parameter.offset == other.parameter.offset
     }
@@ -214,8 +221,8 @@ impl Entry {
 
 impl fmt::Display for Difference<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} -> {}", self.name, self.old.text(), self.new.text())?;
-        if self.new.parameter.unit.is_empty() { Ok(()) } else { write!(f, " {}", self.new.parameter.unit) }
+        let unit = unit::suffix(self.new.parameter);
+        write!(f, "{}: {} -> {}{unit}", self.name, self.old.shown(), self.new.shown())
     }
 }
 
@@ -361,15 +368,21 @@ impl Image {
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
-        let is_dfi = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
-        if is_dfi || is_binary(&bytes) {
+        Self::read(&name, &bytes, chip)
+    }
+
+    /// The same for the bytes of a file with that name.
+    pub fn read(name: &str, bytes: &[u8], chip: Option<&'static Chip>) -> Result<Self> {
+        let is_dfi =
+            Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
+        if is_dfi || is_binary(bytes) {
             let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
                        with them, or a .df.fs for a bq34z100";
             return Err(Error::new(name, Cause::Invalid(why.into())));
         }
         // Tools use other encodings in comments and units, which are not needed here.
-        let text = String::from_utf8_lossy(&bytes);
-        Self::parse(&text, chip).map_err(|error| error.within(&name))
+        let text = String::from_utf8_lossy(bytes);
+        Self::parse(&text, chip).map_err(|error| error.within(name))
     }
 
     /// Reads the text of a file. Its first line shows which format it has. A file without any parameter is refused,
@@ -421,7 +434,7 @@ impl Image {
             if differ == 0 {
                 continue;
             }
-            let name = parameter_name(self.chip, entry.subclass, entry.parameter);
+            let name = self.chip.name_of((entry.subclass, entry.parameter));
             let text = format!(
                 "line {}: {name}: {} differs from the gauge's {stored} in bits 0x{differ:x}, which stay as they are: {why}",
                 entry.line,
@@ -475,7 +488,7 @@ impl Image {
             let excluded = exclude.iter().any(|group| group.has(subclass, row));
             !row.unproven && !excluded && !self.entries.iter().any(is_there)
         });
-        missing.map(|(subclass, row)| parameter_name(self.chip, subclass, row)).collect()
+        missing.map(|(subclass, row)| self.chip.name_of((subclass, row))).collect()
     }
 
     /// The changes that restore this configuration on a gauge that has lost it with its power. Unproven rows are
@@ -516,7 +529,7 @@ impl Image {
 
     /// The name of a parameter as `df/by-name` has it.
     pub fn name(&self, entry: &Entry) -> String {
-        parameter_name(self.chip, entry.subclass, entry.parameter)
+        self.chip.name_of((entry.subclass, entry.parameter))
     }
 
     /// Compares with another image of the same chip, except for some groups. A file need not hold everything:
@@ -542,11 +555,6 @@ impl Image {
         comparison.only_second = compared(new).filter(is_new).collect();
         Ok(comparison)
     }
-}
-
-/// The name of a parameter as `df/by-name` has it.
-fn parameter_name(chip: &Chip, subclass: &Subclass, parameter: &Parameter) -> String {
-    format!("{}/{}", chip.class_dir(subclass), kebab_case(parameter.name))
 }
 
 /// An error about a parameter that a file has twice.

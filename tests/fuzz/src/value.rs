@@ -1,4 +1,4 @@
-//! The text of a `df` file: `ti_gauge::text`.
+//! The text of a `df` file, `ti_gauge::text`, and values with units and dates, `ti_gauge::unit`.
 
 use std::sync::LazyLock;
 
@@ -6,6 +6,7 @@ use ti_gauge::chip::{CHIPS, Parameter, Range, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::Change;
 use ti_gauge::text;
+use ti_gauge::unit;
 use ti_gauge::value::{Type, Value};
 
 type Row = (&'static Subclass, &'static Parameter);
@@ -35,6 +36,9 @@ fn limits(row: &Parameter) -> String {
 pub(crate) fn run(input: &[u8]) {
     for row in ROWS.iter() {
         check(*row, input);
+        if let Ok(text) = std::str::from_utf8(input) {
+            check_unit(row.1, text);
+        }
     }
     if let Some(bytes) = text::unhex(input) {
         assert_eq!(text::hex(&bytes).as_bytes(), input.to_ascii_lowercase());
@@ -73,6 +77,33 @@ fn check((subclass, parameter): Row, input: &[u8]) {
     let again = text::parse_stored(parameter, text::render(kind, &read).as_bytes());
     let again = again.expect("what is shown can be written");
     assert_eq!(codec::encode(kind, &again), Some(change.bytes));
+}
+
+/// What a file accepts means the same with units allowed; a unit is refused, or gives a value of which the text is the
+/// very number.
+fn check_unit(parameter: &'static Parameter, text: &str) {
+    let value = match (text::parse(parameter, text.as_bytes()), unit::parse(parameter, text)) {
+        (Ok(plain), value) => {
+            assert_eq!(value.as_ref(), Ok(&plain), "{text}");
+            plain
+        }
+        (Err(_), Ok(value)) => value,
+        (Err(_), Err(_)) => return,
+    };
+    let shown = unit::show(parameter, &value);
+    let Value::Int(stored) = value else { return };
+    assert_eq!(unit::parse(parameter, &shown), Ok(value), "{text}: what is shown is read as another value");
+    // Volts and amperes differ from what is stored by three digits.
+    let of_thousand = ["mV", "mA", "mAh"].contains(&parameter.unit);
+    let number = text.trim().strip_suffix(parameter.unit.trim_start_matches('m')).filter(|_| of_thousand);
+    let number =
+        number.map(str::trim).filter(|number| number.bytes().all(|byte| b"+-.0123456789".contains(&byte)));
+    if let Some((whole, part)) = number.and_then(|number| number.split_once('.')) {
+        let digits = format!("{whole}{part:0<3}");
+        let (digits, rest) = digits.split_at(whole.len() + 3);
+        assert!(rest.bytes().all(|digit| digit == b'0'), "{text} was rounded to {stored}");
+        assert_eq!(digits.parse(), Ok(stored), "{text}");
+    }
 }
 
 /// A whole number in decimal, hexadecimal or binary, by other code than the one under test.

@@ -1,4 +1,84 @@
-//! TI's names as file names.
+//! TI's names as file names, and parameters by these names.
+
+use super::{Chip, FLAT, Parameter, Row};
+use crate::text;
+
+/// How much alike two names have to be for one to be suggested for the other, from 0 to 1.
+const ALIKE: f64 = 0.85;
+
+/// Why a name is not that of a parameter.
+#[derive(Clone, Debug)]
+pub enum Unnamed {
+    /// There is none. [`Chip::nearest`] may know which one was meant.
+    Unknown,
+    /// Several classes have one of this name: their whole names.
+    Several(Vec<String>),
+}
+
+impl Chip {
+    /// All parameters, in the table's order.
+    pub fn rows(&self) -> impl Iterator<Item = Row> + use<> {
+        self.subclasses.iter().flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)))
+    }
+
+    /// The whole name of a parameter, as `df/by-name` has it: `it-cfg/cell-terminate-voltage`.
+    pub fn name_of(&self, (subclass, parameter): Row) -> String {
+        format!("{}/{}", self.class_dir(subclass), kebab_case(parameter.name))
+    }
+
+    /// The parameter that a text names: by its place, `80/53`, by its whole name, or by its own name if only one class has
+    /// one of that name.
+    pub fn find(&self, name: &str) -> Result<Row, Unnamed> {
+        if let Some((class, own)) = name.strip_prefix("by-name/").unwrap_or(name).split_once('/') {
+            let by_place = self.row(class, own);
+            let by_name =
+                || self.named(own).find(|(subclass, _)| self.class_dir(subclass) == kebab_case(class));
+            if let Some(row) = by_place.or_else(by_name) {
+                return Ok(row);
+            }
+        }
+        // TI has names with a slash.
+        let found: Vec<Row> = self.named(name).collect();
+        match found[..] {
+            [] => Err(Unnamed::Unknown),
+            [row] => Ok(row),
+            _ => Err(Unnamed::Several(found.into_iter().map(|row| self.name_of(row)).collect())),
+        }
+    }
+
+    /// The parameters of that name, of any class.
+    fn named(&self, name: &str) -> impl Iterator<Item = Row> + use<> {
+        let name = kebab_case(name);
+        let first = name.chars().next();
+        // A file of many names is read by comparing few of them as a whole.
+        let begins = move |row: &Parameter| {
+            let letter = row.name.chars().find(|letter| letter.is_ascii_alphanumeric() || *letter == '%');
+            letter.is_some_and(|letter| letter == '%' || Some(letter.to_ascii_lowercase()) == first)
+        };
+        self.rows().filter(move |(_, row)| begins(row) && kebab_case(row.name) == name)
+    }
+
+    /// The parameter that was probably meant: at the nearest place in the same subclass, or with a name that is much like
+    /// this one.
+    pub fn nearest(&self, name: &str) -> Option<Row> {
+        let (class, own) = name.rsplit_once('/').unwrap_or(("", name));
+        if let Some(at) = text::unsigned::<u16>(own) {
+            let id = if class == "flash" { FLAT } else { text::unsigned(class)? };
+            let near = self.rows().filter(|(subclass, _)| subclass.id == id);
+            return near.min_by_key(|(_, row)| row.offset.abs_diff(at));
+        }
+        let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
+        let alone = self.rows().map(|row| (strsim::jaro_winkler(&kebab_case(row.1.name), &own), row));
+        let rows = alone.filter(|(alone, _)| *alone >= ALIKE).map(|(alone, row)| {
+            // The class decides between parameters of the same name.
+            let with_class = if class.is_empty() { 0.0 } else { strsim::jaro(&self.name_of(row), &whole) };
+            ((alone, with_class), row)
+        });
+        // Of those that are equally alike, the first.
+        let best = rows.reduce(|best, row| if row.0 > best.0 { row } else { best });
+        best.map(|(_, row)| row)
+    }
+}
 
 /// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`, an
 /// upper-case letter after a lower-case one or a digit starting a new word (`StateOfCharge` is
@@ -31,6 +111,70 @@ pub fn kebab_case(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chip::CHIPS;
+
+    fn chip() -> &'static Chip {
+        Chip::by_name("bq34z100-g1").expect("it has a table")
+    }
+
+    #[test]
+    fn every_parameter_is_found_by_its_place_and_its_name() {
+        for chip in CHIPS {
+            for row in chip.rows() {
+                let name = chip.name_of(row);
+                let whole = chip.find(&name).unwrap_or_else(|_| panic!("{}: {name}", chip.name));
+                assert!(
+                    std::ptr::eq(whole.0, row.0) && std::ptr::eq(whole.1, row.1),
+                    "{}: {name}",
+                    chip.name
+                );
+                match chip.find(row.1.name) {
+                    Ok(alone) => assert!(std::ptr::eq(alone.1, row.1), "{}: {name}", chip.name),
+                    Err(Unnamed::Several(names)) => {
+                        assert!(names.contains(&name), "{}: {names:?}", chip.name)
+                    }
+                    Err(Unnamed::Unknown) => panic!("{}: {name}", chip.name),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_name_is_found_however_it_is_written() {
+        for name in [
+            "80/53",
+            "it-cfg/cell-terminate-voltage",
+            "by-name/it-cfg/cell-terminate-voltage",
+            "cell-terminate-voltage",
+            "Cell Terminate Voltage",
+            "IT Cfg/Cell Terminate Voltage",
+        ] {
+            let (subclass, row) = chip().find(name).unwrap_or_else(|why| panic!("{name}: {why:?}"));
+            assert_eq!((subclass.id, row.offset), (80, 53), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_name_that_does_not_exist_is_answered_with_the_one_that_was_meant() {
+        for (name, meant) in [
+            ("it-cfg/cell-terminate-voltag", Some("it-cfg/cell-terminate-voltage")),
+            ("it-cfg/cell-treminate-voltage", Some("it-cfg/cell-terminate-voltage")),
+            ("power/cell-terminate-voltage", Some("it-cfg/cell-terminate-voltage")),
+            ("cell-terminate-volts", Some("it-cfg/cell-terminate-voltage")),
+            ("serial-numbr", Some("configuration-data/serial-number")),
+            ("80/54", Some("it-cfg/cell-terminate-voltage")),
+            ("nonsense", None),
+            ("xyz/nonsense", None),
+            ("80/xyz", None),
+            ("99/0", None),
+            ("", None),
+            ("/", None),
+        ] {
+            assert!(matches!(chip().find(name), Err(Unnamed::Unknown)), "{name} is found");
+            let found = chip().nearest(name);
+            assert_eq!(found.map(|row| chip().name_of(row)).as_deref(), meant, "{name}");
+        }
+    }
 
     #[test]
     fn file_names_follow_from_the_manuals_names() {

@@ -2,6 +2,7 @@
 
 use super::{Bit, Role};
 use crate::codec::WINDOW;
+use crate::date;
 use crate::value::Type;
 
 /// The id of every group of a part with a flat address space, where offsets are addresses.
@@ -155,6 +156,11 @@ impl Parameter {
         ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"].contains(&self.name)
     }
 
+    /// Whether it holds a date.
+    pub fn is_date(&self) -> bool {
+        self.unit == date::UNIT
+    }
+
     /// Sources disagree about the default, or none is known.
     #[must_use]
     pub const fn no_default(mut self) -> Self {
@@ -230,6 +236,9 @@ impl Parameter {
         self
     }
 }
+
+/// A parameter and its subclass. Subclasses may share their parameters.
+pub type Row = (&'static Subclass, &'static Parameter);
 
 /// Range and default of a parameter.
 #[derive(Debug)]

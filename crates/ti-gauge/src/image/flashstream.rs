@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, parameter_name, romimage};
+use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, romimage};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::dataflash::Place;
@@ -471,7 +471,7 @@ impl Stream {
         let mut rows = of_id.flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
         let holds = |row: &Parameter| (row.offset..).take(row.kind.size()).any(|at| at == offset);
         match rows.find(|(_, row)| holds(row)) {
-            Some((class, row)) => Err(also_in(&parameter_name(self.chip, class, row), first)),
+            Some((class, row)) => Err(also_in(&self.chip.name_of((class, row)), first)),
             None => Ok(()),
         }
     }

@@ -7,6 +7,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::{Image, at_line, check_count, chip_of, twice};
 use crate::chip::{Chip, Kind, kebab_case};
+use crate::date;
 use crate::error::{Cause, Error, Result};
 use crate::text;
 use crate::value::{Type, Value};
@@ -27,7 +28,7 @@ pub fn write(image: &Image) -> String {
             text += &format!("\n[{}]\n", chip.class_dir(subclass));
         }
         for entry in entries {
-            let (parameter, shown) = (entry.parameter, entry.text());
+            let (parameter, shown) = (entry.parameter, entry.shown());
             let shown = match (parameter.kind, &entry.value) {
                 (_, Value::Text(string)) => quoted(string),
                 // A float may have more digits than a TOML integer may.
@@ -35,7 +36,7 @@ pub fn write(image: &Image) -> String {
                 _ => shown,
             };
             let marks = [
-                (parameter.unit, !parameter.unit.is_empty()),
+                (parameter.unit, !parameter.unit.is_empty() && entry.shown() == entry.text()),
                 ("learned", parameter.learned),
                 ("unproven: not imported", parameter.unproven),
             ];
@@ -154,7 +155,9 @@ fn add_table(
         };
         let is_text = matches!(value.get_ref(), DeValue::String(_));
         let is_for_text = matches!(parameter.kind, Type::S(_));
-        let text = plain(value.get_ref()).filter(|_| is_text == is_for_text);
+        let is_date = matches!(value.get_ref(), DeValue::Datetime(_));
+        let is_one = is_text == is_for_text && (!is_date || parameter.is_date());
+        let text = plain(value.get_ref()).filter(|_| is_one);
         let Some(text) = text else {
             let remedy = match value.get_ref() {
                 DeValue::String(text) if !is_for_text => match text::parse(parameter, text.as_bytes()) {
@@ -171,7 +174,8 @@ fn add_table(
             let why = || at_line(number, format!("{name}: a character above \\u00ff is not a byte"));
             text::string(parameter, bytes.ok_or_else(why)?)
         } else {
-            text::parse_stored(parameter, text.as_bytes())
+            let day = date::parse(&text).filter(|_| parameter.is_date()).map(|day| day.to_string());
+            text::parse_stored(parameter, day.unwrap_or(text).as_bytes())
         };
         let value = value.map_err(|error| error.within(&format!("line {number}")))?;
         image.add(subclass, parameter, value, number);
@@ -187,6 +191,7 @@ fn plain(value: &DeValue<'_>) -> Option<String> {
             i64::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
         }
         DeValue::Float(number) => Some(number.as_str().to_string()),
+        DeValue::Datetime(date) => Some(date.to_string()),
         _ => None,
     }
 }
@@ -212,6 +217,18 @@ mod tests {
                 ("registers/pack-configuration".into(), "0x0161".into(), 5)
             ]
         );
+    }
+
+    #[test]
+    fn a_date_is_written_as_one_and_read_as_one_or_as_its_number() {
+        for (written, text) in [("2026-11-22", "23926"), ("23926", "23926"), ("0", "0")] {
+            let image = parse(&format!("{HEAD}[configuration-data]\nmanufacture-date = {written}\n"), None)
+                .expect(written);
+            assert_eq!(image.entries[0].text(), text);
+            let again = write(&image);
+            let shown = if text == "0" { "0  # Day" } else { "2026-11-22\n" };
+            assert!(again.contains(&format!("\nmanufacture-date = {shown}")), "{again}");
+        }
     }
 
     #[test]
@@ -252,6 +269,18 @@ mod tests {
             (
                 "[configuration-data]\ndevice-name = \"twelve bytes\"",
                 "line 3: Device Name: 12 characters, but only 11 fit",
+            ),
+            (
+                "[it-cfg]\ncell-terminate-voltage = 2026-11-22",
+                "line 3: it-cfg/cell-terminate-voltage: datetime, but I2 is expected",
+            ),
+            (
+                "[configuration-data]\nmanufacture-date = 2026-11-22T08:00:00",
+                "line 3: Manufacture Date: the value is not a whole number",
+            ),
+            (
+                "[configuration-data]\nmanufacture-date = 1979-12-31",
+                "line 3: Manufacture Date: the value is not a whole number",
             ),
             ("x = 1", "line 2: x: only chip, device_type, firmware and parameters"),
             ("[it-cfg\n", "line 2: not TOML"),

@@ -1,0 +1,360 @@
+//! Values as people write and read them: numbers with a unit, and dates. What `df` files hold is [`text`]'s: numbers in the
+//! unit of the table.
+//!
+//! A unit is converted exactly or refused: no value is ever rounded.
+
+use crate::chip::Parameter;
+use crate::date;
+use crate::error::{Cause, Error, Result};
+use crate::text;
+use crate::value::{Type, Value};
+
+/// A number times a unit, exactly: `num / den` of a base unit.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Unit {
+    num: i128,
+    den: i128,
+    base: String,
+}
+
+/// Names of units: their base unit, and how many of it they are.
+const SYMBOLS: [(&str, &str, i128); 14] = [
+    ("V", "V", 1),
+    ("A", "A", 1),
+    ("Ah", "Ah", 1),
+    ("W", "W", 1),
+    ("Wh", "Wh", 1),
+    ("Ω", "Ω", 1),
+    ("ohm", "Ω", 1),
+    ("s", "s", 1),
+    ("min", "s", 60),
+    ("h", "s", 3600),
+    ("%", "%", 1),
+    ("°C", "°C", 1),
+    ("degC", "°C", 1),
+    ("K", "K", 1),
+];
+/// The base units that have the prefixes below.
+const PREFIXED: [&str; 7] = ["V", "A", "Ah", "W", "Wh", "Ω", "s"];
+/// Prefixes, and what they divide by. The micro sign is a character of its own beside the Greek letter.
+const PREFIXES: [(&str, i128); 6] =
+    [("", 1), ("m", 1_000), ("u", 1_000_000), ("µ", 1_000_000), ("μ", 1_000_000), ("n", 1_000_000_000)];
+/// What a quantity may be counted for. `mV/cell` is no `mV`: a pack's voltage is another one.
+const PER: [&str; 2] = ["/cell", "/day"];
+/// Longest number with a unit, in digits. It keeps all products within 128 bits.
+const DIGITS: usize = 18;
+
+impl Unit {
+    /// A unit of a table, such as `mV`, `0.1°C`, `4 mΩ` or `mV/cell`. `None` for those that are only names, such as
+    /// `hex`, and for those that depend on a setting of the gauge, such as `mWh/cWh`.
+    fn of(text: &str) -> Option<Self> {
+        let (number, unit) = split(text);
+        let (num, den) = if number.is_empty() { (1, 1) } else { decimal(number)? };
+        let per = PER.into_iter().find(|per| unit.ends_with(per)).unwrap_or_default();
+        let name = unit.strip_suffix(per)?;
+        let (symbol, size) = SYMBOLS.iter().find_map(|&(symbol, base, size)| {
+            let prefix = name.strip_suffix(symbol)?;
+            let &(_, divisor) = PREFIXES.iter().find(|(known, _)| *known == prefix)?;
+            let may_have = prefix.is_empty() || PREFIXED.contains(&base) && size == 1;
+            may_have.then_some((base, (size, divisor)))
+        })?;
+        Some(Self { num: num * size.0, den: den * size.1, base: format!("{symbol}{per}") })
+    }
+}
+
+/// A number at the beginning of a text, and the rest.
+fn split(text: &str) -> (&str, &str) {
+    let is_of_number = |letter: char| letter.is_ascii_digit() || ".+-".contains(letter);
+    let end = text.find(|letter| !is_of_number(letter)).unwrap_or(text.len());
+    (&text[..end], text[end..].trim_start())
+}
+
+/// A decimal number as a fraction.
+fn decimal(text: &str) -> Option<(i128, i128)> {
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, text.strip_prefix('+').unwrap_or(text)),
+    };
+    let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
+    let all = format!("{whole}{part}");
+    let is_number = !all.is_empty() && all.len() <= DIGITS && all.bytes().all(|byte| byte.is_ascii_digit());
+    let den = 10_i128.pow(part.len().min(DIGITS) as u32);
+    if is_number { Some((sign * all.parse::<i128>().ok()?, den)) } else { None }
+}
+
+/// The units that [`parse`] accepts for a parameter, in words; empty if there is none.
+pub fn accepted(parameter: &Parameter) -> String {
+    if parameter.is_date() {
+        return "a date such as 2026-11-22".into();
+    }
+    let Some(Unit { base, .. }) = Unit::of(parameter.unit) else { return String::new() };
+    let small = ["n", "u"].into_iter().filter(|prefix| parameter.unit.contains(prefix));
+    match base.split('/').next().unwrap_or_default() {
+        "s" => "s, min or h".into(),
+        "%" | "K" => base,
+        "°C" => "degC".into(),
+        symbol if PREFIXED.contains(&symbol) => {
+            let small = small.map(|prefix| format!("{prefix}{base}, ")).collect::<String>();
+            format!("{small}m{base} or {base}")
+        }
+        _ => base,
+    }
+}
+
+/// Parses a value for a parameter: as its file accepts it, or with a unit that gives exactly a value that can be stored, or a
+/// date as `2026-11-22`. The error says which units are accepted.
+pub fn parse(parameter: &Parameter, text: &str) -> Result<Value> {
+    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
+    let text = text.trim();
+    let plain = match text::parse(parameter, text.as_bytes()) {
+        Err(error) if matches!(error.cause(), Cause::Invalid(_)) => error,
+        plain => return plain,
+    };
+    if matches!(parameter.kind, Type::S(_)) {
+        return Err(plain);
+    }
+    if parameter.is_date() {
+        let stored = date::parse(text).ok_or_else(|| {
+            invalid("write a day from 1980-01-01 to 2107-12-31, or the stored number".into())
+        })?;
+        return text::parse(parameter, stored.to_string().as_bytes());
+    }
+    let (number, unit) = split(text);
+    let Some((num, den)) = decimal(number).filter(|_| !unit.is_empty()) else {
+        let units = accepted(parameter);
+        if units.is_empty() {
+            return Err(plain);
+        }
+        return Err(invalid(format!(
+            "not a number that can be stored; write a whole number, or one with {units}"
+        )));
+    };
+    let own = parameter.unit;
+    let (num, den) = if unit == own && text[number.len()..].starts_with(' ') {
+        // As the table prints it; its own number is a part of it.
+        (num, den)
+    } else {
+        let Some(stored) = Unit::of(own) else {
+            return Err(invalid(match own {
+                "" | "Num" | "hex" | "Hex" | "flags" => "it has no unit; write the number alone".into(),
+                own => format!("write the number in {own}, without the unit"),
+            }));
+        };
+        let written = Unit::of(unit).filter(|_| split(unit).0.is_empty());
+        let Some(written) = written.filter(|written| written.base == stored.base) else {
+            return Err(invalid(format!(
+                "another unit; it is stored in {own}, and accepts {}",
+                accepted(parameter)
+            )));
+        };
+        (num * written.num * stored.den, den * written.den * stored.num)
+    };
+    let Some(value) = digits(parameter.kind, num, den) else {
+        let why = format!("it is stored in steps of {}, and this is none", step(own));
+        return Err(invalid(format!("{why}; it is not rounded")));
+    };
+    text::parse(parameter, value.as_bytes())
+}
+
+/// A step of what is stored, in words: `1 mV`, `0.1°C`.
+fn step(unit: &str) -> String {
+    if split(unit).0.is_empty() { format!("1 {unit}") } else { unit.into() }
+}
+
+/// A fraction in digits, if the type holds it exactly. A floating-point number may have any decimal number.
+fn digits(kind: Type, num: i128, den: i128) -> Option<String> {
+    let places = if kind == Type::F4 { 24 } else { 0 };
+    let mut scaled = num;
+    for place in 0..=places {
+        if scaled % den == 0 {
+            let (sign, whole) = (if scaled < 0 { "-" } else { "" }, (scaled / den).to_string());
+            let whole = whole.trim_start_matches('-');
+            let padded = format!("{whole:0>0$}", place + 1);
+            let (whole, part) = padded.split_at(padded.len() - place);
+            return Some(if part.is_empty() {
+                format!("{sign}{whole}")
+            } else {
+                format!("{sign}{whole}.{part}")
+            });
+        }
+        scaled = scaled.checked_mul(10)?;
+    }
+    None
+}
+
+/// The text of a value for people: a date as `2026-11-22`, anything else as [`text::render`] has it. [`parse`] accepts it.
+pub fn show(parameter: &Parameter, value: &Value) -> String {
+    let date = match value {
+        Value::Int(stored) if parameter.is_date() => date::text(*stored),
+        _ => None,
+    };
+    date.unwrap_or_else(|| text::render(parameter.kind, value))
+}
+
+/// The unit to be printed after what [`show`] returns, with a space before it. A date has none.
+pub fn suffix(parameter: &Parameter) -> String {
+    match parameter.unit {
+        date::UNIT | "" => String::new(),
+        unit => format!(" {unit}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chip::CHIPS;
+    use crate::value::types::*;
+    use proptest::prelude::*;
+
+    const fn in_unit(unit: &'static str) -> Parameter {
+        Parameter::int(0, I2, "Value", -32768, 32767, 0, unit)
+    }
+
+    fn stored(unit: &'static str, text: &str) -> Result<Value> {
+        parse(&in_unit(unit), text)
+    }
+
+    #[test]
+    fn units_are_converted_exactly() {
+        for (unit, text, value) in [
+            ("mV", "3.1V", 3100),
+            ("mV", "3.1 V", 3100),
+            ("mV", "3100mV", 3100),
+            ("mV", "3100 mV", 3100),
+            ("mV", "3100", 3100),
+            ("mV", "0xc1c", 3100),
+            ("mV", " +3.100V ", 3100),
+            ("mV", "3100000uV", 3100),
+            ("mV", "3100000µV", 3100),
+            ("mV", "-0.5V", -500),
+            ("mV", ".5V", 500),
+            ("mV", "1.V", 1000),
+            ("mA", "-2A", -2000),
+            ("mAh", "2.2Ah", 2200),
+            ("mAh", "2200mAh", 2200),
+            ("mWh", "7.4Wh", 7400),
+            ("0.01mAh", "1mAh", 100),
+            ("mV/cell", "4.2V/cell", 4200),
+            ("20mV", "3.1V", 155),
+            ("20mV", "155 20mV", 155),
+            ("4 mΩ", "40mohm", 10),
+            ("4 mΩ", "0.04Ω", 10),
+            ("3uA", "300uA", 100),
+            ("294nV", "2.94uV", 10),
+            ("0.1°C", "25degC", 250),
+            ("0.1°C", "-12.5°C", -125),
+            ("°C", "25degC", 25),
+            ("0.1K", "298.2K", 2982),
+            ("0.1K", "2982 0.1K", 2982),
+            ("s", "2min", 120),
+            ("s", "1.5h", 5400),
+            ("s", "5000ms", 5),
+            ("%", "7%", 7),
+            ("0.1%", "7.5%", 75),
+            ("0.01%", "7.55 %", 755),
+            ("Hr rate", "5 Hr rate", 5),
+        ] {
+            assert_eq!(stored(unit, text), Ok(Value::Int(value)), "{text} in {unit}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_or_inexact_unit_is_refused_with_what_is_accepted() {
+        for (unit, text, says) in [
+            ("mV", "3.1A", "another unit; it is stored in mV, and accepts mV or V"),
+            ("mV", "3.1mv", "another unit; it is stored in mV, and accepts mV or V"),
+            ("mV", "3.1V/cell", "another unit; it is stored in mV, and accepts mV or V"),
+            ("mV", "3.1 mV mV", "another unit"),
+            ("mV", "31 0.1V", "another unit"),
+            ("mV", "3.1005V", "it is stored in steps of 1 mV, and this is none; it is not rounded"),
+            ("mV", "3.1", "write a whole number, or one with mV or V"),
+            ("mV", "", "write a whole number, or one with mV or V"),
+            ("mV", "V", "write a whole number, or one with mV or V"),
+            ("mV", "1e3V", "another unit"),
+            ("mV", "3..1V", "write a whole number, or one with mV or V"),
+            ("mV", "9999999999999999999V", "write a whole number, or one with mV or V"),
+            ("mV", "40V", "the value is outside -32768 to 32767 mV"),
+            ("mV", "999999999999999999V", "the value is outside -32768 to 32767 mV"),
+            ("mV/cell", "4.2V", "accepts mV/cell or V/cell"),
+            ("20mV", "3.11V", "it is stored in steps of 20mV, and this is none"),
+            ("0.1°C", "25K", "it is stored in 0.1°C, and accepts degC"),
+            // 25 °C are 298.15 K.
+            ("0.1K", "25degC", "it is stored in 0.1K, and accepts K"),
+            ("0.1°C", "25.05degC", "it is stored in steps of 0.1°C, and this is none"),
+            ("mAh", "2V", "accepts mAh or Ah"),
+            ("294nV", "1V/cell", "accepts nV, mV or V"),
+            ("s", "2min/day", "accepts s, min or h"),
+            ("Num", "5V", "it has no unit; write the number alone"),
+            ("", "5V", "it has no unit; write the number alone"),
+            ("mWh/cWh", "5Wh", "write the number in mWh/cWh, without the unit"),
+            ("Hr rate", "5h", "write the number in Hr rate, without the unit"),
+        ] {
+            let error = stored(unit, text).expect_err(text).to_string();
+            assert!(error.starts_with("Value: ") && error.contains(says), "{text} in {unit}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_date_is_a_date_or_its_number() {
+        let date = Parameter::int(2, U2, "Manufacture Date", 0, 65535, 0, date::UNIT);
+        for text in ["2012-05-23", "16567", "0x40b7"] {
+            assert_eq!(parse(&date, text), Ok(Value::Int(16567)), "{text}");
+        }
+        assert_eq!(show(&date, &Value::Int(16567)), "2012-05-23");
+        assert_eq!(show(&date, &Value::Int(0)), "0");
+        let error = parse(&date, "2012-02-30").expect_err("no such day").to_string();
+        assert_eq!(
+            error,
+            "Manufacture Date: write a day from 1980-01-01 to 2107-12-31, or the stored number"
+        );
+    }
+
+    #[test]
+    fn a_number_with_a_point_is_exact_in_decimal() {
+        let gain = Parameter::float(0, "CC Gain", 0.1, 40.0, 0.4768, "mΩ");
+        for text in ["0.4768", "0.4768mΩ", "0.4768 mohm", "476.8uohm", "0.0004768Ω"] {
+            assert_eq!(parse(&gain, text), Ok(Value::Float(0.4768)), "{text}");
+        }
+    }
+
+    /// Every unit of the tables is either converted, or known to be a name.
+    #[test]
+    fn every_unit_of_the_tables_is_known() {
+        let names = [
+            "",
+            "Num",
+            "hex",
+            "Hex",
+            "flags",
+            "Counts",
+            "readings",
+            "0.1 Hr rate",
+            "Hr rate",
+            "mWh/cWh",
+            "mW/cW",
+            date::UNIT,
+        ];
+        for parameter in CHIPS.iter().flat_map(|chip| chip.subclasses).flat_map(|row| row.parameters) {
+            let unit = parameter.unit;
+            assert_eq!(Unit::of(unit).is_none(), names.contains(&unit), "{}: `{unit}`", parameter.name);
+        }
+    }
+
+    #[test]
+    fn what_is_shown_with_its_unit_is_read_again() {
+        let config = ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() };
+        proptest!(config, |(place in 0.0..=1.0)| {
+            for parameter in CHIPS.iter().flat_map(|chip| chip.subclasses).flat_map(|row| row.parameters) {
+                let crate::chip::Range::Int { min, max, .. } = parameter.range else { continue };
+                let value = Value::Int(min + ((max - min) as f64 * place) as i64);
+                let shown = show(parameter, &value);
+                prop_assert_eq!(parse(parameter, &shown), Ok(value.clone()), "{}", shown);
+                if matches!(parameter.kind, Type::H(_)) {
+                    continue;
+                }
+                let with_unit = format!("{shown}{}", suffix(parameter));
+                prop_assert_eq!(parse(parameter, &with_unit), Ok(value), "{}", with_unit);
+            }
+        });
+    }
+}

@@ -1,0 +1,205 @@
+//! One command for several gauges: each is done for itself, and the exit code is the worst.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{PASSED_OVER, print, print_json};
+use crate::error::Result;
+use crate::mounted;
+use ti_gauge::image::{Difference, RawDifference};
+use ti_gauge::unit;
+
+/// Exit code for a failure where 1 means something else.
+pub(super) const TROUBLE: u8 = 2;
+/// Exit code for a failure elsewhere, and for what differs.
+pub(super) const FAILED: u8 = 1;
+
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct Batch {
+    /// Print JSON, one object per line for each gauge
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Leave out the gauges after the first one that fails
+    #[arg(long)]
+    pub(super) fail_fast: bool,
+}
+
+/// What has become of one gauge: as lines, or as an object of --json.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Report {
+    gauge: String,
+    part: Option<String>,
+    serial: Option<String>,
+    outcome: &'static str,
+    /// Old and new values, in the order of the table.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    changes: Option<Vec<Row>>,
+    /// The values that were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) values: Option<Vec<Value>>,
+    /// The file that was written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) file: Option<String>,
+    pub(super) passed_over: Vec<String>,
+    error: Option<String>,
+    exit_code: u8,
+    /// What is printed of it without --json.
+    #[serde(skip)]
+    lines: Vec<String>,
+}
+
+/// A value that was changed, or would be.
+#[derive(Debug, Serialize)]
+struct Row {
+    name: String,
+    old: Option<String>,
+    new: String,
+    unit: &'static str,
+}
+
+/// A value.
+#[derive(Debug, Serialize)]
+pub(super) struct Value {
+    pub(super) name: String,
+    pub(super) value: String,
+    pub(super) unit: &'static str,
+}
+
+impl Report {
+    /// Adds what changes.
+    pub(super) fn change(&mut self, changes: &[Difference<'_>], raw: &[RawDifference]) {
+        let rows = changes.iter().map(|change| Row {
+            name: change.name.clone(),
+            old: Some(change.old.shown()),
+            new: change.new.shown(),
+            unit: if unit::suffix(change.new.parameter).is_empty() { "" } else { change.new.parameter.unit },
+        });
+        let bytes = raw.iter().map(|change| Row {
+            name: change.new.name(),
+            old: change.old.as_deref().map(ti_gauge::text::hex),
+            new: change.new.text(),
+            unit: "",
+        });
+        self.changes.get_or_insert_default().extend(rows.chain(bytes));
+        self.lines.extend(changes.iter().map(ToString::to_string));
+        self.lines.extend(raw.iter().map(ToString::to_string));
+    }
+
+    /// Notes which gauge it is, as the last poll has shown. A write may change its serial number.
+    pub(super) fn identify(&mut self, gauge: &Path) {
+        (self.part, self.serial) = mounted::pack(gauge);
+    }
+
+    /// Adds a line to what is printed.
+    pub(super) fn say(&mut self, line: String) {
+        self.lines.push(line);
+    }
+
+    /// What was done, and the exit code that follows from it.
+    pub(super) fn done(&mut self, dry_run: bool) -> u8 {
+        let changes = !self.lines.is_empty();
+        let (outcome, code) = match (dry_run, changes, self.passed_over.is_empty()) {
+            (true, false, true) => ("unchanged", 0),
+            (true, ..) => ("differs", FAILED),
+            (false, true, true) => ("written", 0),
+            (false, true, false) => ("written", PASSED_OVER),
+            (false, false, true) => ("unchanged", 0),
+            (false, false, false) => ("unchanged", PASSED_OVER),
+        };
+        self.outcome = outcome;
+        code
+    }
+
+    /// The same for what only reads.
+    pub(super) fn read(&mut self) -> u8 {
+        self.outcome = "read";
+        if self.passed_over.is_empty() { 0 } else { PASSED_OVER }
+    }
+}
+
+impl Batch {
+    /// Does something with each gauge, which returns the exit code for that gauge alone. That of a gauge that failed is
+    /// `failure`.
+    pub(super) fn run(
+        self,
+        gauges: &[PathBuf],
+        failure: u8,
+        mut act: impl FnMut(&Path, &mut Report) -> Result<u8>,
+    ) -> ExitCode {
+        let several = gauges.len() > 1;
+        let mut worst = 0;
+        for (at, path) in gauges.iter().enumerate() {
+            let mut report = Report { gauge: path.display().to_string(), ..Report::default() };
+            let outcome = mounted::gauge(path).and_then(|gauge| {
+                report.gauge = gauge.display().to_string();
+                act(&gauge, &mut report).inspect_err(|_| {
+                    if report.part.is_none() {
+                        report.identify(&gauge);
+                    }
+                })
+            });
+            report.exit_code = outcome.unwrap_or_else(|error| {
+                eprintln!("gaugefs: {error}");
+                (report.outcome, report.error) = ("failed", Some(error.to_string()));
+                failure
+            });
+            let failed = report.error.is_some();
+            if self.json {
+                print_json(&report);
+            } else if !failed {
+                print(&text(&report, several));
+            }
+            if worst_of(worst, report.exit_code) {
+                worst = report.exit_code;
+            }
+            let left = gauges.len() - at - 1;
+            if failed && self.fail_fast && left > 0 {
+                eprintln!("gaugefs: {left} more not tried, because of --fail-fast");
+                break;
+            }
+        }
+        worst.into()
+    }
+}
+
+/// Its lines. Those of one gauge among several begin with its folder and serial number.
+fn text(report: &Report, several: bool) -> String {
+    let head = match (&report.serial, several) {
+        (_, false) => String::new(),
+        (Some(serial), true) => format!("{} serial {serial}: ", report.gauge),
+        (None, true) => format!("{}: ", report.gauge),
+    };
+    let mut text: String = report.lines.iter().map(|line| format!("{head}{line}\n")).collect();
+    if several && report.lines.is_empty() && report.outcome == "unchanged" {
+        text = format!("{head}unchanged\n");
+    }
+    text
+}
+
+/// Whether an exit code is worse than the worst so far: a failure than what was passed over, and that than success.
+fn worst_of(worst: u8, code: u8) -> bool {
+    let rank = |code: u8| [0, PASSED_OVER, FAILED, TROUBLE].iter().position(|known| *known == code);
+    rank(code) > rank(worst)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_exit_code_counts() {
+        for (codes, worst) in [
+            (&[0, 0][..], 0),
+            (&[0, PASSED_OVER, 0], PASSED_OVER),
+            (&[PASSED_OVER, FAILED, 0], FAILED),
+            (&[FAILED, PASSED_OVER], FAILED),
+            (&[FAILED, TROUBLE, 0], TROUBLE),
+        ] {
+            let found = codes.iter().fold(0, |worst, &code| if worst_of(worst, code) { code } else { worst });
+            assert_eq!(found, worst, "{codes:?}");
+        }
+    }
+}

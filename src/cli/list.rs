@@ -1,0 +1,98 @@
+//! `gaugefs list`: the gauges that are mounted on this machine.
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::Args;
+use nix::errno::Errno;
+use serde::Serialize;
+
+use super::{align, print, print_json};
+use crate::daemon::look::{self, Found, Listed};
+use crate::daemon::mountpoint;
+use crate::error::{Error, Result, shown};
+
+const LIST: &str = "\
+What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
+has died or does not answer within 5 s is shown as that. Exit code 0: all answer, 1: one does not,
+or none is mounted.
+
+Examples:
+  gaugefs list
+  gaugefs list --json | jq -r 'select(.capacity < 20) | .path'";
+
+/// List all mounted gauges
+#[derive(Args, Debug)]
+#[command(after_help = LIST)]
+pub(super) struct List {
+    /// Print JSON, one object per line for each gauge
+    #[arg(long)]
+    json: bool,
+}
+
+/// A mount without its gauges, for --json.
+#[derive(Serialize)]
+struct Silent<'a> {
+    path: &'a str,
+    error: &'a str,
+}
+
+impl List {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let mut mounts = mountpoint::list();
+        mounts.sort();
+        mounts.dedup();
+        if mounts.is_empty() {
+            let why = "no gaugefs is mounted; to mount one, see: gaugefs mount --help";
+            return Err(Error::host("", Errno::ENOENT, why));
+        }
+        let mut code = ExitCode::SUCCESS;
+        let mut rows = vec![["GAUGE", "PART", "SERIAL", "CAPACITY", "STATUS", "AGE"].map(String::from)];
+        for (mount, found) in look::gauges(&mounts)? {
+            for gauge in &found.gauges {
+                if self.json { print_json(gauge) } else { rows.push(row(gauge)) }
+            }
+            let Some(error) = trouble(&mount, &found) else { continue };
+            code = ExitCode::FAILURE;
+            if self.json {
+                print_json(&Silent { path: &mount.to_string_lossy(), error: &error });
+            } else {
+                eprintln!("gaugefs: {}: {error}", shown(&mount));
+            }
+        }
+        if rows.len() > 1 {
+            print(&align(&rows));
+        }
+        Ok(code)
+    }
+}
+
+/// Why a mount has not shown all of its gauges.
+fn trouble(mount: &Path, found: &Found) -> Option<String> {
+    let umount = format!("remove the mount with: gaugefs umount {}", shown(mount));
+    match found {
+        Found { dead: Some(true), .. } => Some(format!("its daemon has died; {umount}")),
+        Found { late: true, .. } => Some(format!("its daemon does not answer; {umount}")),
+        // Another user's, which this one may not enter.
+        Found { gauges, .. } if gauges.is_empty() => Some("it cannot be read by this user".into()),
+        _ => None,
+    }
+}
+
+fn row(gauge: &Listed) -> [String; 6] {
+    let or_none = |text: &Option<String>| text.as_deref().map_or("-".into(), ti_gauge::text::printable);
+    let age = gauge.age_ms.map_or("-".into(), |age| match age / 1000 {
+        seconds @ 0..120 => format!("{seconds} s"),
+        seconds @ 120..7200 => format!("{} min", seconds / 60),
+        seconds => format!("{} h", seconds / 3600),
+    });
+    let capacity = gauge.capacity.map_or("-".into(), |percent| format!("{percent} %"));
+    [
+        ti_gauge::text::printable(&gauge.path),
+        or_none(&gauge.part),
+        or_none(&gauge.serial),
+        capacity,
+        or_none(&gauge.status),
+        age,
+    ]
+}
