@@ -19,5 +19,6 @@ mod romimage;
 mod scratch;
 mod semantics;
 mod service;
+mod simulator;
 mod swapped;
 mod transaction;
