@@ -10,8 +10,9 @@ use crate::error::{Cause, Error, Result};
 pub(super) const SIZE: f64 = 12.0;
 const LETTER: f64 = 7.2;
 const MARGIN: f64 = 16.0;
-/// Space for the title and the line below it, and for the strip of one gauge.
-const HEAD: f64 = 44.0;
+/// Space for the title, for a line below it, and for the strip of one gauge.
+const HEAD: f64 = 28.0;
+const FACTS: f64 = 16.0;
 const STRIP: f64 = 14.0;
 /// Space above each panel for its title, below the last one for clock and elapsed time, and for a line of the legend.
 const TITLE: f64 = 34.0;
@@ -124,7 +125,20 @@ struct Key {
 enum Mark {
     Area([u8; 3]),
     Line([u8; 3]),
+    /// A series, by its number in its panel.
+    Series(usize),
     Dot,
+}
+
+/// How a series is drawn, by its number: beyond the colours, they begin again with dashes.
+fn colour_of(number: usize) -> ([u8; 3], bool) {
+    (COLOURS[number % COLOURS.len()], number / COLOURS.len() % 2 == 1)
+}
+
+/// Whether the names of a panel's series have room beside its title; otherwise they are in the legend.
+fn names_fit(panel: &Panel, width: f64) -> bool {
+    let letters: usize = panel.series.iter().map(|series| label(series, panel).chars().count()).sum();
+    letters as f64 * LETTER + panel.series.len() as f64 * 40.0 <= width - 300.0
 }
 
 /// Lays a history out as a picture. The default height depends on the number of panels.
@@ -138,10 +152,12 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
             return Err(Error::new("--limit", Cause::Invalid(why)));
         }
     }
-    let keys = legend(history, limits);
+    let keys = legend(history, limits, width);
+    let facts = facts(gauges, width - 2.0 * MARGIN);
+    let head = HEAD + facts.len() as f64 * FACTS;
     let lines = rows_of(&keys, width - 2.0 * MARGIN);
     let strips = gauges.iter().filter(|gauge| !gauge.stretches.is_empty()).count() as f64 * STRIP;
-    let around = 2.0 * MARGIN + HEAD + strips + TIMES + lines.len() as f64 * LEGEND + count * TITLE;
+    let around = 2.0 * MARGIN + head + strips + TIMES + lines.len() as f64 * LEGEND + count * TITLE;
     let height = height.map_or(around + count * USUAL, f64::from);
     let each = (height - around) / count;
     if each < LEAST {
@@ -149,7 +165,7 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
         let why = format!("{count} panels need a height of {least} pixels");
         return Err(Error::new("--height", Cause::OutOfRange(why)));
     }
-    let above = MARGIN + HEAD + strips;
+    let above = MARGIN + head + strips;
     let frames: Vec<_> = (0..)
         .zip(panels)
         .map(|(at, panel)| {
@@ -164,17 +180,15 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
     let left = MARGIN + letters as f64 * LETTER + 8.0;
     let right = width - MARGIN - 3.0 * LETTER;
 
-    let (from, to) = gauges.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), gauge| {
-        (from.min(gauge.from), to.max(gauge.to))
-    });
+    let (from, to) = bounds(gauges);
     // A single poll is in the middle.
     let (from, to) = if to - from < 1.0 { (from - 0.5, to + 0.5) } else { (from, to) };
     let room = ((right - left) / (11.0 * LETTER)) as usize;
     let times = Times { left, right, from, to, marks: ticks::times(from, to, room) };
 
     let mut shapes = Vec::new();
-    title(&mut shapes, gauges, &times, width);
-    let top = MARGIN + HEAD;
+    title(&mut shapes, gauges, &facts, width);
+    let top = MARGIN + head;
     let base = height - MARGIN - TIMES - lines.len() as f64 * LEGEND;
     if let [gauge] = &gauges[..] {
         for frame in &frames {
@@ -188,7 +202,8 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
         text(&mut shapes, (left - 8.0, top + STRIP - 4.0), &name, FAINT, Anchor::End);
     }
     for (at, (panel, frame)) in panels.iter().zip(&frames).enumerate() {
-        draw(&mut shapes, panel, at, frame, &times, gauges, limits);
+        let named = names_fit(panel, width);
+        draw(&mut shapes, panel, (at, named), frame, &times, gauges, limits);
     }
     axis_of_times(&mut shapes, &times, base, room);
     for (at, row) in lines.iter().enumerate() {
@@ -197,8 +212,36 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
     Ok(Scene { width, height, shapes })
 }
 
-/// The title: part, serial number and gauge; below it dates, span, charge and energy.
-fn title(shapes: &mut Vec<Shape>, gauges: &[Gauge], times: &Times, width: f64) {
+/// The first and the last row.
+fn bounds(gauges: &[Gauge]) -> (f64, f64) {
+    let start = (f64::INFINITY, f64::NEG_INFINITY);
+    gauges.iter().fold(start, |(from, to), gauge| (from.min(gauge.from), to.max(gauge.to)))
+}
+
+/// The lines below the title: dates, span, charge and energy.
+fn facts(gauges: &[Gauge], width: f64) -> Vec<String> {
+    let (from, to) = bounds(gauges);
+    let (first, last) = (ticks::utc(from, "%Y-%m-%d %H:%M:%S"), ticks::utc(to, "%Y-%m-%d %H:%M:%S"));
+    let last = if first.get(..10) == last.get(..10) { last.get(11..).unwrap_or_default() } else { &last };
+    let mut facts = vec![format!("{first} \u{2013} {last} UTC"), lasted(to - from)];
+    if let [Gauge { flow: Some(flow), .. }] = gauges {
+        facts.extend(flowed(flow));
+    }
+    let mut lines: Vec<String> = Vec::new();
+    for fact in facts {
+        match lines.last_mut() {
+            Some(line) if ((line.chars().count() + fact.chars().count() + 3) as f64) * LETTER <= width => {
+                *line += " \u{b7} ";
+                *line += &fact;
+            }
+            _ => lines.push(fact),
+        }
+    }
+    lines
+}
+
+/// The title: part, serial number and gauge.
+fn title(shapes: &mut Vec<Shape>, gauges: &[Gauge], facts: &[String], width: f64) {
     let head = match gauges {
         [gauge] => {
             let part = Some(gauge.part.clone()).filter(|part| !part.is_empty());
@@ -218,15 +261,10 @@ fn title(shapes: &mut Vec<Shape>, gauges: &[Gauge], times: &Times, width: f64) {
     let at = (MARGIN, MARGIN + 14.0);
     let head = cut(&head, width - 2.0 * MARGIN, 10.5);
     shapes.push(Shape::Text { at, text: head, colour: INK, anchor: Anchor::Start, style: Style::Title });
-    let (first, last) =
-        (ticks::utc(times.from, "%Y-%m-%d %H:%M:%S"), ticks::utc(times.to, "%Y-%m-%d %H:%M:%S"));
-    let last = if first[..10] == last[..10] { &last[11..] } else { &last };
-    let mut facts = vec![format!("{first} \u{2013} {last} UTC"), lasted(times.to - times.from)];
-    if let [Gauge { flow: Some(flow), .. }] = gauges {
-        facts.extend(flowed(flow));
+    for (at, fact) in facts.iter().enumerate() {
+        let at = (MARGIN, MARGIN + 32.0 + at as f64 * FACTS);
+        text(shapes, at, &cut(fact, width - 2.0 * MARGIN, LETTER), FAINT, Anchor::Start);
     }
-    let facts = cut(&facts.join(" \u{b7} "), width - 2.0 * MARGIN, LETTER);
-    text(shapes, (MARGIN, MARGIN + 32.0), &facts, FAINT, Anchor::Start);
 }
 
 /// A text, cut to what fits.
@@ -285,8 +323,18 @@ fn tints(shapes: &mut Vec<Shape>, gauge: &Gauge, times: &Times, (top, bottom): (
 }
 
 /// Everything that the picture has and a panel's title does not explain.
-fn legend(history: &History, limits: &[Limit]) -> Vec<Key> {
-    let mut keys = Vec::new();
+fn legend(history: &History, limits: &[Limit], width: f64) -> Vec<Key> {
+    let mut keys: Vec<Key> = Vec::new();
+    for panel in history.panels.iter().filter(|panel| panel.series.len() > 1 && !names_fit(panel, width)) {
+        for (at, series) in panel.series.iter().enumerate() {
+            let name = label(series, panel);
+            let is_it =
+                |key: &Key| key.text == name && matches!(key.mark, Mark::Series(other) if other == at);
+            if !keys.iter().any(is_it) {
+                keys.push(Key { mark: Mark::Series(at), text: name });
+            }
+        }
+    }
     let mut add = |mark: Mark, text: &str| keys.push(Key { mark, text: text.into() });
     let stretches = || history.gauges.iter().flat_map(|gauge| &gauge.stretches);
     for known in STATUS.iter().chain([&OTHER]) {
@@ -356,6 +404,10 @@ fn draw_keys(shapes: &mut Vec<Shape>, keys: &[&Key], (left, middle): (f64, f64))
             Mark::Line(colour) => {
                 let points = vec![(x, middle), (x + 16.0, middle)];
                 shapes.push(Shape::Line { points, colour, width: 1.0, dashed: false });
+            }
+            Mark::Series(number) => {
+                let (points, (colour, dashed)) = (vec![(x, middle), (x + 18.0, middle)], colour_of(number));
+                shapes.push(Shape::Line { points, colour, width: 3.0, dashed });
             }
             Mark::Dot => shapes.push(Shape::Dot { at: (x + 8.0, middle), colour: INK, radius: 2.0 }),
         }
@@ -476,7 +528,7 @@ fn bands(
 fn draw(
     shapes: &mut Vec<Shape>,
     panel: &Panel,
-    number: usize,
+    (number, named): (usize, bool),
     frame: &Frame,
     times: &Times,
     gauges: &[Gauge],
@@ -510,11 +562,12 @@ fn draw(
     };
     let many = panel.series.len() > 1;
     // If each panel has one line, each panel has its own colour.
-    let colour = |at: usize| COLOURS[if many { at } else { number } % COLOURS.len()];
+    let colour = |at: usize| colour_of(if many { at } else { number });
     let mut start = left;
     if !many {
         let points = vec![(left, top - 11.0), (left + 18.0, top - 11.0)];
-        shapes.push(Shape::Line { points, colour: colour(0), width: 3.0, dashed: false });
+        let (colour, dashed) = colour(0);
+        shapes.push(Shape::Line { points, colour, width: 3.0, dashed });
         start += 24.0;
     }
     let at = (start, top - 7.0);
@@ -522,13 +575,13 @@ fn draw(
 
     let mut legend = right;
     for (at, series) in panel.series.iter().enumerate().rev() {
-        let colour = colour(at);
-        if many {
+        let (colour, dashed) = colour(at);
+        if many && named {
             let name = label(series, panel);
             let length = name.chars().count() as f64 * LETTER;
             text(shapes, (legend, top - 7.0), &name, INK, Anchor::End);
             let points = vec![(legend - length - 24.0, top - 11.0), (legend - length - 6.0, top - 11.0)];
-            shapes.push(Shape::Line { points, colour, width: 3.0, dashed: false });
+            shapes.push(Shape::Line { points, colour, width: 3.0, dashed });
             legend -= length + 40.0;
         }
         for line in &series.lines {
@@ -537,7 +590,7 @@ fn draw(
                 thinned.iter().map(|(time, value)| (times.x(*time), frame.y(*value))).collect();
             shapes.push(match points[..] {
                 [at] => Shape::Dot { at, colour, radius: 2.0 },
-                _ => Shape::Line { points, colour, width: 1.8, dashed: false },
+                _ => Shape::Line { points, colour, width: 1.8, dashed },
             });
         }
     }

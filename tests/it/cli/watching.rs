@@ -586,3 +586,27 @@ fn the_picture_in_docs_is_what_plot_draws() {
     }
     assert!(!drawn.contains("another status") && !drawn.contains("single poll"));
 }
+
+/// Names that have no room beside a title are in the legend, each once for all panels; what is below the title is
+/// wrapped.
+#[test]
+fn plot_names_every_one_of_many_gauges() {
+    let folder = Folder::new();
+    let file = folder.file("many.csv");
+    let mut text = "time (UTC),gauge,status,voltage (V),current (A)\n".to_string();
+    for minute in 0..5 {
+        for gauge in 0..12 {
+            text += &format!("2026-01-01T00:{minute:02}:00Z,PACK-{gauge},Discharging,3.{gauge:02},-0.5\n");
+        }
+    }
+    fs::write(&file, text).expect("a history");
+    let drawn = gaugefs(&["plot", &file]).done();
+    for gauge in 0..12 {
+        // Once beside its strip, once in the legend; the title has them all in one text.
+        assert_eq!(drawn.matches(&format!(">PACK-{gauge}<")).count(), 2, "PACK-{gauge}: {drawn}");
+    }
+    // Twelve lines in two panels and twelve in the legend, of which the last five each have dashes.
+    assert_eq!(drawn.matches("stroke-dasharray").count(), 5 * 3);
+    let narrow = gaugefs(&["plot", "tests/it/images/recorded.csv", "--width", "400"]).done();
+    assert!(narrow.contains("discharged 0.") && narrow.contains(" Wh"), "{narrow}");
+}
