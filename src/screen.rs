@@ -14,6 +14,7 @@ mod log;
 mod plot;
 mod sample;
 mod thin;
+mod ticks;
 mod top;
 mod watch;
 

@@ -4,7 +4,7 @@ use nix::errno::Errno;
 
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, not_writable};
 use crate::error::Error;
-use crate::owner::Done;
+use crate::owner::{Attempt, Done};
 
 /// What `sim/` holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -63,10 +63,18 @@ impl Operations for Of<'_, SimItem> {
         if knob.is_some_and(|(_, (_, writable))| !writable) {
             return done(Err(not_writable()));
         }
+        let Some((knobs, (name, _))) = knob else {
+            return done(Err(Error::host("", Errno::ENODEV, "the simulated gauge has no such knob")));
+        };
         let text = std::str::from_utf8(data).unwrap_or_default().trim();
-        done(knob.map_or_else(
-            || Err(Error::host("", Errno::ENODEV, "the simulated gauge has no such knob")),
-            |(knobs, (name, _))| knobs.set(name, text),
-        ));
+        let attempt = Attempt::Knob(name);
+        match knobs.set(name, text) {
+            Ok(()) => {
+                self.supply.handle.succeeded(&attempt);
+                done(Ok(()));
+            }
+            // The knob is named as the file that it is.
+            Err(error) => self.supply.refuse(attempt, error.about(format!("sim/{name}")), done),
+        }
     }
 }

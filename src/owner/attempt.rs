@@ -32,6 +32,8 @@ pub enum Attempt {
     Calibrate,
     /// To make a report.
     Report,
+    /// To turn a knob of a simulated gauge.
+    Knob(&'static str),
     /// Something that no later success shows to be over.
     Other,
 }
@@ -50,7 +52,7 @@ impl Attempt {
             | Attempt::Interval
             | Attempt::Restore
             | Attempt::Calibrate => 1,
-            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Other => 0,
+            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Knob(_) | Attempt::Other => 0,
         }
     }
 

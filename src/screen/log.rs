@@ -10,19 +10,37 @@ use clap::Args;
 use jiff::{SignedDuration, Timestamp};
 use nix::errno::Errno;
 
-use super::sample::{Moment, Sample, decimal};
+use super::learning;
+use super::sample::{Moment, Sample};
 use super::watch::{Seen, Watch};
 use crate::error::{Cause, Error, Result};
+use ti_gauge::learning::Cycle;
+
+pub(super) mod columns;
+
+use columns::{Column, Facts};
 
 const LOG: &str = "\
 Each row is a poll that gaugefs makes anyway; logging causes no bus traffic. An existing file is
-continued. While the gauge is absent there is one row with empty fields. `gaugefs plot` draws the
-file.
+continued, with its own columns. While the gauge is absent there is one row with empty fields.
+`gaugefs plot` draws the file.
+
+Columns: status, voltage, current, charge, full charge, capacity, temperature, time to empty, time
+to full, cycle count, state of health, bits, part, serial number, passed charge and events are
+written by default. Others are seal, learning (as `gaugefs learn` prints it) and the registers that
+`ls GAUGE/gauge/registers` shows. `events` has what changed since the row before, also in polls
+between the two: the status, and bits that were set (+QEN) or cleared (-VOK). A register that is
+read with every tenth poll only is marked so in the first line.
+
+The times of a simulated gauge are those of its battery, to which `sim/speed` applies.
 
 Examples:
   gaugefs log /run/gauges/BAT0 -o history.csv
+  gaugefs log --columns voltage,current,true_fcc,learning,events /run/gauges/BAT0 -o cycle.csv
   gaugefs log --interval 60 --count 1440 /run/gauges > day.csv";
 
+/// Changes between two rows that are listed; the others are counted.
+const MOST_EVENTS: usize = 50;
 /// A row may be this early, because the next poll may be a long time away.
 const EARLY: Duration = Duration::from_millis(250);
 
@@ -35,6 +53,9 @@ pub(crate) struct Log {
     /// Minimum time between two rows [default: every poll]
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     interval: Option<Duration>,
+    /// Columns to write, by their names [default: see below]
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    columns: Vec<String>,
     /// File to write or to continue [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -43,73 +64,108 @@ pub(crate) struct Log {
     count: Option<u64>,
 }
 
-/// A column: its name and unit, and its text for a gauge that is present.
-type Column = (&'static str, fn(&Sample) -> Option<String>);
-
-const COLUMNS: [Column; 13] = [
-    ("status", |sample| Some(sample.status())),
-    ("voltage (V)", |sample| millionths(sample, "voltage_now")),
-    ("current (A)", |sample| millionths(sample, "current_now")),
-    ("charge (Ah)", |sample| millionths(sample, "charge_now")),
-    ("full charge (Ah)", |sample| millionths(sample, "charge_full")),
-    ("capacity (%)", |sample| plain(sample, "capacity")),
-    ("temperature (°C)", |sample| Some(decimal(sample.number("temp")?, 1, 1))),
-    ("time to empty (s)", |sample| plain(sample, "time_to_empty_now")),
-    ("time to full (s)", |sample| plain(sample, "time_to_full_now")),
-    ("cycle count", |sample| plain(sample, "cycle_count")),
-    ("state of health (%)", |sample| plain(sample, "state_of_health")),
-    ("passed charge (mAh)", |sample| {
-        let found = sample.registers.iter().find(|(name, _)| name == "passed_charge");
-        found.map(|(_, value)| value.to_string())
-    }),
-    ("bits", |sample| {
-        let words: Vec<_> = sample.words.iter().map(|(_, bits)| bits.as_str()).collect();
-        Some(words.join(" ").trim().to_string())
-    }),
-];
-
-fn millionths(sample: &Sample, name: &str) -> Option<String> {
-    Some(decimal(sample.number(name)?, 6, 3))
-}
-
-fn plain(sample: &Sample, name: &str) -> Option<String> {
-    sample.number(name).map(|value| value.to_string())
-}
-
-/// The first line: the time of the poll in UTC, the gauge, and [`COLUMNS`].
-fn header() -> Vec<&'static str> {
-    ["time (UTC)", "gauge"].into_iter().chain(COLUMNS.iter().map(|(name, _)| *name)).collect()
-}
-
-fn row(gauge: &str, sample: &Sample) -> Vec<String> {
-    let text = |column: &Column| if sample.present() { column.1(sample) } else { None };
-    let values = COLUMNS.iter().map(|column| text(column).unwrap_or_default());
-    [format!("{:.3}", sample.time), gauge.to_string()].into_iter().chain(values).collect()
-}
-
 fn name(gauge: &Path) -> String {
     gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The last row of a gauge.
-struct Last {
+/// A gauge that has been seen, and its last row.
+struct Known {
     gauge: PathBuf,
-    moment: Option<Moment>,
+    /// The last sample, and when it was taken.
+    seen: Sample,
+    seen_at: Instant,
+    /// When the last row was written, and the poll that it is of.
     written: Instant,
+    moment: Option<Moment>,
+    /// What has changed since the last row.
+    events: Events,
+    cycle: Option<Cycle>,
+    learning: String,
+}
+
+/// Changes since a row.
+#[derive(Default)]
+struct Events {
+    texts: Vec<String>,
+    more: usize,
+}
+
+impl Events {
+    fn add(&mut self, text: String) {
+        if self.texts.len() < MOST_EVENTS { self.texts.push(text) } else { self.more += 1 }
+    }
+
+    /// Adds what is different in the next sample.
+    fn compare(&mut self, before: &Sample, now: &Sample) {
+        if before.status() != now.status() {
+            self.add(format!("{} -> {}", before.status(), now.status()));
+        }
+        now.changed_bits(before).for_each(|(_, bits)| self.add(bits));
+    }
+
+    /// All of them; then there are none.
+    fn take(&mut self) -> String {
+        let Self { mut texts, more } = std::mem::take(self);
+        if more > 0 {
+            texts.push(format!("{more} more"));
+        }
+        texts.join("; ")
+    }
+}
+
+impl Known {
+    fn new(gauge: PathBuf, sample: &Sample) -> Self {
+        Self {
+            gauge,
+            seen: sample.clone(),
+            seen_at: Instant::now(),
+            written: Instant::now(),
+            moment: None,
+            events: Events::default(),
+            cycle: None,
+            learning: String::new(),
+        }
+    }
+
+    /// Takes the next sample in.
+    fn take(&mut self, mut sample: Sample) {
+        self.events.compare(&self.seen, &sample);
+        let polled = sample.moment.zip(self.seen.moment);
+        // The first sample has been seen already, by `new`, and not by the cycle.
+        let is_new = self.cycle.is_none() || !polled.is_some_and(|(now, before)| now.is_same_poll(before));
+        sample.time = sample.battery_time();
+        if self.cycle.is_none() {
+            self.cycle = learning::cycle(&sample);
+        }
+        if let (true, Some(cycle), Some(reading)) = (is_new, &mut self.cycle, learning::reading(&sample)) {
+            self.learning = learning::line(&cycle.update(&reading));
+        }
+        (self.seen, self.seen_at) = (sample, Instant::now());
+    }
+
+    /// The same for a mount that has ended. A simulated gauge's time is as far from the host's as before.
+    fn lose(&mut self) {
+        let mut absent = Sample::absent();
+        if self.seen.simulated.is_some() {
+            let passed = SignedDuration::try_from(self.seen_at.elapsed()).unwrap_or_default();
+            absent.time = self.seen.time.saturating_add(passed).unwrap_or(absent.time);
+        }
+        self.take(absent);
+    }
 }
 
 impl Log {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let mut out = Out::open(self.output.as_ref())?;
+        let mut out = Out::open(self.output.as_ref(), &self.columns)?;
         let watch = Watch::start(Some(&self.gauge), None)?;
-        let mut known: Vec<Last> = Vec::new();
+        let mut known: Vec<Known> = Vec::new();
         let mut left = self.count.unwrap_or(u64::MAX);
         let mut reported = String::new();
         for report in &watch.reports {
             match report.seen {
                 Seen::Sample(sample) => {
                     reported.clear();
-                    left -= u64::from(self.sample(&mut out, &mut known, report.gauge, &sample)?);
+                    left -= u64::from(self.sample(&mut out, &mut known, report.gauge, *sample)?);
                 }
                 // A gauge that has gone may come back; one that was never there is an error.
                 Seen::Trouble(why) if known.is_empty() => {
@@ -120,9 +176,10 @@ impl Log {
                         eprintln!("gaugefs: {}: {why}; waiting", report.gauge.display());
                         reported = why;
                     }
-                    for gone in known.iter_mut().filter(|last| last.moment.is_some()) {
+                    for gone in known.iter_mut().filter(|known| known.moment.is_some()) {
+                        gone.lose();
                         gone.moment = None;
-                        out.write(&row(&name(&gone.gauge), &Sample::absent()))?;
+                        out.write(gone)?;
                     }
                 }
                 Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
@@ -135,30 +192,32 @@ impl Log {
     }
 
     /// Writes a row if the sample is new; returns whether it did.
-    fn sample(&self, out: &mut Out, known: &mut Vec<Last>, gauge: PathBuf, sample: &Sample) -> Result<bool> {
-        let found = known.iter().position(|last| last.gauge == gauge);
-        let writes = match found.map(|at| &known[at]) {
+    fn sample(&self, out: &mut Out, known: &mut Vec<Known>, gauge: PathBuf, sample: Sample) -> Result<bool> {
+        let found = known.iter().position(|known| known.gauge == gauge);
+        let at = found.unwrap_or_else(|| {
+            known.push(Known::new(gauge, &sample));
+            known.len() - 1
+        });
+        let known = &mut known[at];
+        let moment = sample.moment;
+        known.take(sample);
+        let writes = if found.is_none() {
             // A continued file may have this poll already.
-            None => !out.has(&gauge, sample.time),
-            Some(last) => {
-                let is_new = match (last.moment, sample.moment) {
-                    (Some(before), Some(now)) => !before.is_same_poll(now),
-                    (before, now) => before.is_some() != now.is_some(),
-                };
-                let due = self.interval.is_none_or(|least| last.written.elapsed() + EARLY >= least);
-                // An absence is recorded regardless of the interval.
-                is_new && (due || sample.moment.is_none() || last.moment.is_none())
-            }
+            !out.has(&known.gauge, &known.seen)
+        } else {
+            let is_new = match (known.moment, moment) {
+                (Some(before), Some(now)) => !before.is_same_poll(now),
+                (before, now) => before.is_some() != now.is_some(),
+            };
+            let due = self.interval.is_none_or(|least| known.written.elapsed() + EARLY >= least);
+            // An absence is recorded regardless of the interval.
+            is_new && (due || moment.is_none() || known.moment.is_none())
         };
         if writes {
-            out.write(&row(&name(&gauge), sample))?;
+            out.write(known)?;
         }
         if writes || found.is_none() {
-            let last = Last { gauge, moment: sample.moment, written: Instant::now() };
-            match found {
-                Some(at) => known[at] = last,
-                None => known.push(last),
-            }
+            (known.moment, known.written) = (moment, Instant::now());
         }
         Ok(writes)
     }
@@ -170,6 +229,7 @@ struct Out {
     to: Box<dyn Write>,
     /// The reader has closed the pipe.
     closed: bool,
+    columns: Vec<Column>,
     /// The header is written before the first row.
     needs_header: bool,
     /// Gauge and time of the last rows of a continued file.
@@ -177,17 +237,18 @@ struct Out {
 }
 
 impl Out {
-    /// Opens the output. An existing file must have the same header.
-    fn open(path: Option<&PathBuf>) -> Result<Self> {
+    /// Opens the output. An existing file is continued with its columns, which must be those that are wanted.
+    fn open(path: Option<&PathBuf>, wanted: &[String]) -> Result<Self> {
+        let mut columns = if wanted.is_empty() { columns::usual() } else { Column::choose(wanted)? };
         let Some(path) = path else {
             let name = "standard output".to_string();
             let to = Box::new(io::stdout());
-            return Ok(Self { name, to, closed: false, before: Vec::new(), needs_header: true });
+            return Ok(Self { name, to, closed: false, columns, before: Vec::new(), needs_header: true });
         };
         let name = path.display().to_string();
         let file = File::options().read(true).append(true).create(true).open(path);
         let file = file.map_err(|error| Error::io(&name, "cannot write it", &error))?;
-        let wrong = |why: &str| {
+        let wrong = |why: String| {
             let why = format!("{why}; choose another file, or move this one away");
             Err(Error::new(&name, Cause::Invalid(why)))
         };
@@ -196,10 +257,16 @@ impl Out {
         if !empty {
             let text = std::fs::read(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
             let mut reader = csv::Reader::from_reader(text.as_slice());
-            match reader.headers() {
-                Ok(found) if found.iter().eq(header()) => {}
-                _ => return wrong("its columns are not those that gaugefs log writes"),
+            let Some(found) = reader.headers().ok().and_then(|titles| Column::of_file(titles.iter())) else {
+                return wrong("its columns are not those that gaugefs log writes".into());
+            };
+            let names = |columns: &[Column]| -> Vec<_> {
+                columns.iter().map(|column| column.name().to_string()).collect()
+            };
+            if !wanted.is_empty() && names(&found) != names(&columns) {
+                return wrong(format!("its columns are others: {}", names(&found).join(", ")));
             }
+            columns = found;
             before.extend(
                 reader
                     .into_records()
@@ -210,7 +277,7 @@ impl Out {
             before.drain(..before.len().saturating_sub(100));
             truncated = text.last() != Some(&b'\n');
         }
-        let mut out = Self { name, to: Box::new(file), closed: false, before, needs_header: empty };
+        let mut out = Self { name, to: Box::new(file), closed: false, columns, before, needs_header: empty };
         // A full disk or a power cut has truncated the last row.
         if truncated {
             out.line("\r\n".as_bytes())?;
@@ -219,15 +286,29 @@ impl Out {
     }
 
     /// Whether a continued file has this poll already.
-    fn has(&self, gauge: &Path, time: Timestamp) -> bool {
-        let same = |other: Timestamp| time.duration_since(other).abs() < SignedDuration::from_millis(250);
-        self.before.iter().any(|(found, at)| *found == name(gauge) && same(*at))
+    fn has(&self, gauge: &Path, sample: &Sample) -> bool {
+        // The time of a poll is not exact, and less so where time passes faster.
+        let speed = sample.simulated.map_or(1.0, |(_, speed)| speed.max(1.0));
+        let near = |other: Timestamp| sample.time.duration_since(other).abs().as_secs_f64() < 0.25 * speed;
+        self.before.iter().any(|(found, at)| *found == name(gauge) && near(*at))
     }
 
-    fn write<T: AsRef<[u8]>>(&mut self, fields: &[T]) -> Result<()> {
+    /// Writes the row of a gauge.
+    fn write(&mut self, known: &mut Known) -> Result<()> {
         if std::mem::take(&mut self.needs_header) {
-            self.write(&header())?;
+            let titles = self.columns.iter().map(|column| column.title.clone());
+            let titles: Vec<_> = columns::FIRST.into_iter().map(str::to_string).chain(titles).collect();
+            self.record(&titles)?;
         }
+        let events = known.events.take();
+        let facts = Facts { sample: &known.seen, events: &events, learning: &known.learning };
+        let first = [format!("{:.3}", known.seen.time), name(&known.gauge)];
+        let row: Vec<_> =
+            first.into_iter().chain(self.columns.iter().map(|column| column.text(&facts))).collect();
+        self.record(&row)
+    }
+
+    fn record<T: AsRef<[u8]>>(&mut self, fields: &[T]) -> Result<()> {
         let failed = |error: io::Error| Error::io(&self.name, "cannot write it", &error);
         let mut line = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
         line.write_record(fields).map_err(|error| failed(error.into()))?;

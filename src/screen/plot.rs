@@ -11,15 +11,18 @@ use crate::error::{Cause, Error, Result};
 mod scene;
 mod svg;
 mod table;
-mod ticks;
 
 const PLOT: &str = "\
-Columns with the same unit share a panel, and all panels share the time axis. A line has a gap
-where the gauge was absent.
+Columns with the same unit share a panel, and all panels share the time axis, with the clock in UTC
+and the time since the first row. Below the title, a strip shows the status of each gauge, and
+with one gauge its colours are behind the lines too. A line has a gap where the gauge was absent or
+nothing was recorded. Charge and energy in the title are summed up from current and voltage.
+The shaded part of the capacity is where the gauge has set [SOC1] or [SOCF].
 
 Examples:
   gaugefs plot history.csv -o history.svg
   gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.svg
+  gaugefs plot history.csv --limit voltage=3.0..4.2 --limit temperature=..45 -o history.svg
   rsvg-convert history.svg -o history.png";
 
 /// Draw a history that `gaugefs log` has recorded, as SVG
@@ -35,6 +38,9 @@ pub(crate) struct Plot {
     /// capacity and temperature, if they were recorded]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     columns: Vec<String>,
+    /// Shade what is outside of these limits of a column; one of the two numbers may be missing
+    #[arg(long = "limit", value_name = "NAME=LOW..HIGH", value_parser = Limit::parse)]
+    limits: Vec<Limit>,
     /// Width in pixels
     #[arg(long, value_name = "PIXELS", default_value = "960", value_parser = clap::value_parser!(u16).range(320..=8000))]
     width: u16,
@@ -48,8 +54,9 @@ impl Plot {
         self.output.as_deref().map_or(Ok(()), check_extension)?;
         let name = self.file.display().to_string();
         let text = std::fs::read(&self.file).map_err(|error| Error::io(&name, "cannot read it", &error))?;
-        let panels = table::panels(&text, &self.columns).map_err(|error| error.within(&name))?;
-        let scene = scene::lay_out(&panels, self.width, self.height).map_err(|error| error.within(&name))?;
+        let history = table::read(&text, &self.columns).map_err(|error| error.within(&name))?;
+        let scene = scene::lay_out(&history, &self.limits, self.width, self.height)
+            .map_err(|error| error.within(&name))?;
         let svg = svg::render(&scene);
         match self.output {
             Some(file) => std::fs::write(&file, svg)
@@ -58,6 +65,32 @@ impl Plot {
             None => drop(std::io::stdout().write_all(svg.as_bytes())),
         }
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The limits of a column.
+#[derive(Clone, Debug, PartialEq)]
+struct Limit {
+    column: String,
+    low: Option<f64>,
+    high: Option<f64>,
+}
+
+impl Limit {
+    fn parse(text: &str) -> Result<Self, String> {
+        let expected = "expected a column and its limits, such as voltage=3.0..4.2 or temperature=..45";
+        let (column, range) = text.split_once('=').ok_or(expected)?;
+        let (low, high) = range.split_once("..").ok_or(expected)?;
+        let number = |text: &str| match text.trim() {
+            "" => Ok(None),
+            text => text.parse().ok().filter(|number: &f64| number.abs() < 1e9).map(Some).ok_or(expected),
+        };
+        let limit = Self { column: column.trim().replace('_', " "), low: number(low)?, high: number(high)? };
+        match (limit.low, limit.high) {
+            (None, None) => Err(expected.into()),
+            (Some(low), Some(high)) if low >= high => Err("the first limit is not below the second".into()),
+            _ => Ok(limit),
+        }
     }
 }
 

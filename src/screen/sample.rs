@@ -25,6 +25,8 @@ const SLACK: Duration = Duration::from_millis(100);
 pub(super) struct Sample {
     /// The time of the poll; for a gauge that is gone, the time of the sample.
     pub(super) time: Timestamp,
+    /// The same for a simulated gauge in its battery's time, and how fast that passes.
+    pub(super) simulated: Option<(Timestamp, f64)>,
     /// The same time on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
     pub(super) moment: Option<Moment>,
     /// `gauge/age_ms`.
@@ -121,6 +123,7 @@ impl Sample {
         let interval = text(&gauge.join("poll_interval"))?.and_then(|text| text.parse().ok());
         Ok(Self {
             time,
+            simulated: simulated(folder, polled.map(|(_, moment)| moment))?,
             moment: polled.map(|(_, moment)| moment),
             age,
             attributes: attributes.collect(),
@@ -136,6 +139,7 @@ impl Sample {
     pub(super) fn absent() -> Self {
         Self {
             time: Timestamp::now(),
+            simulated: None,
             moment: None,
             age: None,
             attributes: Vec::new(),
@@ -167,6 +171,21 @@ impl Sample {
         self.attribute("present") == Some("1") && self.moment.is_some()
     }
 
+    /// The time of the poll as its values have it: that of the battery, if it is simulated.
+    pub(super) fn battery_time(&self) -> Timestamp {
+        self.simulated.map_or(self.time, |(time, _)| time)
+    }
+
+    /// The bits that were set and cleared since an earlier sample, word by word: `+QEN -VOK`.
+    pub(super) fn changed_bits<'a>(
+        &'a self,
+        before: &'a Self,
+    ) -> impl Iterator<Item = (&'a str, String)> + 'a {
+        let earlier = |name: &String| before.words.iter().find(|(old, _)| old == name);
+        let pairs = self.words.iter().filter_map(move |(name, bits)| Some((name, &earlier(name)?.1, bits)));
+        pairs.filter(|(_, old, new)| old != new).map(|(name, old, new)| (name.as_str(), difference(old, new)))
+    }
+
     /// `status`, or `absent`.
     pub(super) fn status(&self) -> String {
         match self.attribute("status") {
@@ -186,6 +205,27 @@ fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     let after = Instant::now();
     let moment = before.checked_sub(age).zip(after.checked_sub(age));
     Ok(moment.map(|(earliest, latest)| (age, Moment { earliest, latest })))
+}
+
+/// The battery time of a poll of a simulated gauge, and its speed.
+fn simulated(folder: &Path, polled: Option<Moment>) -> io::Result<Option<(Timestamp, f64)>> {
+    let number = |name: &str| -> io::Result<Option<f64>> {
+        Ok(text(&folder.join("sim").join(name))?.and_then(|text| text.parse().ok()))
+    };
+    let Some((clock, speed)) = number("clock")?.zip(number("speed")?) else { return Ok(None) };
+    // It has gone on since the poll.
+    let age = polled.map_or(0.0, |moment| moment.latest.elapsed().as_secs_f64());
+    let time = Timestamp::from_millisecond(((clock - age * speed) * 1000.0) as i64);
+    Ok(time.ok().map(|time| (time, speed)))
+}
+
+/// The bits that were set and cleared, such as `+QEN -VOK`.
+fn difference(before: &str, after: &str) -> String {
+    let (before, after): (Vec<_>, Vec<_>) =
+        (before.split_whitespace().collect(), after.split_whitespace().collect());
+    let set = after.iter().filter(|bit| !before.contains(bit)).map(|bit| format!("+{bit}"));
+    let cleared = before.iter().filter(|bit| !after.contains(bit)).map(|bit| format!("-{bit}"));
+    set.chain(cleared).collect::<Vec<_>>().join(" ")
 }
 
 /// A file's one line; `None` if the file does not exist now, or this user may not read it.

@@ -27,5 +27,6 @@ mod scratch;
 mod semantics;
 mod service;
 mod setting;
+mod simulator;
 mod swapped;
 mod transaction;

@@ -1063,6 +1063,11 @@ fn refused_text_is_not_repeated_in_last_error() {
             "gauge/keys",
             "gauge/authenticate",
             "gauge/poll_interval",
+            "sim/load_ma",
+            "sim/fault",
+            "sim/reset_busy",
+            "sim/power",
+            "sim/firmware",
         ] {
             if path == "df/transaction" {
                 mount.echo("begin", path).expect("a transaction");

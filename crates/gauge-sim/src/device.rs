@@ -5,7 +5,7 @@
 //! it starts, and what it does not store it acknowledges all the same.
 
 use std::borrow::Cow;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::envelope::{Busy, DRAWN, Envelope, Lost, NackAs};
 use super::error::Result;
@@ -45,6 +45,8 @@ pub(super) struct Device {
     pub(super) now: Duration,
     /// Seconds of battery time to a second.
     speed: f64,
+    /// The battery's time, since 1970: the host's when the gauge was made, and what has passed since.
+    clock: Duration,
     /// The time up to which the battery and its model have been run.
     pub(super) modelled: Duration,
     power: Power,
@@ -101,6 +103,7 @@ impl Device {
             plan: Plan::new(options.seed, options.envelope.is_some()),
             now,
             speed: 1.0,
+            clock: SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(),
             modelled: now,
             power: Power::On,
             ready_at: now,
@@ -220,6 +223,7 @@ impl Device {
             return;
         }
         self.modelled = self.now;
+        self.clock += Duration::from_secs_f64(seconds);
         let mut left = seconds;
         while left > 0.0 {
             // A pack at rest changes in ways that are exact over any time; a long run is coarser.
@@ -521,6 +525,7 @@ impl Gauge {
             "load_ma" => battery.load_ma.to_string(),
             "temperature" => (battery.ambient * 10.0).round().to_string(),
             "speed" => device.speed.to_string(),
+            "clock" => format!("{:.3}", device.clock.as_secs_f64()),
             "soc" => format!("{:.1}", wire.model().percent()),
             "voltage_mv" => battery.forced_mv.map_or_else(|| "auto".into(), |forced| forced.to_string()),
             "power" => knob::POWER.show(device.is_on()),

@@ -78,19 +78,78 @@ pub(super) struct Plan {
     all: bool,
 }
 
-/// The syntax of a plan.
-pub(super) const SYNTAX: &str = "none, nack N [BYTE], flip N BYTE BIT, short N, lost N, stuck N [BYTE], \
-     arbitration N, stretch N MS, power-cut N [MS], power-cut-after N [MS], drop-commit, corrupt-commit, \
-     torn-commit WORDS, random PERMILLE; eio, etimedout or eagain N [BYTE]: a nack that the adapter reports so; \
-     burst N BYTE COUNT VALUE, silence N MS, drop-reset, drop-seal, drop-key; several with `;` between";
+/// A word of a plan: the knob `fault` takes several, with `;` between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FaultWord {
+    /// The word.
+    pub name: &'static str,
+    /// The numbers that follow it.
+    pub numbers: &'static str,
+    /// What goes wrong.
+    pub help: &'static str,
+}
+
+const fn word(name: &'static str, numbers: &'static str, help: &'static str) -> FaultWord {
+    FaultWord { name, numbers, help }
+}
+
+/// Every fault. N counts transfers: 1 is the next one.
+pub static FAULTS: &[FaultWord] = &[
+    word("none", "", "no faults; those still to come are forgotten"),
+    word(
+        "nack",
+        "N [BYTE]",
+        "the address is not acknowledged, or byte BYTE after the register; the first one is 0, and those before it arrive",
+    ),
+    word("eio", "N [BYTE]", "the same, and the adapter reports it as EIO"),
+    word("etimedout", "N [BYTE]", "the same, reported as ETIMEDOUT"),
+    word("eagain", "N [BYTE]", "the same, reported as EAGAIN, as if another controller had won the bus"),
+    word("flip", "N BYTE BIT", "bit BIT of byte BYTE is wrong; bytes written count first, the register is 0"),
+    word("burst", "N BYTE COUNT VALUE", "COUNT bytes read, from byte BYTE on, are VALUE"),
+    word("short", "N", "the last byte written does not arrive, or none is read"),
+    word("lost", "N", "the transfer takes effect, and the host is told that it was not acknowledged"),
+    word(
+        "stuck",
+        "N [BYTE]",
+        "a line is held low for 1 s, after BYTE bytes were written or at the beginning",
+    ),
+    word("arbitration", "N", "another controller wins the bus"),
+    word("stretch", "N MS", "the clock is held for that time; beyond 1 s the adapter gives up"),
+    word("silence", "N MS", "from that transfer on, nothing is acknowledged for that time"),
+    word(
+        "power-cut",
+        "N [MS]",
+        "the gauge loses its power before the transfer, for that time or until `power` is set",
+    ),
+    word("power-cut-after", "N [MS]", "the same right after the transfer"),
+    word("drop-commit", "", "the next commit is acknowledged and not stored"),
+    word("corrupt-commit", "", "the next commit is stored with one wrong bit"),
+    word(
+        "torn-commit",
+        "WORDS",
+        "the gauge loses its power when so many 16-bit words of the next commit are stored",
+    ),
+    word("drop-reset", "", "the next RESET is ignored"),
+    word("drop-seal", "", "the next SEAL is ignored"),
+    word("drop-key", "", "the next right key is refused"),
+    word("random", "PERMILLE", "each transfer has a fault with that chance in thousandths"),
+];
+
+impl fmt::Display for FaultWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let gap = if self.numbers.is_empty() { "" } else { " " };
+        write!(f, "{}{gap}{}", self.name, self.numbers)
+    }
+}
 
 impl Plan {
-    /// No faults. `seed` is for the random ones, which are of `all` kinds or of the first ones in [`SYNTAX`] only.
+    /// No faults. `seed` is for the random ones, which are of `all` kinds or only those that every adapter reports in
+    /// the same way.
     pub(super) fn new(seed: u64, all: bool) -> Self {
         Self { armed: Vec::new(), permille: 0, random: Random::new(seed), all }
     }
 
-    /// Replaces the faults by those of a text (see [`SYNTAX`]). A bad text changes nothing.
+    /// Replaces the faults by those of a text (see [`FAULTS`]). A bad text changes nothing.
     pub(super) fn set(&mut self, text: &str) -> Result<()> {
         let mut new = Self { armed: Vec::new(), permille: 0, random: self.random.clone(), all: self.all };
         for part in text.split(';') {
@@ -104,6 +163,7 @@ impl Plan {
     }
 
     fn add(&mut self, name: &str, numbers: Vec<u64>) -> Option<()> {
+        FAULTS.iter().find(|word| word.name == name)?;
         let fault = match (name, &numbers[..]) {
             ("none", []) => {
                 (self.armed, self.permille) = (Vec::new(), 0);
@@ -213,8 +273,17 @@ impl Armed {
     }
 }
 
+/// Why a part of a plan is refused. It is not repeated: it may be a key that somebody typed into the wrong file.
 fn bad(part: &str) -> Error {
-    Error::new("fault", Kind::Invalid, format!("`{}` is none of: {SYNTAX}", part.trim()))
+    let name = part.split_whitespace().next().unwrap_or_default();
+    let why = match FAULTS.iter().find(|word| word.name == name) {
+        Some(word) => format!("not the numbers of this fault; write: {word}"),
+        None => {
+            let all: Vec<_> = FAULTS.iter().map(FaultWord::to_string).collect();
+            format!("no such fault; write one of these, or several with `;` between: {}", all.join(", "))
+        }
+    };
+    Error::new("fault", Kind::Invalid, why)
 }
 
 impl fmt::Display for Armed {

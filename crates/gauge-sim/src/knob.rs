@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use super::error::{Error, Kind, Result};
-use super::fault::SYNTAX;
 
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +40,7 @@ impl Of {
 
 /// All knobs.
 pub(super) static KNOBS: &[Knob] = &[
-    Of::Bus.set("fault", SYNTAX),
+    Of::Bus.set("fault", "faults that are still to come, with `;` between"),
     Of::Bus.show("transfers", "transfers that passed on the bus"),
     Of::Bus.show("bytes", "bytes that passed on the bus, address bytes included"),
     Of::Bus.show("bus_us", "time those took at 100 kHz, in microseconds, without waits"),
@@ -50,6 +49,7 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("load_ma", "current drawn from the pack in mA; negative charges"),
     Of::Gauge.set("temperature", "ambient temperature in 0.1 degrees Celsius"),
     Of::Gauge.set("speed", "seconds of battery time to a second; 0 freezes it"),
+    Of::Gauge.show("clock", "battery time, in seconds since 1970; it begins as the host's, and `speed` applies to it"),
     Of::Gauge.set("soc", "state of charge in percent"),
     Of::Gauge
         .set("voltage_mv", "what Voltage() shows in mV with the present calibration; `auto` for the model's"),
@@ -164,8 +164,7 @@ impl<C: Choice> Dial for C {
     fn turn(&mut self, name: &str, text: &str) -> Result<()> {
         let found = Self::WORDS.iter().find(|(word, _)| *word == text);
         let words = || Self::WORDS.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ");
-        let bad = || Error::new(name, Kind::Invalid, format!("`{text}` is not one of: {}", words()));
-        *self = found.ok_or_else(bad)?.1;
+        *self = found.ok_or_else(|| none_of(name, &words()))?.1;
         Ok(())
     }
 }
@@ -208,7 +207,7 @@ impl Dial for Option<u16> {
             Error::new(
                 name,
                 Kind::Invalid,
-                format!("`{text}` is neither `printed` nor a word such as 0x0100"),
+                "neither `printed` nor a hexadecimal word; write one such as 0x0100",
             )
         };
         *self = match text {
@@ -242,14 +241,24 @@ impl Switch {
     /// Whether `text` is the second position.
     pub(super) fn read(&self, name: &str, text: &str) -> Result<bool> {
         let found = self.0.iter().position(|word| *word == text);
-        let expected = || format!("`{text}` is not one of: {}", self.0.join(", "));
-        found.map(|at| at == 1).ok_or_else(|| Error::new(name, Kind::Invalid, expected()))
+        found.map(|at| at == 1).ok_or_else(|| none_of(name, &self.0.join(", ")))
     }
+}
+
+// Texts that are refused are not repeated: they may be keys that somebody typed into the wrong file.
+fn none_of(name: &str, words: &str) -> Error {
+    Error::new(name, Kind::Invalid, format!("no such setting; write one of: {words}"))
 }
 
 /// A number within bounds, or `auto`.
 pub(super) fn or_auto(name: &str, text: &str, min: f64, max: f64) -> Result<Option<f64>> {
-    if text == "auto" { Ok(None) } else { number(name, text, min, max).map(Some) }
+    if text == "auto" {
+        return Ok(None);
+    }
+    number(name, text, min, max).map(Some).map_err(|error| {
+        let text = format!("{}, or auto", error.text);
+        Error { text, ..error }
+    })
 }
 
 /// Shows a number, or `auto`.
@@ -259,15 +268,14 @@ pub(super) fn show_or_auto(value: Option<f64>) -> String {
 
 /// A number within bounds.
 pub(super) fn number(name: &str, text: &str, min: f64, max: f64) -> Result<f64> {
-    let bad = || Error::new(name, Kind::Invalid, format!("`{text}` is not a number"));
+    let bad = || Error::new(name, Kind::Invalid, format!("not a number; write one from {min} to {max}"));
     // `f64` also reads texts that are not decimal numbers, such as `inf` and `1e9`.
     if !text.bytes().all(|byte| byte.is_ascii_digit() || b"+-.".contains(&byte)) {
         return Err(bad());
     }
     let value: f64 = text.parse().map_err(|_| bad())?;
     if value < min || value > max {
-        let text = format!("{text} is not within {min} and {max}");
-        return Err(Error::new(name, Kind::OutOfRange, text));
+        return Err(Error::new(name, Kind::OutOfRange, format!("write a number from {min} to {max}")));
     }
     Ok(value)
 }

@@ -77,6 +77,7 @@ use device::Gauge;
 use error::Result;
 pub use error::{Error, Kind};
 use fault::{ADAPTER_WAITS, Fault, Transfer};
+pub use fault::{FAULTS, FaultWord};
 pub use knob::Knob;
 use mac::Mac;
 use part::Scheme;
@@ -242,7 +243,15 @@ impl Sim {
                 Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
             }
             Some(_) if knob == "fault" => state.gauge.plan().set(text),
-            Some(_) => state.gauge.set_knob(knob, text, self.clock.now()),
+            // The help has the unit.
+            Some(known) => {
+                state.gauge.set_knob(knob, text, self.clock.now()).map_err(|error| match error.kind {
+                    Kind::Invalid | Kind::OutOfRange => {
+                        Error { text: format!("{} ({})", error.text, known.help), ..error }
+                    }
+                    Kind::NotPermitted | Kind::Io(_) => error,
+                })
+            }
         }
     }
 

@@ -18,6 +18,7 @@ pub(super) const KNOBS: &[&str] = &[
     "load_ma",
     "temperature",
     "speed",
+    "clock",
     "soc",
     "voltage_mv",
     "power",

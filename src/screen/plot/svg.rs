@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::scene::{Anchor, SIZE, Scene, Shape};
+use super::scene::{Anchor, SIZE, Scene, Shape, Style};
 
 /// Renders a scene. Writing to a String does not fail.
 pub(super) fn render(scene: &Scene) -> String {
@@ -14,12 +14,21 @@ pub(super) fn render(scene: &Scene) -> String {
     );
     for shape in &scene.shapes {
         let _ = match shape {
-            Shape::Line { points, colour, width } => {
+            Shape::Area { from: (x, y), to: (right, bottom), colour } => {
+                let (width, height) = (right - x, bottom - y);
+                writeln!(
+                    svg,
+                    "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"/>",
+                    hex(*colour)
+                )
+            }
+            Shape::Line { points, colour, width, dashed } => {
+                let dashes = if *dashed { " stroke-dasharray=\"5 4\"" } else { "" };
                 let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
                 writeln!(
                     svg,
                     "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\" \
-                     stroke-linejoin=\"round\"/>",
+                     stroke-linejoin=\"round\"{dashes}/>",
                     points.join(" "),
                     hex(*colour)
                 )
@@ -31,17 +40,23 @@ pub(super) fn render(scene: &Scene) -> String {
                     hex(*colour)
                 )
             }
-            Shape::Text { at: (x, y), text, colour, anchor, bold } => {
+            Shape::Text { at: (x, y), text, colour, anchor, style } => {
                 let anchor = match anchor {
                     Anchor::Start => "",
                     Anchor::Middle => " text-anchor=\"middle\"",
                     Anchor::End => " text-anchor=\"end\"",
                 };
-                let bold = if *bold { " font-weight=\"bold\"" } else { "" };
+                let style = match style {
+                    Style::Plain => "",
+                    Style::Bold => " font-weight=\"bold\"",
+                    Style::Title => " font-weight=\"bold\" font-size=\"16\"",
+                };
+                // Names are those of the file. A control character would make the picture invalid.
+                let text: String = text.chars().filter(|letter| !letter.is_control()).collect();
                 let text = text.replace('&', "&amp;").replace('<', "&lt;");
                 writeln!(
                     svg,
-                    "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{}\"{anchor}{bold}>{text}</text>",
+                    "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{}\"{anchor}{style}>{text}</text>",
                     hex(*colour)
                 )
             }

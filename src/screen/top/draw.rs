@@ -11,6 +11,7 @@ use ratatui::widgets::{
 
 use super::super::learning::line;
 use super::super::sample::{Sample, decimal};
+use super::super::ticks;
 use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
 use ti_gauge::chip::{Chip, snake_case};
@@ -27,6 +28,9 @@ const KEYS: [(&str, &str); 9] = [
     ("r", "poll"),
     ("d", "data flash"),
 ];
+
+/// A point of the grid, in the same script as the lines.
+const GRID: &str = "\u{2802}";
 
 /// Parts of the names of registers that show the progress of learning; these are listed first.
 const LEARNING: [&str; 6] = ["passed", "qmax", "true", "dod", "accumulated", "unfiltered"];
@@ -114,60 +118,89 @@ fn bottom(model: &Model, width: u16) -> Line<'static> {
     Line::from(spans)
 }
 
-/// A column of the table: title, width, minimum width of the screen, whether right-aligned.
-const COLUMNS: [(&str, u16, u16, bool); 10] = [
-    ("GAUGE", 0, 0, false),
-    ("MODEL", 12, 60, false),
-    ("STATUS", 12, 0, false),
-    ("V", 6, 0, true),
-    ("A", 7, 0, true),
-    ("Ah", 13, 72, true),
-    ("%", 4, 0, true),
-    ("°C", 5, 50, true),
-    ("TIME", 15, 94, true),
-    ("SEAL", 11, 106, false),
+/// A column of the table.
+struct Column {
+    title: &'static str,
+    /// The least width, so that columns stay in their places while values change.
+    width: usize,
+    right: bool,
+    /// Columns of higher numbers are left out first where there is no room.
+    rank: u8,
+}
+
+const fn column(title: &'static str, width: usize, right: bool, rank: u8) -> Column {
+    Column { title, width, right, rank }
+}
+
+const COLUMNS: [Column; 10] = [
+    column("GAUGE", 6, false, 0),
+    column("MODEL", 11, false, 6),
+    column("STATUS", 12, false, 1),
+    column("V", 5, true, 3),
+    column("A", 6, true, 4),
+    column("Ah", 11, true, 7),
+    column("%", 3, true, 2),
+    column("°C", 4, true, 5),
+    column("TIME", 15, true, 8),
+    column("SEAL", 11, false, 9),
 ];
+/// Spaces between two columns.
+const GAP: usize = 2;
+
+/// The widths of the columns that fit, and 0 for the others.
+fn widths(rows: &[[String; 10]], width: usize) -> [usize; 10] {
+    let widest = |at: usize| rows.iter().map(|row| row[at].chars().count()).max().unwrap_or(0);
+    let wanted: [usize; 10] = std::array::from_fn(|at| widest(at).max(COLUMNS[at].width));
+    let mut ranked: Vec<_> = (1..COLUMNS.len()).collect();
+    ranked.sort_by_key(|&at| COLUMNS[at].rank);
+    let mut widths = [0; 10];
+    // A long name is cut where it would take the place of a value.
+    let name = wanted[0].min((width / 4).max(COLUMNS[0].width));
+    let mut left = width.saturating_sub(name);
+    for at in ranked {
+        if wanted[at] + GAP > left {
+            break;
+        }
+        widths[at] = wanted[at];
+        left -= wanted[at] + GAP;
+    }
+    widths[0] = wanted[0].min(name + left);
+    widths
+}
 
 fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
-    let wanted: Vec<_> = COLUMNS.iter().map(|(_, _, least, _)| area.width >= *least).collect();
-    let keep = |cells: Vec<Cell<'static>>| {
-        let shown = cells.into_iter().zip(&wanted).filter(|(_, wanted)| **wanted);
-        Row::new(shown.map(|(cell, _)| cell).collect::<Vec<_>>())
+    let (mut rows, colours): (Vec<_>, Vec<_>) =
+        model.gauges.iter().map(|gauge| cells(model, gauge, now)).unzip();
+    for (row, gauge) in rows.iter_mut().zip(&model.gauges) {
+        row[0] = label(model, gauge);
+    }
+    let widths = widths(&rows, area.width.into());
+    let row = |texts: [String; 10], style: &dyn Fn(usize) -> Style| {
+        let cells = texts.into_iter().enumerate().filter(|(at, _)| widths[*at] > 0);
+        Row::new(cells.map(|(at, text)| {
+            let line = Line::styled(cut(text, widths[at]), style(at));
+            Cell::from(if COLUMNS[at].right { line.alignment(Alignment::Right) } else { line })
+        }))
     };
-    let aligned = |at: usize, text: String, style: Style| {
-        let line = Line::styled(text, style);
-        let line = if COLUMNS[at].3 { line.alignment(Alignment::Right) } else { line };
-        Cell::from(line)
-    };
-    let titles = COLUMNS.iter().enumerate();
-    let header = keep(titles.map(|(at, column)| aligned(at, column.0.into(), bold())).collect());
-    // The width that the other columns leave, at most that of the longest name.
-    let others: u16 =
-        COLUMNS.iter().zip(&wanted).filter(|(_, wanted)| **wanted).map(|(column, _)| column.1 + 1).sum();
-    let longest =
-        model.gauges.iter().map(|gauge| label(model, gauge).chars().count()).max().unwrap_or(0) as u16;
-    let first = longest.max(6).min((area.width + 1).saturating_sub(others)).max(4);
-    let widths = COLUMNS.iter().zip(&wanted).filter(|(_, wanted)| **wanted);
-    let widths: Vec<_> =
-        widths.map(|(column, _)| Constraint::Length(if column.1 == 0 { first } else { column.1 })).collect();
-    let cut = |name: String| {
-        let over = name.chars().count().saturating_sub(usize::from(first));
-        // The end of a path says more than its beginning.
-        if over == 0 { name } else { "\u{2026}".chars().chain(name.chars().skip(over + 1)).collect() }
-    };
-    let rows = model.gauges.iter().enumerate().map(|(number, gauge)| {
-        let (mut texts, colour) = cells(model, gauge, now);
+    let header = row(COLUMNS.map(|column| column.title.to_string()), &|_| bold());
+    let rows = rows.into_iter().zip(colours).enumerate().map(|(number, (texts, colour))| {
         // The row of the selected gauge is reversed, so its status has no colour.
         let plain = number == model.selected && model.gauges.len() > 1;
-        texts[0] = cut(label(model, gauge));
-        let style = |at: usize| if at == 2 && !plain { coloured(model, colour) } else { Style::new() };
-        keep(texts.into_iter().enumerate().map(|(at, text)| aligned(at, text, style(at))).collect())
+        row(texts, &|at| if at == 2 && !plain { coloured(model, colour) } else { Style::new() })
     });
-    let table = Table::new(rows, widths)
+    let lengths = widths.iter().filter(|width| **width > 0).map(|width| Constraint::Length(*width as u16));
+    let table = Table::new(rows, lengths)
+        .column_spacing(GAP as u16)
         .header(header)
         .row_highlight_style(Style::new().add_modifier(Modifier::REVERSED));
     let mut state = TableState::new().with_selected(Some(model.selected).filter(|_| model.gauges.len() > 1));
     frame.render_stateful_widget(table, area, &mut state);
+}
+
+/// The end of a text: that of a path says more than its beginning.
+fn cut(text: String, width: usize) -> String {
+    let over = text.chars().count().saturating_sub(width);
+    if over == 0 { text } else { "\u{2026}".chars().chain(text.chars().skip(over + 1)).collect() }
 }
 
 /// A gauge's name, or its folder if another gauge has the same name.
@@ -321,42 +354,63 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Re
         frame.render_widget(Paragraph::new(text).block(block), area);
         return;
     }
-    let (bounds, places) = axis(values(), quantity.least_span());
-    let label = |value: f64| Line::raw(format!("{value:.places$}"));
-    let middle = (bounds[0] + bounds[1]) / 2.0;
-    let mut labels = vec![label(bounds[0]), label(bounds[1])];
-    if area.height >= 8 {
-        labels.insert(1, label(middle));
-    }
+    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+    // A low screen has no room for the times.
+    let timed = area.height >= 7;
+    let height = usize::from(area.height) - if timed { 3 } else { 1 };
+    let (low, high, marks) = ticks::numbers(low, high, quantity.least_span(), (height / 3).clamp(1, 9));
+    let shown = if marks.len() * 2 <= height + 1 {
+        &marks[..]
+    } else {
+        &[marks[0].clone(), marks[marks.len() - 1].clone()]
+    };
+    let labels: Vec<_> = shown.iter().map(|(_, label)| Line::raw(label.clone())).collect();
+    let width = labels.iter().map(Line::width).max().unwrap_or(0).min(usize::from(area.width / 3)) as u16;
     let style = coloured(model, Color::Cyan);
     let sets = lines.iter().map(|line| {
         let kind = if line.len() > 1 { GraphType::Line } else { GraphType::Scatter };
         Dataset::default().marker(Marker::Braille).graph_type(kind).style(style).data(line)
     });
-    // A low screen has no room for the times.
-    let ago = if area.height < 7 { Vec::new() } else { vec![format!("-{words}"), "now".to_string()] };
+    // The chart makes room for labels of the times, but spreads them evenly; they belong to their places.
+    let room = if timed { vec![""; 2] } else { Vec::new() };
     let axes = coloured(model, Color::DarkGray);
     let chart = Chart::new(sets.collect())
         .block(block)
-        .x_axis(Axis::default().bounds([-span, 0.0]).labels(ago).style(axes))
-        .y_axis(Axis::default().bounds(bounds).labels(labels).style(axes));
+        .x_axis(Axis::default().bounds([-span, 0.0]).labels(room).style(axes))
+        .y_axis(
+            Axis::default().bounds([low, high]).labels(labels).style(axes).labels_alignment(Alignment::Right),
+        );
     frame.render_widget(chart, area);
+    let graph = Rect::new(area.x + width + 1, area.y + 1, area.width - width - 1, height as u16);
+    let rows = (0..shown.len()).map(|at| graph.bottom() - 1 - (at * (height - 1) / (shown.len() - 1)) as u16);
+    if timed {
+        grid(frame, graph, &rows.collect::<Vec<_>>(), span, area.x, axes);
+    }
 }
 
-/// Round bounds that enclose all values, and the number of decimal places that they need.
-fn axis(values: impl Iterator<Item = f64> + Clone, least: f64) -> ([f64; 2], usize) {
-    let low = values.clone().fold(f64::INFINITY, f64::min);
-    let high = values.fold(f64::NEG_INFINITY, f64::max);
-    let middle = (low + high) / 2.0;
-    let half = ((high - low) / 2.0).max(least / 2.0);
-    let raw = half / 2.0;
-    let power = 10f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= raw);
-    let step = step.unwrap_or(10.0 * power);
-    let bounds = [((middle - half) / step).floor() * step, ((middle + half) / step).ceil() * step];
-    // The label in the middle is half a step from a round number.
-    let places = (-(step / 2.0).log10()).ceil().clamp(0.0, 6.0) as usize;
-    (bounds, places)
+/// The grid of a chart, where it has drawn nothing, and below it the times at their places: as many as have room from
+/// the column `left` on.
+fn grid(frame: &mut Frame<'_>, graph: Rect, rows: &[u16], span: f64, left: u16, style: Style) {
+    let times = ticks::divisions(span, usize::from(graph.width / 11));
+    let place = |ago: f64| graph.right() - 1 - (ago / span * f64::from(graph.width - 1)).round() as u16;
+    let columns: Vec<_> = times.iter().map(|(ago, _)| place(*ago)).collect();
+    let buffer = frame.buffer_mut();
+    for y in graph.top()..graph.bottom() {
+        for x in graph.left()..graph.right() {
+            let on_row = rows.contains(&y) && (x - graph.left()).is_multiple_of(2);
+            let on_column = columns.contains(&x) && x > graph.left();
+            let cell = &mut buffer[(x, y)];
+            if (on_row || on_column) && cell.symbol() == " " {
+                cell.set_symbol(GRID).set_style(style);
+            }
+        }
+    }
+    for ((ago, label), x) in times.iter().zip(columns) {
+        let label = if *ago == 0.0 { "now".to_string() } else { format!("-{label}") };
+        let length = label.chars().count() as u16;
+        let start = x.saturating_sub(length / 2).clamp(left, graph.right().saturating_sub(length).max(left));
+        buffer.set_string(start, graph.bottom() + 1, label, style);
+    }
 }
 
 /// The state of learning: learned values, if they were read, registers, and recent changes.

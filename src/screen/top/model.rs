@@ -280,14 +280,9 @@ impl Gauge {
                 self.watch_cycle(&sample);
             }
         }
-        for (name, bits) in &sample.words {
-            let before =
-                self.latest.as_ref().and_then(|before| before.words.iter().find(|(old, _)| old == name));
-            if let Some((_, before)) = before.filter(|(_, before)| before != bits) {
-                let difference = difference(before, bits);
-                self.change(time, format!("{name}: {difference}"));
-            }
-        }
+        let changes = self.latest.iter().flat_map(|before| sample.changed_bits(before));
+        let changes: Vec<_> = changes.map(|(name, bits)| format!("{name}: {bits}")).collect();
+        changes.into_iter().for_each(|text| self.change(time, text));
         if !paused {
             self.shown = Some(sample.clone());
             self.shown_state.clone_from(&self.state);
@@ -328,13 +323,4 @@ impl Gauge {
         self.changes.push_front((time, text));
         self.changes.truncate(MOST_CHANGES);
     }
-}
-
-/// The bits that were set and cleared, such as `+QEN -VOK`.
-fn difference(before: &str, after: &str) -> String {
-    let (before, after): (Vec<_>, Vec<_>) =
-        (before.split_whitespace().collect(), after.split_whitespace().collect());
-    let set = after.iter().filter(|bit| !before.contains(bit)).map(|bit| format!("+{bit}"));
-    let cleared = before.iter().filter(|bit| !after.contains(bit)).map(|bit| format!("-{bit}"));
-    set.chain(cleared).collect::<Vec<_>>().join(" ")
 }

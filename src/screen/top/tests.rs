@@ -303,59 +303,125 @@ fn without_colours_there_are_none() {
     assert!(!colours(&model(false)));
 }
 
-/// A pack's voltage under load, in mV, at every tenth of its charge from full to empty.
-const DISCHARGE: [i64; 11] = [4130, 4010, 3940, 3880, 3825, 3780, 3745, 3715, 3680, 3610, 3300];
+/// Long names, large numbers and many gauges: the columns never touch, and the least important go first.
+#[test]
+fn columns_do_not_touch() {
+    let mut model = Model::new(1.0, true);
+    model.add_mounts(&[PathBuf::from("/run/gauges")], NOON);
+    let packs = [
+        ("BAT0", "bq34z100-R2", -123_456_000, 51_999_000),
+        ("A-LONG-NAME-OF-A-PACK", "bq27621-G1", 5_000, 3_700_000),
+    ];
+    for number in 0..12 {
+        let (name, part, current, voltage) = packs[number % 2];
+        let name = if number < 2 { name.to_string() } else { format!("PACK{number}") };
+        let mut seen = Tree::new(&name, current).sample(NOON);
+        for (key, value) in &mut seen.attributes {
+            match key.as_str() {
+                "model_name" => *value = part.into(),
+                "voltage_now" => *value = i64::to_string(&voltage),
+                "charge_now" => *value = "1234567000".into(),
+                "charge_full" => *value = "2000000000".into(),
+                "capacity" => *value = "100".into(),
+                "temp" => *value = "-395".into(),
+                _ => {}
+            }
+        }
+        seen.seal = Some("full-access".into());
+        model.update(report(&name, sample(&seen)), NOON);
+    }
+    let values = [
+        "STATUS",
+        "Discharging",
+        "Charging",
+        "51.999",
+        "-123.456",
+        "0.005",
+        "1234.567/2000.000",
+        "100",
+        "-39.5",
+        "bq34z100-R2",
+        "1:12 h to empty",
+        "full-access",
+    ];
+    for (width, height) in [(30, 10), (40, 12), (60, 16), (80, 24), (100, 30), (132, 44), (200, 60)] {
+        let screen = text(&drawn(&model, width, height, NOON));
+        golden(&format!("{width}x{height}-many"), &screen);
+        let table = screen.lines().skip(1).take_while(|line| !line.starts_with("polled"));
+        for line in table {
+            for cell in line.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).skip(1) {
+                let is_title = ["MODEL", "V", "A", "Ah", "%", "°C", "TIME", "SEAL", "3.700", "bq27621-G1"]
+                    .contains(&cell);
+                assert!(is_title || values.contains(&cell), "{width}x{height}: `{cell}` in {screen}");
+            }
+        }
+        let has = |word: &str| screen.contains(word);
+        assert!(has("STATUS") && has("Discharging"), "{screen}");
+        assert!(width < 200 || (has("full-access") && has("1234.567/2000.000")), "{screen}");
+    }
+}
 
-/// docs/top.svg, the README's picture: a pack that was discharged for an hour with a short rest, and two
-/// others.
+/// A row of a history: name of the gauge, seconds since 1970, and the fields by their titles.
+type Recorded = (String, f64, Vec<(String, String)>);
+
+/// What `tests/record` has recorded of three gauges.
+fn recorded() -> Vec<Recorded> {
+    let text = include_str!("../../../tests/it/images/recorded-three.csv");
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let titles = reader.headers().expect("a header").clone();
+    let row = |record: csv::StringRecord| {
+        let time: jiff::Timestamp = record[0].parse().expect("a time");
+        let fields = titles.iter().map(str::to_string).zip(record.iter().map(str::to_string));
+        (record[1].to_string(), time.as_millisecond() as f64 / 1000.0, fields.collect())
+    };
+    reader.records().map(|record| row(record.expect("a row"))).collect()
+}
+
+/// The sample that a row was written from.
+fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -> Sample {
+    let mut seen = seen.clone();
+    seen.time = jiff::Timestamp::from_millisecond((time * 1000.0) as i64).expect("a time");
+    seen.moment = seen.moment.map(|moment| moment.later(passed as u32));
+    let field =
+        |title: &str| fields.iter().find(|(found, _)| found == title).map_or("", |(_, text)| text.as_str());
+    let scaled = |title: &str, scale: f64| {
+        field(title).parse::<f64>().map(|value| ((value * scale).round() as i64).to_string())
+    };
+    let attributes = [
+        ("voltage_now", scaled("voltage (V)", 1e6)),
+        ("current_now", scaled("current (A)", 1e6)),
+        ("charge_now", scaled("charge (Ah)", 1e6)),
+        ("charge_full", scaled("full charge (Ah)", 1e6)),
+        ("capacity", scaled("capacity (%)", 1.0)),
+        ("temp", scaled("temperature (°C)", 10.0)),
+        ("time_to_empty_now", scaled("time to empty (s)", 1.0)),
+        ("time_to_full_now", scaled("time to full (s)", 1.0)),
+        ("cycle_count", scaled("cycle count", 1.0)),
+        ("state_of_health", scaled("state of health (%)", 1.0)),
+    ];
+    let attributes = attributes.into_iter().filter_map(|(name, value)| Some((name.to_string(), value.ok()?)));
+    let words = [("present", "1"), ("status", field("status")), ("model_name", field("part"))];
+    seen.attributes = attributes.chain(words.map(|(name, value)| (name.into(), value.into()))).collect();
+    let words = [("control_status", "control status"), ("flags", "flags"), ("flags_b", "flags b")];
+    let words = words.map(|(name, title)| (name.to_string(), field(title).to_string()));
+    seen.words = words.into_iter().filter(|(name, bits)| name != "flags_b" || !bits.is_empty()).collect();
+    seen.seal = Some(field("seal").into());
+    seen
+}
+
+/// docs/top.svg, the README's picture: an hour of three simulated packs, one of which rests for a while.
 #[test]
 fn the_picture_in_docs_is_what_top_draws() {
     let mut model = Model::new(1.0, true);
-    model.add_mounts(&[PathBuf::from("/run/gauges")], NOON);
-    let set = |sample: &mut Sample, values: &[(&str, &str)]| {
-        for (name, value) in &mut sample.attributes {
-            if let Some((_, new)) = values.iter().find(|(wanted, _)| wanted == name) {
-                *value = (*new).into();
-            }
-        }
-    };
+    let rows = recorded();
+    let (first, last) = (rows[0].1, rows.iter().map(|row| row.1).fold(0.0, f64::max));
+    model.add_mounts(&[PathBuf::from("/run/gauges")], last);
     let seen = Tree::new("PACK-A", -850_000).sample(NOON);
-    let mut charge = 1_000_000;
-    for second in (0..=3600u32).step_by(10) {
-        let mut seen = seen.clone();
-        seen.time = jiff::Timestamp::from_second(NOON as i64 - 3600 + i64::from(second)).expect("a time");
-        seen.moment = seen.moment.map(|moment| moment.later(second));
-        let resting = (1500..1800).contains(&second);
-        charge -= if resting { 0 } else { 850_000 * 10 / 3600 };
-        let (tenth, part) = ((1_000_000 - charge) / 100_000, (1_000_000 - charge) % 100_000);
-        let (from, to) = (DISCHARGE[tenth as usize], DISCHARGE[tenth as usize + 1]);
-        let voltage = from * 1000 - (from - to) * part / 100 + if resting { 60_000 } else { 0 };
-        let (voltage, charge_now) = (voltage.to_string(), charge.to_string());
-        let (percent, left) = ((charge / 10_000).to_string(), (charge * 3600 / 850_000).to_string());
-        set(
-            &mut seen,
-            &[
-                ("voltage_now", &voltage),
-                ("charge_now", &charge_now),
-                ("capacity", &percent),
-                ("temp", "321"),
-                ("time_to_empty_now", &left),
-            ],
-        );
-        model.update(report("PACK-A", sample(&seen)), NOON - 3600.0 + f64::from(second));
+    for (name, time, fields) in &rows {
+        model.update(report(name, sample(&sampled(&seen, *time, time - first, fields))), last);
     }
-    let mut charging = Tree::new("PACK-B", 400_000).sample(NOON);
-    let values = [("voltage_now", "4088000"), ("charge_now", "1172000"), ("charge_full", "1340000")];
-    set(&mut charging, &values);
-    set(&mut charging, &[("capacity", "87"), ("model_name", "bq27441-G1")]);
-    model.update(report("PACK-B", sample(&charging)), NOON);
-    let mut other = Tree::new("PACK-C", -250_000).sample(NOON);
-    let values = [("voltage_now", "3832000"), ("charge_now", "1278000"), ("charge_full", "2200000")];
-    set(&mut other, &values);
-    set(&mut other, &[("capacity", "58"), ("model_name", "bq34110")]);
-    model.update(report("PACK-C", sample(&other)), NOON);
     press(&mut model, '+');
     press(&mut model, '+');
-    let svg = picture::svg(&drawn(&model, 80, 24, NOON + 1.0));
+    let svg = picture::svg(&drawn(&model, 80, 24, last + 1.0));
     matches(Path::new("docs/top.svg"), &svg);
 }

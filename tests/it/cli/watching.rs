@@ -439,8 +439,8 @@ fn log_continues_after_an_absence() {
     let svg = folder.file("history.svg");
     gaugefs(&["plot", &file, "--columns", "voltage", "-o", &svg]).done();
     let drawn = fs::read_to_string(svg).expect("the plot");
-    // Each period without a gap is a line of its own.
-    assert_eq!(drawn.matches("stroke=\"#0072b2\"").count(), 3, "{drawn}");
+    // Each period without a gap is a line of its own, and there is one beside the panel's title.
+    assert_eq!(drawn.matches("stroke=\"#0072b2\"").count(), 3 + 1, "{drawn}");
 }
 
 #[test]
@@ -450,6 +450,10 @@ fn plot_draws_a_history() {
         &[
             "plot tests/it/images/history.csv",
             "plot tests/it/images/history.csv --columns charge --width 640 --height 300",
+            "plot tests/it/images/history.csv --columns voltage --limit voltage=3.6..4.1 --height 260",
+            "plot tests/it/images/history.csv --limit charge=..0.5",
+            "plot tests/it/images/history.csv --limit voltage=4",
+            "plot tests/it/images/history.csv --limit voltage=4..3",
             "plot tests/it/images/history.csv --columns speed",
             "plot tests/it/images/history.csv --height 200",
             "plot tests/it/images/history.csv -o history.png",
@@ -458,4 +462,151 @@ fn plot_draws_a_history() {
             "plot tests/it/images/none",
         ],
     );
+}
+
+/// Chosen columns, and what changes between two rows although no row is written for it.
+#[test]
+fn log_writes_chosen_columns_and_events() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("history.csv"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    let knob = |name: &str, text: &str| fs::write(format!("{at}/BAT0/sim/{name}"), text).expect("a knob");
+    within(LONG, "the slow registers", || Path::new(&at).join("BAT0/gauge/registers/true_fcc").exists());
+    let names = "voltage,true_fcc,flags,learning,events";
+    let arguments = ["log", &at, "--columns", names, "--interval", "4", "-o", &file];
+    let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+    let mut log = Foreground(child);
+    within(LONG, "a row", || rows(&file).len() >= 2);
+    knob("load_ma", "500");
+    within(LONG, "a discharge", || read(&at, "BAT0/status") == "Discharging");
+    knob("load_ma", "0");
+    within(LONG, "its end", || read(&at, "BAT0/status") == "Not charging");
+    within(LONG, "the rows with both", || {
+        let text = fs::read_to_string(&file).expect("the log");
+        text.contains("Discharging -> Not charging") && rows(&file).len() >= 4
+    });
+    log.0.kill().expect("it still runs");
+    log.ends();
+
+    let written = rows(&file);
+    let titles = "time (UTC),gauge,voltage (V),true fcc (mAh; every 10th poll),flags,learning,events";
+    assert_eq!(written[0].join(","), titles);
+    // The state of learning has commas, so it is in quotes.
+    assert_eq!(
+        (written[1][3].as_str(), written[1].last().map(String::as_str)),
+        ("1000", Some("")),
+        "{written:?}"
+    );
+    assert!(written[1][5].starts_with("\"update status 00; waits for IT_ENABLE"), "{written:?}");
+    let events: Vec<_> = written[2..].iter().filter_map(|row| row.last().map(String::as_str)).collect();
+    let events = events.join("; ");
+    for event in ["Not charging -> Discharging", "+DSG", "Discharging -> Not charging"] {
+        assert!(events.contains(event), "{event}: {events}");
+    }
+
+    // The file is continued with its columns, and with no others.
+    gaugefs(&["log", &at, "-o", &file, "--count", "1"]).done();
+    assert_eq!(rows(&file).len(), written.len() + 1);
+    let others = ["log", &at, "-o", &file, "--columns", "voltage"];
+    gaugefs(&others).failed(&["its columns are others: voltage, true fcc, flags, learning, events"]);
+    gaugefs(&["log", &at, "--columns", "voltage,speed"]).failed(&["no column `speed`; there are status"]);
+    gaugefs(&["log", &at, "--columns", "voltage,voltage"]).failed(&["`voltage` is named twice"]);
+}
+
+/// A quick battery would otherwise lose more charge than its current can have taken.
+#[test]
+fn log_has_the_battery_time_of_a_simulated_gauge() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("history.csv"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    let knob = |name: &str, text: &str| fs::write(format!("{at}/BAT0/sim/{name}"), text).expect("a knob");
+    knob("load_ma", "500");
+    knob("speed", "200");
+    let polls = || read(&at, "BAT0/gauge/statistics/polls").parse::<u64>().expect("a number");
+    let before = polls();
+    within(LONG, "polls at that speed", || polls() >= before + 2);
+    gaugefs(&["log", &at, "-o", &file, "--count", "6"]).done();
+    let text = fs::read_to_string(&file).expect("the log");
+    let (integral, change) = charges(&text, "BAT0");
+    assert!(change < -0.03, "{text}");
+    assert!((integral - change).abs() < 0.006, "{integral} and {change} Ah: {text}");
+}
+
+/// The charge in Ah by which the current of a log accounts for, and the change of the charge that it shows.
+fn charges(text: &str, gauge: &str) -> (f64, f64) {
+    let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let titles = lines.next().expect("a header");
+    let at = |title: &str| titles.iter().position(|found| *found == title).expect("a column");
+    let (time, current, charge) = (at("time (UTC)"), at("current (A)"), at("charge (Ah)"));
+    let number = |text: &str| text.parse::<f64>().expect("a number");
+    let seconds =
+        |text: &str| text.parse::<jiff::Timestamp>().expect("a time").as_millisecond() as f64 / 1000.0;
+    let rows: Vec<_> = lines
+        .filter(|row| row[1] == gauge)
+        .map(|row| (seconds(row[time]), number(row[current]), number(row[charge])))
+        .collect();
+    let parts = rows.windows(2).map(|pair| (pair[1].0 - pair[0].0) / 3600.0 * (pair[0].1 + pair[1].1) / 2.0);
+    (parts.sum(), rows[rows.len() - 1].2 - rows[0].2)
+}
+
+/// The histories that the README's pictures are drawn from, which `tests/record` has recorded.
+#[test]
+fn the_recorded_histories_can_be_true() {
+    let image = |name: &str| fs::read_to_string(format!("tests/it/images/{name}")).expect("a history");
+    for (text, gauge) in [
+        (image("recorded.csv"), "PACK-A"),
+        (image("recorded-three.csv"), "PACK-A"),
+        (image("recorded-three.csv"), "PACK-B"),
+        (image("recorded-three.csv"), "PACK-C"),
+    ] {
+        let (integral, change) = charges(&text, gauge);
+        assert!((integral - change).abs() < 0.03, "{gauge}: {integral} and {change} Ah");
+    }
+}
+
+/// docs/plot.svg, the README's picture.
+#[test]
+fn the_picture_in_docs_is_what_plot_draws() {
+    let drawn = gaugefs(&["plot", "tests/it/images/recorded.csv"]).done();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/plot.svg");
+    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+        fs::write(&path, &drawn).expect("the picture");
+    }
+    let kept = fs::read_to_string(&path).expect("the picture");
+    assert!(drawn == kept, "docs/plot.svg differs; if that is intended, GAUGEFS_GOLDEN=write\n{drawn}");
+    // Every mark that is there has its word in the legend, and the other way round.
+    for (mark, text) in [("#7bc88f", ">charging<"), ("#f2b36b", ">discharging<"), ("#fbe3a6", "[SOC1]")] {
+        assert!(drawn.contains(mark) && drawn.contains(text), "{mark} {text}");
+    }
+    assert!(!drawn.contains("another status") && !drawn.contains("single poll"));
+}
+
+/// Names that have no room beside a title are in the legend, each once for all panels; what is below the title is
+/// wrapped.
+#[test]
+fn plot_names_every_one_of_many_gauges() {
+    let folder = Folder::new();
+    let file = folder.file("many.csv");
+    let mut text = "time (UTC),gauge,status,voltage (V),current (A)\n".to_string();
+    for minute in 0..5 {
+        for gauge in 0..12 {
+            text += &format!("2026-01-01T00:{minute:02}:00Z,PACK-{gauge},Discharging,3.{gauge:02},-0.5\n");
+        }
+    }
+    fs::write(&file, text).expect("a history");
+    let drawn = gaugefs(&["plot", &file]).done();
+    for gauge in 0..12 {
+        // Once beside its strip, once in the legend; the title has them all in one text.
+        assert_eq!(drawn.matches(&format!(">PACK-{gauge}<")).count(), 2, "PACK-{gauge}: {drawn}");
+    }
+    // Twelve lines in two panels and twelve in the legend, of which the last five each have dashes.
+    assert_eq!(drawn.matches("stroke-dasharray").count(), 5 * 3);
+    let narrow = gaugefs(&["plot", "tests/it/images/recorded.csv", "--width", "400"]).done();
+    assert!(narrow.contains("discharged 0.") && narrow.contains(" Wh"), "{narrow}");
 }

@@ -32,10 +32,15 @@ pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64
     (first as f64 * step, last as f64 * step, ticks.map(|value| (value, label(value))).collect())
 }
 
+/// The round step with which `most` steps cover a time span.
+fn step(span: f64, most: usize) -> f64 {
+    let raw = span / most.max(1) as f64;
+    STEPS.into_iter().find(|step| *step >= raw).unwrap_or((raw / DAY).ceil() * DAY)
+}
+
 /// At most `most` round times between two.
 pub(super) fn times(from: f64, to: f64, most: usize) -> Vec<Tick> {
-    let raw = (to - from) / most.max(1) as f64;
-    let step = STEPS.into_iter().find(|step| *step >= raw).unwrap_or((raw / DAY).ceil() * DAY);
+    let step = step(to - from, most);
     let (first, last) = ((from / step).ceil() as i64, (to / step).floor() as i64);
     let label = |seconds: f64| {
         let format = match () {
@@ -48,6 +53,37 @@ pub(super) fn times(from: f64, to: f64, most: usize) -> Vec<Tick> {
         utc(seconds, format)
     };
     (first..=last).map(|at| at as f64 * step).map(|seconds| (seconds, label(seconds))).collect()
+}
+
+/// At most `most` round durations from 0 to `span` seconds.
+pub(super) fn durations(span: f64, most: usize) -> Vec<Tick> {
+    lasting(span, step(span, most))
+}
+
+/// The same, of a step of which the span is a multiple. If no round step is, only the ends are left.
+pub(super) fn divisions(span: f64, most: usize) -> Vec<Tick> {
+    let divides = |step: &f64| span % step == 0.0 && span / step <= most as f64;
+    lasting(span, STEPS.into_iter().find(divides).unwrap_or(span))
+}
+
+fn lasting(span: f64, step: f64) -> Vec<Tick> {
+    let label = |seconds: f64| {
+        let whole = seconds.round() as i64;
+        let clock =
+            |unit: i64, name: &str| format!("{}:{:02} {name}", whole / unit, whole % unit * 60 / unit);
+        match () {
+            () if whole == 0 => "0".to_string(),
+            () if step < 1.0 => format!("{seconds:.1} s"),
+            () if whole % DAY as i64 == 0 => format!("{} d", whole / DAY as i64),
+            () if whole % 3600 == 0 => format!("{} h", whole / 3600),
+            () if whole > 3600 => clock(3600, "h"),
+            () if whole % 60 == 0 => format!("{} min", whole / 60),
+            () if whole > 60 => clock(60, "min"),
+            () => format!("{whole} s"),
+        }
+    };
+    let last = (span / step + 1e-6).floor() as i64;
+    (0..=last).map(|at| at as f64 * step).map(|seconds| (seconds, label(seconds))).collect()
 }
 
 /// Formats a time in UTC, as strftime(3) does.
@@ -76,6 +112,17 @@ mod tests {
         let (low, high, ticks) = numbers(25.0, 25.0, 2.0, 4);
         assert!(low < 25.0 && high > 25.0 && ticks.len() <= 6);
         assert!(numbers(0.0, 0.0, 1.0, 4).2.iter().any(|(_, label)| label.starts_with('0')));
+    }
+
+    #[test]
+    fn durations_begin_at_zero() {
+        assert_eq!(labels(&durations(60.0, 4)), ["0", "15 s", "30 s", "45 s", "1 min"]);
+        assert_eq!(labels(&durations(100.0, 4)), ["0", "30 s", "1 min", "1:30 min"]);
+        assert_eq!(labels(&durations(2.6 * 3600.0, 6)), ["0", "30 min", "1 h", "1:30 h", "2 h", "2:30 h"]);
+        assert_eq!(labels(&durations(3.0 * DAY, 3)), ["0", "1 d", "2 d", "3 d"]);
+        assert_eq!(labels(&divisions(300.0, 9)), ["0", "1 min", "2 min", "3 min", "4 min", "5 min"]);
+        assert_eq!(labels(&divisions(900.0, 5)), ["0", "5 min", "10 min", "15 min"]);
+        assert_eq!(labels(&divisions(7.0 * DAY, 3)), ["0", "7 d"]);
     }
 
     #[test]

@@ -1,0 +1,156 @@
+//! Holds docs/SIMULATOR.md to the simulated gauges: each knob and each fault has a row there with the same words, its
+//! example works, and a refusal says what would be accepted.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::sync::Arc;
+
+use gauge_bus::clock::SimClock;
+use gauge_sim::{FAULTS, Knob, Options, Sim};
+use nix::errno::Errno;
+use ti_gauge::chip::{Chip, Scheme};
+
+use crate::cli::{CHIP, Folder, can_mount, gaugefs, read};
+
+const TEXT: &str = include_str!("../../docs/SIMULATOR.md");
+
+fn sim(chip: &str) -> Sim {
+    Sim::new(chip, &Options::default(), Arc::new(SimClock::new())).expect("a simulated part")
+}
+
+/// The rows of the tables whose first title is this one.
+fn rows(title: &str) -> Vec<Vec<String>> {
+    let mut found = Vec::new();
+    let mut lines = TEXT.lines();
+    while let Some(line) = lines.next() {
+        if line.starts_with(&format!("| {title} |")) {
+            let table = lines.by_ref().take_while(|line| line.starts_with('|')).skip(1);
+            found.extend(
+                table.map(|row| row.trim_matches('|').split(" | ").map(|cell| cell.trim().into()).collect()),
+            );
+        }
+    }
+    found
+}
+
+/// What is within the backticks of a cell.
+fn quoted(cell: &str) -> &str {
+    cell.strip_prefix('`').and_then(|cell| cell.strip_suffix('`')).expect("a cell in backticks")
+}
+
+/// Whether a part is one of those that the column `gauges` names.
+fn is_one_of(chip: &Chip, gauges: &str) -> bool {
+    let has_flash = !chip.subclasses.is_empty();
+    let is_mac = matches!(chip.access.scheme, Scheme::Mac | Scheme::MacUpdate);
+    match gauges {
+        "all" => true,
+        "data flash" => has_flash,
+        "block access" => has_flash && !is_mac,
+        "MAC" => is_mac,
+        other => panic!("no gauges are called `{other}`"),
+    }
+}
+
+#[test]
+fn simulator_rows_are_the_knobs_of_every_gauge() {
+    let documented = rows("knob");
+    for chip in Chip::all().filter(|chip| Sim::knows(chip.name)) {
+        let knobs: BTreeMap<_, _> =
+            sim(chip.name).knobs().into_iter().map(|Knob { name, help, .. }| (name, help)).collect();
+        let rows: BTreeMap<_, _> = documented
+            .iter()
+            .filter(|row| is_one_of(chip, &row[1]))
+            .map(|row| (quoted(&row[0]), &*row[2]))
+            .collect();
+        assert_eq!(knobs, rows, "{}: knobs; rows", chip.name);
+    }
+}
+
+#[test]
+fn simulator_examples_of_knobs_work() {
+    for row in rows("knob") {
+        let (name, example) = (quoted(&row[0]), quoted(&row[3]));
+        let gauges = Chip::all().filter(|chip| Sim::knows(chip.name) && is_one_of(chip, &row[1]));
+        let sims: Vec<_> = gauges.map(|chip| sim(chip.name)).collect();
+        let is_writable = |sim: &Sim| sim.knobs().iter().any(|knob| knob.name == name && knob.writable);
+        let ending = format!(" > sim/{name}");
+        match example.strip_prefix("echo ").and_then(|example| example.strip_suffix(&*ending)) {
+            Some(text) => {
+                // No specimen of some parts has what a knob sets.
+                let works = |sim: &Sim| {
+                    let before = sim.get(name);
+                    sim.set(name, text).is_ok() && sim.get(name) != before
+                };
+                assert!(sims.iter().any(works), "{example}: shows no effect on any part");
+                assert!(sims.iter().all(is_writable), "{name}");
+            }
+            None => {
+                assert_eq!(example, format!("cat sim/{name}"));
+                assert!(!sims.iter().any(is_writable), "{name} has no example of setting it");
+            }
+        }
+    }
+}
+
+#[test]
+fn simulator_rows_are_the_faults() {
+    let documented: BTreeSet<_> =
+        rows("fault").iter().map(|row| (quoted(&row[0]).to_string(), row[1].clone())).collect();
+    let known: BTreeSet<_> = FAULTS.iter().map(|word| (word.to_string(), word.help.to_string())).collect();
+    assert_eq!(known, documented);
+    for row in rows("fault") {
+        let example = quoted(&row[2]);
+        let text = example.strip_prefix("echo \"").and_then(|text| text.strip_suffix("\" > sim/fault"));
+        let text = text.expect("an example");
+        let name = quoted(&row[0]).split(' ').next().expect("a name");
+        assert!(text.starts_with(name), "{example}");
+        let sim = sim(CHIP);
+        sim.set("fault", text).unwrap_or_else(|error| panic!("{example}: {error}"));
+        assert_eq!(sim.get("fault").as_deref(), Some(text));
+    }
+}
+
+/// Nothing that is refused is repeated, because it may be a key.
+#[test]
+fn simulator_refusals_say_what_would_be_accepted() {
+    for chip in [CHIP, "bq27220", "bq27000"] {
+        let sim = sim(chip);
+        for knob in sim.knobs().iter().filter(|knob| knob.writable) {
+            let before = sim.get(knob.name);
+            let error = sim.set(knob.name, "8d3eb7c5").expect_err(knob.name).to_string();
+            assert!(error.contains("write one") && !error.contains("8d3eb7c5"), "{chip}: {error}");
+            assert_eq!(sim.get(knob.name), before, "{chip}: {}", knob.name);
+        }
+    }
+    let refused = |text: &str| sim(CHIP).set("fault", text).expect_err(text).to_string();
+    assert_eq!(refused("nack"), "fault: not the numbers of this fault; write: nack N [BYTE]");
+    assert!(refused("fail 1").contains("no such fault; write one of these"));
+    assert!(refused("fail 1").contains("torn-commit WORDS"));
+}
+
+#[test]
+fn simulator_refusals_are_in_the_last_error() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let knob = |name: &str, text: &str| fs::write(format!("{at}/BAT0/sim/{name}"), text);
+    let last_error = || read(&at, "BAT0/gauge/last_error");
+    let errno = |outcome: std::io::Result<()>| {
+        Errno::from_raw(outcome.expect_err("refused").raw_os_error().unwrap_or_default())
+    };
+    assert_eq!(errno(knob("load_ma", "nonsense\n")), Errno::EINVAL);
+    // As in the document, but for the time.
+    let shown = last_error();
+    let shown = shown.split_once(": ").expect("a time").1;
+    assert!(TEXT.contains(shown), "{shown}");
+    assert_eq!(errno(knob("load_ma", "99999\n")), Errno::ERANGE);
+    assert!(last_error().contains("sim/load_ma: write a number from -32000 to 32000"), "{}", last_error());
+    // Another knob does not clear it; this one does.
+    knob("soc", "50\n").expect("a knob");
+    assert!(!last_error().is_empty());
+    knob("load_ma", "500\n").expect("a knob");
+    assert_eq!(last_error(), "");
+}
