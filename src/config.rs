@@ -1,6 +1,8 @@
 //! The options of a mount and of its gauges, each defined once for the command line and for a configuration
 //! file, where they have the same names.
 
+use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -15,10 +17,12 @@ use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
+mod alert;
 mod file;
 mod from_toml;
 mod values;
 
+pub(crate) use alert::AlertOptions;
 use values::Key;
 pub(crate) use values::{address, chip_names, chips};
 
@@ -315,6 +319,24 @@ impl Setup {
     pub(crate) fn mountpoint(&self) -> &Path {
         self.mount.mountpoint.as_deref().expect("clap and `read` demand a mount point")
     }
+}
+
+/// The mount point that a configuration file names, and its alerts. Their programs run with the rights of whoever
+/// reads the file, so nobody else may be able to change it.
+pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
+    let name = path.display().to_string();
+    let status = fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    let me = nix::unistd::geteuid().as_raw();
+    let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
+    if ![me, 0].contains(&status.uid()) {
+        let why = format!("belongs to user {}; a file with programs to run must be yours or root's", status.uid());
+        return refuse(why);
+    }
+    if status.mode() & 0o022 != 0 {
+        let mode = status.mode() & 0o777;
+        return refuse(format!("others may change the programs in it (mode {mode:03o}); chmod go-w {name}"));
+    }
+    file::alerts(path)
 }
 
 /// Makes paths absolute that are relative to `folder`; an empty `folder` is the current one.

@@ -4,6 +4,7 @@
 //! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
 
 pub mod cli;
+mod condition;
 mod config;
 pub mod daemon;
 mod errno;

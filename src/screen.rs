@@ -1,5 +1,5 @@
-//! The commands that show and record mounted gauges: `top`, `learn`, `log` and `plot`. The cargo feature `screen`
-//! guards this module and its place in the command line.
+//! The commands that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait` and `watch`. The
+//! cargo feature `screen` guards this module and its place in the command line.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -8,6 +8,7 @@ use clap::Subcommand;
 
 use crate::error::Result;
 
+mod alert;
 mod learn;
 mod learning;
 mod log;
@@ -15,6 +16,8 @@ mod plot;
 mod sample;
 mod thin;
 mod top;
+mod values;
+mod wait;
 mod watch;
 
 /// The commands of this module.
@@ -24,6 +27,8 @@ pub(crate) enum Command {
     Learn(learn::Learn),
     Log(log::Log),
     Plot(plot::Plot),
+    Wait(wait::Wait),
+    Watch(alert::Watch),
 }
 
 impl Command {
@@ -33,6 +38,8 @@ impl Command {
             Self::Learn(learn) => learn.run(),
             Self::Log(log) => log.run(),
             Self::Plot(plot) => plot.run(),
+            Self::Wait(wait) => wait.run(),
+            Self::Watch(watch) => watch.run(),
         }
     }
 }

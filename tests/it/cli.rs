@@ -17,6 +17,8 @@ use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use crate::scratch;
 
 #[cfg(feature = "screen")]
+mod acting;
+#[cfg(feature = "screen")]
 mod calibrating;
 mod watching;
 
@@ -141,6 +143,8 @@ fn help_texts() {
             "learn --help",
             "log --help",
             "plot --help",
+            "wait --help",
+            "watch --help",
         ],
     );
 }
