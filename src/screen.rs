@@ -1,5 +1,5 @@
-//! The commands that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait` and `watch`. The
-//! cargo feature `screen` guards this module and its place in the command line.
+//! The commands that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`, `watch` and
+//! `metrics`. The cargo feature `screen` guards this module and its place in the command line.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -12,6 +12,7 @@ mod alert;
 mod learn;
 mod learning;
 mod log;
+mod metrics;
 mod plot;
 mod sample;
 mod thin;
@@ -28,6 +29,7 @@ pub(crate) enum Command {
     Log(log::Log),
     Plot(plot::Plot),
     Wait(wait::Wait),
+    Metrics(metrics::Metrics),
     Watch(alert::Watch),
 }
 
@@ -39,6 +41,7 @@ impl Command {
             Self::Log(log) => log.run(),
             Self::Plot(plot) => plot.run(),
             Self::Wait(wait) => wait.run(),
+            Self::Metrics(metrics) => metrics.run(),
             Self::Watch(watch) => watch.run(),
         }
     }

@@ -145,6 +145,7 @@ fn help_texts() {
             "plot --help",
             "wait --help",
             "watch --help",
+            "metrics --help",
         ],
     );
 }

@@ -1,7 +1,10 @@
 //! `gaugefs wait`, `watch` and `metrics` on mounted gauges.
 
 use std::fs::{self, File, Permissions};
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -131,6 +134,8 @@ fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
     std::thread::sleep(Duration::from_secs(1));
     daemon.send(Signal::SIGSTOP);
     assert_eq!(gone.ends(), Some(0), "{}", gone.err());
+    let out = gaugefs(&["metrics", &at]).done();
+    assert!(out.contains(&format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 0\n")), "{out}");
     gaugefs(&["watch", &at, "capacity<20"]).failed(&["its daemon does not answer"]);
     daemon.send(Signal::SIGCONT);
     daemon.send(Signal::SIGTERM);
@@ -139,7 +144,7 @@ fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
 
 /// The fewest polls there can be; what watches makes none of its own.
 #[test]
-fn waiting_causes_no_bus_traffic() {
+fn waiting_and_metrics_cause_no_bus_traffic() {
     if !can_mount() {
         return;
     }
@@ -152,6 +157,8 @@ fn waiting_causes_no_bus_traffic() {
     let transfers = statistic("transfers");
     let late = gaugefs(&["wait", "--timeout", "1.5", &at, "capacity<20 && gauge/control_status has VOK"]);
     assert_eq!(late.code, Some(3), "{}", late.err);
+    let page = gaugefs(&["metrics", &at]).done();
+    assert!(page.contains("gaugefs_polls_total{"), "{page}");
     assert_eq!((statistic("transfers"), statistic("polls")), (transfers, 2));
 }
 
@@ -256,4 +263,83 @@ fn alerts_of_a_file_are_checked_before_anything_runs() {
     fs::write(&file, format!("{mounted}when = \"missing\"\n")).expect("a file");
     fs::set_permissions(&file, Permissions::from_mode(0o664)).expect("a mode");
     gaugefs(&["watch", "--config", &file]).failed(&["others may change the programs", "chmod go-w"]);
+}
+
+/// What a server answers to a request, without its head; and the head.
+fn ask(mut client: impl Read + Write, request: &str) -> (String, String) {
+    client.write_all(request.as_bytes()).expect("a request");
+    let mut answer = String::new();
+    client.read_to_string(&mut answer).expect("an answer");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("a head");
+    (head.to_string(), body.to_string())
+}
+
+#[test]
+fn metrics_are_printed_written_to_a_file_and_answered() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let second = Path::new(&at).join("BAT0/gauge/learned_status");
+    within(LONG, "the second poll", || second.exists());
+    let page = gaugefs(&["metrics", &at]).done();
+    let of = format!("{{mountpoint=\"{at}\",power_supply=\"BAT0\"");
+    for line in [
+        "gaugefs_build_info{version=\"0.1.0\"} 1".to_string(),
+        format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 1"),
+        format!(
+            "gaugefs_gauge_info{of},model=\"bq34z100-G1\",serial_number=\"0001\",firmware=\"0x0016\",\
+             chem_id=\"0x0107\",technology=\"Unknown\"}} 1"
+        ),
+        format!("gaugefs_gauge_present{of}}} 1"),
+        format!("gaugefs_state_of_health_ratio{of}}} 1"),
+        format!("gaugefs_control_status{of},bit=\"QEN\"}} 0"),
+        format!("gaugefs_update_status{of}}} 0"),
+        format!("gaugefs_seal_state{of},state=\"sealed\"}} 1"),
+        format!("gaugefs_owed{of}}} 0"),
+        format!("gaugefs_poll_interval_seconds{of}}} 0.5"),
+        format!("gaugefs_failed_polls_total{of}}} 0"),
+        "# EOF".into(),
+    ] {
+        assert!(page.lines().any(|found| found == line), "{line} is not in:\n{page}");
+    }
+
+    // All of a file or nothing, and nothing beside it.
+    let inside = folder.0.join("textfile");
+    fs::create_dir(&inside).expect("a folder");
+    let file = inside.join("gaugefs.prom");
+    gaugefs(&["metrics", &at, "-o", file.to_str().expect("text")]).done();
+    let text = fs::read_to_string(&file).expect("the metrics");
+    assert!(text.contains("# TYPE gaugefs_failed_polls_total counter\n") && !text.contains("# EOF"), "{text}");
+    assert_eq!(fs::read_dir(&inside).expect("a folder").count(), 1);
+    let nowhere = folder.file("nowhere/gaugefs.prom");
+    gaugefs(&["metrics", &at, "-o", &nowhere]).failed(&[&nowhere, "cannot write it"]);
+
+    let server = Running::new(&folder, &["metrics", "--listen", "127.0.0.1:0", &at]);
+    within(LONG, "it listens", || server.err().contains("/metrics\n"));
+    let address = server.err().trim().trim_start_matches("gaugefs: http://").replace("/metrics", "");
+    let tcp = |request: &str| ask(TcpStream::connect(&address).expect("a connection"), request);
+    let (head, body) = tcp("GET /metrics HTTP/1.1\r\nHost: x\r\nAccept: application/openmetrics-text\r\n\r\n");
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("openmetrics-text; version=1.0.0"), "{head}");
+    assert!(head.contains(&format!("Content-Length: {}\r\n", body.len())) && body.ends_with("# EOF\n"), "{head}");
+    let (head, body) = tcp("GET /metrics?x=1 HTTP/1.0\r\n\r\n");
+    assert!(head.contains("text/plain; version=0.0.4") && !body.contains("# EOF"), "{head}");
+    assert!(tcp("GET / HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
+    assert!(tcp("POST /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 405 "));
+    // Clients that say nothing hold up no other, until there are too many of them.
+    let _silent: Vec<_> = (0..4).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
+    assert!(tcp("GET /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 200 "));
+
+    // A socket that a killed server has left is taken over.
+    let socket = folder.file("socket");
+    let listen = format!("unix:{socket}");
+    for _ in 0..2 {
+        let mut server = Running::new(&folder, &["metrics", "--listen", &listen, &at]);
+        within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+        let (_, body) = ask(UnixStream::connect(&socket).expect("a connection"), "GET /metrics HTTP/1.1\r\n\r\n");
+        assert!(body.contains("gaugefs_mount_up"), "{body}");
+        server.child.kill().expect("it runs");
+        server.ends();
+    }
 }

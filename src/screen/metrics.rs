@@ -1,0 +1,144 @@
+//! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use gauge_bus::clock::{Clock, RealClock};
+use nix::errno::Errno;
+
+use super::values;
+use super::watch::gauges;
+use crate::daemon::mountpoint;
+use crate::error::{Error, Result};
+
+mod page;
+mod serve;
+
+use page::Mount;
+
+const METRICS: &str = "\
+Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
+learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
+firmware and serial number as labels of gaugefs_gauge_info. They have the label power_supply, as
+node_exporter's have it. docs/FLEET.md lists them.
+
+Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
+gauge/seal gets the seal of some parts only, and no poll interval.
+
+Examples:
+  gaugefs metrics
+  gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
+  gaugefs metrics --listen 127.0.0.1:9947
+  gaugefs metrics --listen unix:/run/gaugefs-metrics.sock";
+
+/// Print metrics of mounted gauges for Prometheus
+#[derive(Args, Debug)]
+#[command(after_help = METRICS)]
+pub(crate) struct Metrics {
+    /// Mount points [default: every mounted gaugefs]
+    mountpoints: Vec<PathBuf>,
+    /// File to replace as a whole, for node_exporter's textfile collector [default: standard output]
+    #[arg(short, long, value_name = "FILE", conflicts_with = "listen")]
+    output: Option<PathBuf>,
+    /// Write the file again and again, with this time in between
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds, requires = "output")]
+    interval: Option<Duration>,
+    /// Answer HTTP requests at HOST:PORT, or at unix:PATH
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<serve::Address>,
+    /// Text format [default: text with -o, what the client asks for with --listen, else openmetrics]
+    #[arg(long, value_enum, conflicts_with = "listen")]
+    format: Option<Format>,
+}
+
+/// The text formats of Prometheus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    #[value(name = "openmetrics")]
+    OpenMetrics,
+    // The older one, which node_exporter's textfile collector reads.
+    Text,
+}
+
+impl Metrics {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        if let Some(address) = &self.listen {
+            return serve::run(address, &self.mountpoints);
+        }
+        let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
+        let format = self.format.unwrap_or(default);
+        let Some(file) = &self.output else {
+            let mut out = io::stdout().lock();
+            // Whoever reads it may close the pipe.
+            let _ = out.write_all(page(&self.mountpoints, format).as_bytes()).and_then(|()| out.flush());
+            return Ok(ExitCode::SUCCESS);
+        };
+        loop {
+            replace(file, &page(&self.mountpoints, format))?;
+            let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
+            RealClock::new().sleep(interval);
+        }
+    }
+}
+
+/// Reads all gauges. A mount whose daemon hangs is left out after some seconds, and reported as down.
+fn page(mountpoints: &[PathBuf], format: Format) -> String {
+    let begun = Instant::now();
+    let all = if mountpoints.is_empty() { mountpoint::list() } else { mountpoints.to_vec() };
+    let (sender, found) = mpsc::channel();
+    for (number, path) in all.iter().cloned().enumerate() {
+        let sender = sender.clone();
+        let read = move || {
+            // It cannot be heard any more after that time.
+            let _ = sender.send((number, read(&path)));
+        };
+        if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(read) {
+            eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
+        }
+    }
+    drop(sender);
+    let mut mounts: Vec<_> = all.into_iter().map(|path| Mount { path, gauges: None }).collect();
+    while let Ok((number, gauges)) = found.recv_timeout(values::PATIENCE.saturating_sub(begun.elapsed())) {
+        mounts[number].gauges = gauges;
+    }
+    page::render(&mounts, begun.elapsed(), format)
+}
+
+/// The gauges of a mount; `None` if they cannot be read.
+fn read(path: &Path) -> Option<Vec<page::Gauge>> {
+    let gauges = gauges(path).ok()?;
+    let read = |folder: PathBuf| {
+        let name = values::folder_name(&folder);
+        // One that goes away meanwhile is not there.
+        Some(page::Gauge { name, texts: values::all(&folder, &page::names()).ok()? })
+    };
+    Some(gauges.into_iter().filter_map(read).collect())
+}
+
+/// Writes a whole file, or leaves the one that is there: the collector may read it at any moment.
+fn replace(path: &Path, text: &str) -> Result<()> {
+    let name = path.display().to_string();
+    let failed = |error: io::Error| Error::io(&name, "cannot write it", &error);
+    let Some(file) = path.file_name() else {
+        return Err(Error::host(name, Errno::EISDIR, "name a file"));
+    };
+    // The collector takes only names that end in .prom.
+    let mut scratch = file.to_os_string();
+    scratch.push(format!(".{}", std::process::id()));
+    let scratch = path.with_file_name(scratch);
+    let written = File::create_new(&scratch)
+        .and_then(|mut file| file.write_all(text.as_bytes()))
+        .and_then(|()| fs::rename(&scratch, path));
+    written.map_err(|error| {
+        // Only what was made here: one that was there before is somebody else's.
+        if error.kind() != io::ErrorKind::AlreadyExists {
+            let _ = fs::remove_file(&scratch);
+        }
+        failed(error)
+    })
+}
