@@ -284,7 +284,8 @@ fn measured(name: &str, value: &str) -> Result<f64, String> {
     let Some((_, base, exponent)) = UNITS.iter().find(|(of, ..)| name.starts_with(of)) else {
         return refuse("");
     };
-    let prefix = unit.strip_suffix(base).and_then(|prefix| PREFIXES.iter().find(|(known, _)| *known == prefix));
+    let prefix =
+        unit.strip_suffix(base).and_then(|prefix| PREFIXES.iter().find(|(known, _)| *known == prefix));
     // A percentage has no prefixes, and no thousandths.
     let prefix = prefix.filter(|(prefix, _)| prefix.is_empty() || !matches!(*base, "%" | "C"));
     // Written as an exponent, the decimal is exact.
@@ -305,7 +306,9 @@ fn unknown(name: &str) -> String {
     let shown = name.escape_debug();
     match nearest(name, names.iter().map(String::as_str)) {
         Some(meant) => format!("no gauge has a file `{shown}`; did you mean {meant}?"),
-        None => format!("no gauge has a file `{shown}`; name one of its folder, such as capacity or gauge/flags"),
+        None => {
+            format!("no gauge has a file `{shown}`; name one of its folder, such as capacity or gauge/flags")
+        }
     }
 }
 
@@ -375,7 +378,8 @@ mod tests {
         ] {
             assert!(holds(text), "{text}");
         }
-        for text in ["capacity<19", "voltage_now>3.1V", "capacity<20 && voltage_now<3V", "temp>0", "missing"] {
+        for text in ["capacity<19", "voltage_now>3.1V", "capacity<20 && voltage_now<3V", "temp>0", "missing"]
+        {
             assert!(!holds(text), "{text}");
         }
     }

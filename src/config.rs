@@ -329,7 +329,8 @@ pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     let me = nix::unistd::geteuid().as_raw();
     let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
     if ![me, 0].contains(&status.uid()) {
-        let why = format!("belongs to user {}; a file with programs to run must be yours or root's", status.uid());
+        let why =
+            format!("belongs to user {}; a file with programs to run must be yours or root's", status.uid());
         return refuse(why);
     }
     if status.mode() & 0o022 != 0 {

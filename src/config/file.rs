@@ -251,7 +251,9 @@ fn unknown(table: Table, key: &str) -> String {
         return format!("unknown key; did you mean {known}?");
     }
     let here = match table {
-        Table::Top => return "unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]".into(),
+        Table::Top => {
+            return "unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]".into();
+        }
         Table::Mount => of_mount,
         Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
         Table::Gauge(_) | Table::Alert(_) => of_gauge,
@@ -271,7 +273,8 @@ fn nearest(word: &str) -> Option<String> {
     // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
     // the rest of the command line.
     let options = options.mut_args(|option| Arg::new(option.get_id()).long(option.get_id().clone()));
-    let options = options.args(["mount", "defaults", "gauge", "alert"].map(|table| Arg::new(table).long(table)));
+    let options =
+        options.args(["mount", "defaults", "gauge", "alert"].map(|table| Arg::new(table).long(table)));
     let options = options.no_binary_name(true).disable_help_flag(true);
     // With dashes it is none of the ids, only like one.
     let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;

@@ -287,8 +287,10 @@ fn event(alert: &Alert) -> &'static str {
 
 /// A line for each change. Whoever reads them may close the pipe.
 fn print_event(gauge: &Gauge, alert: &Alert) {
-    let (name, values) = (values::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
-    let line = format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
+    let (name, values) =
+        (values::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
+    let line =
+        format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
     let mut out = io::stdout().lock();
     let _ = writeln!(out, "{}", ti_gauge::text::printable(&line)).and_then(|()| out.flush());
 }

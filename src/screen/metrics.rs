@@ -24,7 +24,7 @@ use page::Mount;
 const METRICS: &str = "\
 Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
 learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
-firmware and serial number as labels of gaugefs_gauge_info. They have the label power_supply, as
+firmware and serial number as labels of gaugefs_chip_info. They have the label power_supply, as
 node_exporter's have it. docs/FLEET.md lists them.
 
 Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
@@ -86,38 +86,45 @@ impl Metrics {
     }
 }
 
-/// Reads all gauges. A mount whose daemon hangs is left out after some seconds, and reported as down.
+/// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down.
 fn page(mountpoints: &[PathBuf], format: Format) -> String {
     let begun = Instant::now();
     let all = if mountpoints.is_empty() { mountpoint::list() } else { mountpoints.to_vec() };
     let (sender, found) = mpsc::channel();
     for (number, path) in all.iter().cloned().enumerate() {
         let sender = sender.clone();
-        let read = move || {
-            // It cannot be heard any more after that time.
-            let _ = sender.send((number, read(&path)));
+        let work = move || {
+            // Nobody listens any more to a mount that was silent for too long.
+            let _ = read(&path, |seen| sender.send((number, seen)).is_ok());
         };
-        if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(read) {
+        if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
             eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
         }
     }
     drop(sender);
-    let mut mounts: Vec<_> = all.into_iter().map(|path| Mount { path, gauges: None }).collect();
-    while let Ok((number, gauges)) = found.recv_timeout(values::PATIENCE.saturating_sub(begun.elapsed())) {
-        mounts[number].gauges = gauges;
+    let mut mounts: Vec<_> =
+        all.into_iter().map(|path| Mount { path, is_up: false, gauges: Vec::new() }).collect();
+    while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
+        match seen {
+            Some(gauge) => mounts[number].gauges.push(gauge),
+            None => mounts[number].is_up = true,
+        }
     }
     page::render(&mounts, begun.elapsed(), format)
 }
 
-/// The gauges of a mount; `None` if they cannot be read.
-fn read(path: &Path) -> Option<Vec<page::Gauge>> {
-    let gauges = gauges(path).ok()?;
-    let read = |folder: PathBuf| {
-        let name = values::folder_name(&folder);
+/// Reads the gauges of a mount, and reports each, and at last that there are no more.
+fn read(path: &Path, report: impl Fn(Option<page::Gauge>) -> bool) -> io::Result<()> {
+    let names = page::names();
+    for folder in gauges(path)? {
         // One that goes away meanwhile is not there.
-        Some(page::Gauge { name, texts: values::all(&folder, &page::names()).ok()? })
-    };
-    Some(gauges.into_iter().filter_map(read).collect())
+        let Ok(texts) = values::all(&folder, &names) else { continue };
+        if !report(Some(page::Gauge { name: values::folder_name(&folder), texts })) {
+            return Ok(());
+        }
+    }
+    report(None);
+    Ok(())
 }
 
 /// Writes a whole file, or leaves the one that is there: the collector may read it at any moment.

@@ -208,7 +208,7 @@ pub(super) fn text(path: &Path) -> io::Result<Option<String>> {
 }
 
 /// `None` for a file that does not exist now, or that this user may not read.
-fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+pub(super) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(value) => Ok(Some(value)),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => Ok(None),

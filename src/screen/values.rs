@@ -1,15 +1,18 @@
 //! The files of a gauge that a condition compares, read after each poll.
 
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Sender};
 use std::time::Duration;
 
 use nix::errno::Errno;
+use nix::fcntl::{OFlag, openat};
+use nix::sys::stat::Mode;
 
 use gauge_bus::clock::{Clock, RealClock};
 
-use super::sample::{self, of_one_poll, text};
+use super::sample::{self, if_readable, of_one_poll, text};
 use super::watch::{INTERVAL, gauges, trouble};
 use crate::condition::Texts;
 use crate::error::{Error, Result};
@@ -32,10 +35,27 @@ pub(super) struct Seen {
 /// The attributes of a gauge and other files of its folder.
 pub(super) fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     let mut texts: Texts = sample::attributes(folder)?.into_iter().collect();
-    for name in names.iter().filter(|name| name.starts_with("gauge/")) {
-        texts.extend(text(&folder.join(name))?.map(|text| (name.clone(), text)));
+    // The folder of the last file: those of one folder are named one after the other.
+    let mut parent: Option<(&str, File)> = None;
+    for (path, name) in names.iter().filter_map(|path| Some((path, path.rsplit_once('/')?))) {
+        let (inside, name) = name;
+        if parent.as_ref().is_none_or(|(open, _)| *open != inside) {
+            parent = if_readable(File::open(folder.join(inside)))?.map(|open| (inside, open));
+        }
+        let Some((_, open)) = &parent else { continue };
+        texts.extend(if_readable(text_in(open, name))?.map(|text| (path.clone(), text)));
     }
     Ok(texts)
+}
+
+/// The one line of a file in an open folder. The daemon gets three messages for it: each folder of a whole path, the
+/// file's length and a second read would be one more, and there may be a thousand gauges.
+fn text_in(folder: &File, name: &str) -> io::Result<String> {
+    let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
+    // More than any text of one line has.
+    let mut bytes = [0; 16384];
+    let length = File::from(file).read(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes[..length]).trim_end().to_string())
 }
 
 /// Follows a gauge from a thread of its own, because a read blocks if the daemon hangs. It ends with its receiver.
@@ -83,7 +103,9 @@ pub(super) fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
         // It cannot be heard any more after 5 s.
         let _ = sender.send(found);
     };
-    std::thread::Builder::new().spawn(look).map_err(|error| Error::io("", "cannot start a thread", &error))?;
+    std::thread::Builder::new()
+        .spawn(look)
+        .map_err(|error| Error::io("", "cannot start a thread", &error))?;
     match found.recv_timeout(PATIENCE) {
         Ok(Ok(gauges)) => Ok(gauges),
         Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),

@@ -14,10 +14,11 @@ use ti_gauge::learning::Bits;
 use super::Format;
 use crate::condition::Texts;
 
-/// A mount, and its gauges if it answers.
+/// A mount, and its gauges as far as they have answered.
 pub(super) struct Mount {
     pub(super) path: PathBuf,
-    pub(super) gauges: Option<Vec<Gauge>>,
+    pub(super) is_up: bool,
+    pub(super) gauges: Vec<Gauge>,
 }
 
 /// A gauge's folder.
@@ -66,13 +67,13 @@ const fn counter(
 
 static METRICS: &[Metric] = &[
     Metric {
-        name: "gaugefs_gauge",
+        name: "gaugefs_chip",
         kind: Kind::Info,
         unit: "",
         help: "Part, firmware, chemistry and serial number.",
         series: info,
     },
-    gauge("gaugefs_gauge_present", "", "Whether the gauge answers and has a battery.", |gauge| {
+    gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", |gauge| {
         one(gauge.text("present"))
     }),
     gauge("gaugefs_poll_age_seconds", "seconds", "Age of the values.", |gauge| {
@@ -94,7 +95,7 @@ static METRICS: &[Metric] = &[
     counter("gaugefs_flash_writes", "Blocks of data flash programmed since the mount.", |gauge| {
         one(gauge.statistic("flash_writes"))
     }),
-    counter("gaugefs_gauge_resets", "Resets sent to the gauge since the mount.", |gauge| {
+    counter("gaugefs_resets", "Resets sent to the gauge since the mount.", |gauge| {
         one(gauge.statistic("resets"))
     }),
     gauge("gaugefs_state_of_health_ratio", "ratio", "StateOfHealth(), 1 for a new pack.", |gauge| {
@@ -204,9 +205,9 @@ fn info(gauge: &Gauge) -> Vec<(Labels, String)> {
 }
 
 fn control_status(gauge: &Gauge) -> Vec<(Labels, String)> {
-    let rows = LEARNING.iter().filter_map(|name| {
-        Some((vec![("bit", name.to_string())], u8::from(gauge.bit(name)?).to_string()))
-    });
+    let rows = LEARNING
+        .iter()
+        .filter_map(|name| Some((vec![("bit", name.to_string())], u8::from(gauge.bit(name)?).to_string())));
     rows.collect()
 }
 
@@ -235,13 +236,13 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String
     page.head("gaugefs_mount_up", Kind::Gauge, "", "Whether the daemon of the mount answers.");
     let place = |mount: &Mount| ("mountpoint", mount.path.display().to_string());
     for mount in mounts {
-        let up = if mount.gauges.is_some() { "1" } else { "0" };
-        page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], up);
+        let up = u8::from(mount.is_up).to_string();
+        page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], &up);
     }
     for metric in METRICS {
         let mut is_first = true;
         for mount in mounts {
-            for gauge in mount.gauges.iter().flatten() {
+            for gauge in &mount.gauges {
                 for (labels, value) in (metric.series)(gauge) {
                     if std::mem::take(&mut is_first) {
                         page.head(metric.name, metric.kind, metric.unit, metric.help);
@@ -318,20 +319,20 @@ mod tests {
             ("gauge/last_error", "2026-11-22T05:40:12Z: df/80/53: refused"),
         ];
         let texts = rows.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
-        let gauges = Some(vec![Gauge { name: "BAT0".into(), texts }]);
-        Mount { path: "/a\"b".into(), gauges }
+        let gauges = vec![Gauge { name: "BAT0".into(), texts }];
+        Mount { path: "/a\"b".into(), is_up: true, gauges }
     }
 
     #[test]
     fn a_page_has_the_values_of_the_files_in_base_units() {
-        let gone = Mount { path: "/gone".into(), gauges: None };
+        let gone = Mount { path: "/gone".into(), is_up: false, gauges: Vec::new() };
         let page = render(&[mount(), gone], Duration::from_millis(12), Format::OpenMetrics);
         let of = "{mountpoint=\"/a\\\"b\",power_supply=\"BAT0\"";
         for line in [
             "gaugefs_mount_up{mountpoint=\"/gone\"} 0".to_string(),
             "gaugefs_read_duration_seconds 0.012000".into(),
-            "# TYPE gaugefs_gauge info".into(),
-            format!("gaugefs_gauge_info{of},model=\"bq34z100-G1\",serial_number=\"0a10\"}} 1"),
+            "# TYPE gaugefs_chip info".into(),
+            format!("gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0a10\"}} 1"),
             "# UNIT gaugefs_poll_age_seconds seconds".into(),
             format!("gaugefs_poll_age_seconds{of}}} 1.5"),
             "# TYPE gaugefs_failed_polls counter".into(),
@@ -356,7 +357,7 @@ mod tests {
     fn the_older_format_names_metrics_as_their_samples() {
         let page = render(&[mount()], Duration::ZERO, Format::Text);
         let has = |line: &str| page.lines().any(|found| found == line);
-        assert!(has("# TYPE gaugefs_failed_polls_total counter") && has("# TYPE gaugefs_gauge_info gauge"));
+        assert!(has("# TYPE gaugefs_failed_polls_total counter") && has("# TYPE gaugefs_chip_info gauge"));
         assert!(!page.contains("# UNIT") && !page.contains("# EOF"), "{page}");
     }
 }

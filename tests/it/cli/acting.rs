@@ -200,7 +200,8 @@ fn watch_runs_a_program_once_an_alert_with_facts_in_its_environment() {
     set(&at, "soc", "10");
     within(LONG, "raised again", || lines(&events).len() == 3);
     let out = watch.out();
-    let told: Vec<_> = out.lines().filter_map(|line| line.split_once("Z BAT0: ")).map(|(_, told)| told).collect();
+    let told: Vec<_> =
+        out.lines().filter_map(|line| line.split_once("Z BAT0: ")).map(|(_, told)| told).collect();
     assert_eq!(
         told,
         ["raised low (capacity 19)", "cleared low (capacity 26)", "raised low (capacity 10)"],
@@ -257,7 +258,8 @@ fn alerts_of_a_file_are_checked_before_anything_runs() {
     refused(&format!("{mounted}when = \"missing\"\nexec = \"true\"\n"), &["line 5: exec", "sequence"]);
     refused(&format!("{mounted}when = \"missing\"\nfor = -1\n"), &["line 5: for", "0 to 86400"]);
     // The mount sees such a mistake as well.
-    fs::write(&file, format!("{mounted}when = \"capcity<20\"\n[[gauge]]\nsim = \"bq35100\"\n")).expect("a file");
+    fs::write(&file, format!("{mounted}when = \"capcity<20\"\n[[gauge]]\nsim = \"bq35100\"\n"))
+        .expect("a file");
     gaugefs(&["mount", "--config", &file, "--check"]).failed(&["did you mean capacity?"]);
     // Whoever can change the file chooses what is run.
     fs::write(&file, format!("{mounted}when = \"missing\"\n")).expect("a file");
@@ -289,10 +291,10 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
         "gaugefs_build_info{version=\"0.1.0\"} 1".to_string(),
         format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 1"),
         format!(
-            "gaugefs_gauge_info{of},model=\"bq34z100-G1\",serial_number=\"0001\",firmware=\"0x0016\",\
+            "gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0001\",firmware=\"0x0016\",\
              chem_id=\"0x0107\",technology=\"Unknown\"}} 1"
         ),
-        format!("gaugefs_gauge_present{of}}} 1"),
+        format!("gaugefs_present{of}}} 1"),
         format!("gaugefs_state_of_health_ratio{of}}} 1"),
         format!("gaugefs_control_status{of},bit=\"QEN\"}} 0"),
         format!("gaugefs_update_status{of}}} 0"),
@@ -311,7 +313,10 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     let file = inside.join("gaugefs.prom");
     gaugefs(&["metrics", &at, "-o", file.to_str().expect("text")]).done();
     let text = fs::read_to_string(&file).expect("the metrics");
-    assert!(text.contains("# TYPE gaugefs_failed_polls_total counter\n") && !text.contains("# EOF"), "{text}");
+    assert!(
+        text.contains("# TYPE gaugefs_failed_polls_total counter\n") && !text.contains("# EOF"),
+        "{text}"
+    );
     assert_eq!(fs::read_dir(&inside).expect("a folder").count(), 1);
     let nowhere = folder.file("nowhere/gaugefs.prom");
     gaugefs(&["metrics", &at, "-o", &nowhere]).failed(&[&nowhere, "cannot write it"]);
@@ -320,9 +325,16 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     within(LONG, "it listens", || server.err().contains("/metrics\n"));
     let address = server.err().trim().trim_start_matches("gaugefs: http://").replace("/metrics", "");
     let tcp = |request: &str| ask(TcpStream::connect(&address).expect("a connection"), request);
-    let (head, body) = tcp("GET /metrics HTTP/1.1\r\nHost: x\r\nAccept: application/openmetrics-text\r\n\r\n");
-    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("openmetrics-text; version=1.0.0"), "{head}");
-    assert!(head.contains(&format!("Content-Length: {}\r\n", body.len())) && body.ends_with("# EOF\n"), "{head}");
+    let (head, body) =
+        tcp("GET /metrics HTTP/1.1\r\nHost: x\r\nAccept: application/openmetrics-text\r\n\r\n");
+    assert!(
+        head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("openmetrics-text; version=1.0.0"),
+        "{head}"
+    );
+    assert!(
+        head.contains(&format!("Content-Length: {}\r\n", body.len())) && body.ends_with("# EOF\n"),
+        "{head}"
+    );
     let (head, body) = tcp("GET /metrics?x=1 HTTP/1.0\r\n\r\n");
     assert!(head.contains("text/plain; version=0.0.4") && !body.contains("# EOF"), "{head}");
     assert!(tcp("GET / HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
@@ -337,7 +349,8 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     for _ in 0..2 {
         let mut server = Running::new(&folder, &["metrics", "--listen", &listen, &at]);
         within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
-        let (_, body) = ask(UnixStream::connect(&socket).expect("a connection"), "GET /metrics HTTP/1.1\r\n\r\n");
+        let (_, body) =
+            ask(UnixStream::connect(&socket).expect("a connection"), "GET /metrics HTTP/1.1\r\n\r\n");
         assert!(body.contains("gaugefs_mount_up"), "{body}");
         server.child.kill().expect("it runs");
         server.ends();
