@@ -1,8 +1,6 @@
 //! The options of a mount and of its gauges, each defined once for the command line and for a configuration
 //! file, where they have the same names.
 
-use std::fs;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -17,6 +15,7 @@ use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
+#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
 mod alert;
 mod file;
 mod from_toml;
@@ -323,9 +322,11 @@ impl Setup {
 
 /// The mount point that a configuration file names, and its alerts. Their programs run with the rights of whoever
 /// reads the file, so nobody else may be able to change it.
+#[cfg(feature = "screen")]
 pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
+    use std::os::unix::fs::MetadataExt;
     let name = path.display().to_string();
-    let status = fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    let status = std::fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
     let me = nix::unistd::geteuid().as_raw();
     let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
     if ![me, 0].contains(&status.uid()) {

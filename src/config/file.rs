@@ -50,6 +50,7 @@ pub(super) fn read(path: &Path, bus: Option<PathBuf>) -> Result<(MountOptions, V
 }
 
 /// Reads the mount point and the alerts. Whether the gauges have a source does not matter to them.
+#[cfg(feature = "screen")]
 pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     let text = text(path)?;
     let (file, Document { mut mount, alert, .. }) = File::parse(path, &text)?;
