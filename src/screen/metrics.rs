@@ -1,10 +1,11 @@
 //! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
 
+use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
@@ -35,6 +36,9 @@ Examples:
   gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
   gaugefs metrics --listen 127.0.0.1:9947
   gaugefs metrics --listen unix:/run/gaugefs-metrics.sock";
+
+/// The most threads that read one mount, for as many clients at once.
+const MOST: usize = 8;
 
 /// Print metrics of mounted gauges for Prometheus
 #[derive(Args, Debug)]
@@ -67,50 +71,78 @@ enum Format {
 
 impl Metrics {
     pub(super) fn run(self) -> Result<ExitCode> {
+        let reader = Reader::new(self.mountpoints);
         if let Some(address) = &self.listen {
-            return serve::run(address, &self.mountpoints);
+            return serve::run(address, &reader);
         }
         let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
         let format = self.format.unwrap_or(default);
         let Some(file) = &self.output else {
             let mut out = io::stdout().lock();
             // Whoever reads it may close the pipe.
-            let _ = out.write_all(page(&self.mountpoints, format).as_bytes()).and_then(|()| out.flush());
+            let _ = out.write_all(reader.page(format).as_bytes()).and_then(|()| out.flush());
             return Ok(ExitCode::SUCCESS);
         };
         loop {
-            replace(file, &page(&self.mountpoints, format))?;
+            replace(file, &reader.page(format))?;
             let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
             RealClock::new().sleep(interval);
         }
     }
 }
 
-/// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down.
-fn page(mountpoints: &[PathBuf], format: Format) -> String {
-    let begun = Instant::now();
-    let all = if mountpoints.is_empty() { mountpoint::list() } else { mountpoints.to_vec() };
-    let (sender, found) = mpsc::channel();
-    for (number, path) in all.iter().cloned().enumerate() {
-        let sender = sender.clone();
-        let work = move || {
-            // Nobody listens any more to a mount that was silent for too long.
-            let _ = read(&path, |seen| sender.send((number, seen)).is_ok());
-        };
-        if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
-            eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
-        }
+/// Reads mounts.
+#[derive(Debug)]
+struct Reader {
+    /// Mount points; none for every mounted gaugefs.
+    mountpoints: Vec<PathBuf>,
+    /// How many threads read each mount. One whose daemon hangs keeps them.
+    threads: Mutex<HashMap<PathBuf, usize>>,
+}
+
+impl Reader {
+    fn new(mountpoints: Vec<PathBuf>) -> Arc<Self> {
+        Arc::new(Self { mountpoints, threads: Mutex::default() })
     }
-    drop(sender);
-    let mut mounts: Vec<_> =
-        all.into_iter().map(|path| Mount { path, is_up: false, gauges: Vec::new() }).collect();
-    while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
-        match seen {
-            Some(gauge) => mounts[number].gauges.push(gauge),
-            None => mounts[number].is_up = true,
-        }
+
+    fn threads(&self) -> MutexGuard<'_, HashMap<PathBuf, usize>> {
+        // A panic cannot leave the counts half changed.
+        self.threads.lock().unwrap_or_else(PoisonError::into_inner)
     }
-    page::render(&mounts, begun.elapsed(), format)
+
+    /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
+    /// while too many threads wait for it.
+    fn page(self: &Arc<Self>, format: Format) -> String {
+        let begun = Instant::now();
+        let all = if self.mountpoints.is_empty() { mountpoint::list() } else { self.mountpoints.clone() };
+        let (sender, found) = mpsc::channel();
+        for (number, path) in all.iter().cloned().enumerate() {
+            let (reader, sender) = (self.clone(), sender.clone());
+            match self.threads().entry(path.clone()).or_default() {
+                &mut MOST => continue,
+                count => *count += 1,
+            }
+            let work = move || {
+                // Nobody listens any more to a mount that was silent for too long.
+                let _ = read(&path, |seen| sender.send((number, seen)).is_ok());
+                reader.threads().entry(path).and_modify(|count| *count -= 1);
+            };
+            if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
+                self.threads().entry(all[number].clone()).and_modify(|count| *count -= 1);
+                eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
+            }
+        }
+        drop(sender);
+        let mut mounts: Vec<_> =
+            all.into_iter().map(|path| Mount { path, is_up: false, gauges: Vec::new() }).collect();
+        while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
+            match seen {
+                Some(gauge) => mounts[number].gauges.push(gauge),
+                None => mounts[number].is_up = true,
+            }
+        }
+        page::render(&mounts, begun.elapsed(), format)
+    }
 }
 
 /// Reads the gauges of a mount, and reports each, and at last that there are no more.
@@ -148,4 +180,26 @@ fn replace(path: &Path, text: &str) -> Result<()> {
         }
         failed(error)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mount_that_keeps_its_readers_gets_no_more_of_them() {
+        let path = PathBuf::from("/no/such/mount");
+        let reader = Reader::new(vec![path.clone()]);
+        let count = || reader.threads().get(&path).copied();
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        // The page is ready a moment before the thread has ended.
+        let start = Instant::now();
+        while count() != Some(0) {
+            assert!(start.elapsed() < Duration::from_secs(30), "{:?}", count());
+            std::thread::yield_now();
+        }
+        reader.threads().insert(path.clone(), MOST);
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        assert_eq!(count(), Some(MOST));
+    }
 }

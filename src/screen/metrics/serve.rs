@@ -14,15 +14,16 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Format, page};
+use super::{Format, MOST, Reader};
 use crate::error::{Error, Result};
+use gauge_bus::clock::{Clock, RealClock};
 
 /// A client has this long to send a request, and to take the answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// The longest request, with its headers.
 const LONGEST: usize = 8192;
-/// More clients than these at once are turned away.
-const MOST: usize = 8;
+/// Time after a connection that failed.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// Where clients connect.
 #[derive(Clone, Debug)]
@@ -64,7 +65,7 @@ impl Connection for UnixStream {
 }
 
 /// Answers until the process ends.
-pub(super) fn run(address: &Address, mountpoints: &[PathBuf]) -> Result<ExitCode> {
+pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
     match address {
         Address::Tcp(address) => {
             let listener = TcpListener::bind(address.as_str())
@@ -72,12 +73,12 @@ pub(super) fn run(address: &Address, mountpoints: &[PathBuf]) -> Result<ExitCode
             // Port 0 is any that is free.
             let here = listener.local_addr().map_or_else(|_| address.clone(), |here| here.to_string());
             eprintln!("gaugefs: http://{here}/metrics");
-            accept(|| listener.accept().map(|(client, _)| client), mountpoints)
+            accept(|| listener.accept().map(|(client, _)| client), reader)
         }
         Address::Unix(path) => {
             let listener = bind(path)
                 .map_err(|error| Error::io(path.display().to_string(), "cannot listen there", &error))?;
-            accept(|| listener.accept().map(|(client, _)| client), mountpoints)
+            accept(|| listener.accept().map(|(client, _)| client), reader)
         }
     }
 }
@@ -99,20 +100,25 @@ fn bind(path: &Path) -> io::Result<UnixListener> {
 
 fn accept<C: Connection + Send + 'static>(
     next: impl Fn() -> io::Result<C>,
-    mountpoints: &[PathBuf],
+    reader: &Arc<Reader>,
 ) -> Result<ExitCode> {
-    let mountpoints: Arc<[PathBuf]> = mountpoints.into();
+    // Each client has one, and so has this loop.
+    let clients = Arc::new(());
     loop {
-        // A client that is gone already is not an error; nor are too many open files for long.
-        let Ok(mut client) = next() else { continue };
-        // Each client has one, and so has this loop.
-        if Arc::strong_count(&mountpoints) > MOST {
-            continue;
-        }
-        let mountpoints = mountpoints.clone();
+        let mut client = match next() {
+            Ok(client) if Arc::strong_count(&clients) <= MOST => client,
+            Ok(_) => continue,
+            Err(_) => {
+                // A client that is gone already, or too many open files, which would fail again at once.
+                RealClock::new().sleep(PAUSE);
+                continue;
+            }
+        };
+        let (reader, held) = (reader.clone(), clients.clone());
         let serve = move || {
             // A client that goes away gets no answer.
-            let _ = answer(&mut client, &mountpoints);
+            let _ = answer(&mut client, &reader);
+            drop(held);
         };
         if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(serve) {
             eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
@@ -120,7 +126,7 @@ fn accept<C: Connection + Send + 'static>(
     }
 }
 
-fn answer(client: &mut impl Connection, mountpoints: &[PathBuf]) -> io::Result<()> {
+fn answer(client: &mut impl Connection, reader: &Arc<Reader>) -> io::Result<()> {
     client.limit(PATIENCE)?;
     let Some(request) = request(client)? else { return respond(client, "400 Bad Request", "text/plain", "") };
     let mut words = request.lines().next().unwrap_or_default().split(' ');
@@ -133,7 +139,7 @@ fn answer(client: &mut impl Connection, mountpoints: &[PathBuf]) -> io::Result<(
             } else {
                 (Format::Text, "text/plain; version=0.0.4; charset=utf-8")
             };
-            respond(client, "200 OK", kind, &page(mountpoints, format))
+            respond(client, "200 OK", kind, &reader.page(format))
         }
         ("GET", _) => respond(client, "404 Not Found", "text/plain", "the metrics are at /metrics\n"),
         _ => respond(client, "405 Method Not Allowed\r\nAllow: GET", "text/plain", ""),

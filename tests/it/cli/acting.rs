@@ -140,7 +140,8 @@ fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
     daemon.send(Signal::SIGSTOP);
     assert_eq!(gone.ends(), Some(0), "{}", gone.err());
     let out = gaugefs(&["metrics", &at]).done();
-    assert!(out.contains(&format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 0\n")), "{out}");
+    let down = format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 0\n");
+    assert!(out.contains(&down), "{out}");
     gaugefs(&["watch", &at, "capacity<20"]).failed(&["its daemon does not answer"]);
     daemon.send(Signal::SIGCONT);
     daemon.send(Signal::SIGTERM);
@@ -341,9 +342,24 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     assert!(head.contains("text/plain; version=0.0.4") && !body.contains("# EOF"), "{head}");
     assert!(tcp("GET / HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
     assert!(tcp("POST /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 405 "));
-    // Clients that say nothing hold up no other, until there are too many of them.
-    let _silent: Vec<_> = (0..4).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
+    // Clients that say nothing hold up no other, until there are too many of them; and these only for a while.
+    let silent: Vec<_> = (0..4).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
     assert!(tcp("GET /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 200 "));
+    let many: Vec<_> = (0..8).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
+    let mut last = many.last().expect("a connection");
+    assert!(matches!(last.read(&mut [0; 1]), Ok(0) | Err(_)), "it is turned away");
+    within(LONG, "the others are left", || {
+        let mut client = TcpStream::connect(&address).expect("a connection");
+        let mut answer = String::new();
+        let asked = client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n");
+        asked.and_then(|()| client.read_to_string(&mut answer)).is_ok_and(|length| length > 0)
+    });
+    drop((silent, many));
+    let long = format!("GET /metrics HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(10_000));
+    let mut client = TcpStream::connect(&address).expect("a connection");
+    let mut answer = Vec::new();
+    let asked = client.write_all(long.as_bytes()).and_then(|()| client.read_to_end(&mut answer));
+    assert!(asked.is_err() || answer.starts_with(b"HTTP/1.1 400 "), "{}", String::from_utf8_lossy(&answer));
 
     // A socket that a killed server has left is taken over.
     let socket = folder.file("socket");
