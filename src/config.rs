@@ -15,10 +15,13 @@ use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
+#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
+mod alert;
 mod file;
 mod from_toml;
 mod values;
 
+pub(crate) use alert::AlertOptions;
 use values::Key;
 pub(crate) use values::{address, chip_names, chips};
 
@@ -326,6 +329,27 @@ impl Setup {
     pub(crate) fn mountpoint(&self) -> &Path {
         self.mount.mountpoint.as_deref().expect("clap and `read` demand a mount point")
     }
+}
+
+/// The mount point that a configuration file names, and its alerts. Their programs run with the rights of whoever
+/// reads the file, so nobody else may be able to change it.
+#[cfg(feature = "screen")]
+pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
+    use std::os::unix::fs::MetadataExt;
+    let name = path.display().to_string();
+    let status = std::fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    let me = nix::unistd::geteuid().as_raw();
+    let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
+    if ![me, 0].contains(&status.uid()) {
+        let why =
+            format!("belongs to user {}; a file with programs to run must be yours or root's", status.uid());
+        return refuse(why);
+    }
+    if status.mode() & 0o022 != 0 {
+        let mode = status.mode() & 0o777;
+        return refuse(format!("others may change the programs in it (mode {mode:03o}); chmod go-w {name}"));
+    }
+    file::alerts(path)
 }
 
 /// Makes paths absolute that are relative to `folder`; an empty `folder` is the current one.

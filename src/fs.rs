@@ -39,6 +39,7 @@ pub use covered::Covered;
 use covered::CoveredLink;
 pub use df::DfItem;
 pub use gauge_dir::GaugeItem;
+pub(crate) use gauge_dir::file_names;
 use mains::Mains;
 pub use mains::MainsItem;
 use root::Root;

@@ -4,6 +4,8 @@
 //! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
 
 pub mod cli;
+#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
+mod condition;
 mod config;
 pub mod daemon;
 mod errno;

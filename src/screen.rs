@@ -1,5 +1,5 @@
-//! The commands that show and record mounted gauges: `top`, `learn`, `log` and `plot`. The cargo feature `screen`
-//! guards this module and its place in the command line.
+//! The commands that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`, `watch` and
+//! `metrics`. The cargo feature `screen` guards this module and its place in the command line.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -8,14 +8,18 @@ use clap::Subcommand;
 
 use crate::error::Result;
 
+mod alert;
 mod learn;
 mod learning;
 mod log;
+mod metrics;
 mod plot;
 mod sample;
 mod thin;
 mod ticks;
 mod top;
+mod values;
+mod wait;
 mod watch;
 
 /// The commands of this module.
@@ -25,6 +29,9 @@ pub(crate) enum Command {
     Learn(learn::Learn),
     Log(log::Log),
     Plot(plot::Plot),
+    Wait(wait::Wait),
+    Metrics(metrics::Metrics),
+    Watch(alert::Watch),
 }
 
 impl Command {
@@ -34,6 +41,9 @@ impl Command {
             Self::Learn(learn) => learn.run(),
             Self::Log(log) => log.run(),
             Self::Plot(plot) => plot.run(),
+            Self::Wait(wait) => wait.run(),
+            Self::Metrics(metrics) => metrics.run(),
+            Self::Watch(watch) => watch.run(),
         }
     }
 }

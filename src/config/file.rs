@@ -1,4 +1,4 @@
-//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]`.
+//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`.
 //!
 //! A file is read strictly. Whatever it holds that is not known or makes no sense is an error with file,
 //! line and key, and no gauge is opened before the whole file has been understood.
@@ -14,7 +14,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::{GaugeOptions, MountOptions, make_absolute, values};
+use super::{AlertOptions, GaugeOptions, MountOptions, make_absolute, values};
 use crate::daemon::Source;
 use crate::error::{Cause, Error, Result};
 
@@ -25,6 +25,7 @@ struct Document {
     mount: MountOptions,
     defaults: GaugeOptions,
     gauge: Vec<Spanned<GaugeOptions>>,
+    alert: Vec<AlertOptions>,
 }
 
 /// Keys that belong to one gauge, and are no defaults for many.
@@ -39,16 +40,30 @@ const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];
 
 /// Reads the options of a mount and of its gauges. Those are on `bus` where the file gives them no source.
 pub(super) fn read(path: &Path, bus: Option<PathBuf>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
-    let name = path.display().to_string();
-    let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
-    let mut file = File { name, text: &text, places: Vec::new() };
-    let Document { mut mount, mut defaults, mut gauge } = file.parse()?;
-    file.check_keys(gauge.len())?;
+    let text = text(path)?;
+    let (file, Document { mut mount, mut defaults, mut gauge, .. }) = File::parse(path, &text)?;
     let folder = path.parent().unwrap_or(Path::new("/"));
     let gauges = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
     make_absolute(mount.paths().chain(defaults.paths()).chain(gauges), folder)?;
     defaults.bus = bus.or(defaults.bus);
     Ok((mount, file.complete(gauge, &defaults)?))
+}
+
+/// Reads the mount point and the alerts. Whether the gauges have a source does not matter to them.
+#[cfg(feature = "screen")]
+pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
+    let text = text(path)?;
+    let (file, Document { mut mount, alert, .. }) = File::parse(path, &text)?;
+    if alert.is_empty() {
+        return Err(Error::new(file.name, Cause::Invalid("no alert; add one below a line [[alert]]".into())));
+    }
+    make_absolute(mount.mountpoint.iter_mut(), path.parent().unwrap_or(Path::new("/")))?;
+    Ok((mount.mountpoint, alert))
+}
+
+fn text(path: &Path) -> Result<String> {
+    let name = path.display().to_string();
+    fs::read_to_string(path).map_err(|error| Error::io(name, "cannot read it", &error))
 }
 
 /// A configuration file that is being read.
@@ -74,9 +89,18 @@ enum Table {
     Defaults,
     /// By its number in the file.
     Gauge(usize),
+    /// Likewise.
+    Alert(usize),
 }
 
-impl File<'_> {
+impl<'a> File<'a> {
+    fn parse(path: &Path, text: &'a str) -> Result<(Self, Document)> {
+        let mut file = File { name: path.display().to_string(), text, places: Vec::new() };
+        let document = file.document()?;
+        file.check_keys(document.gauge.len())?;
+        Ok((file, document))
+    }
+
     fn line(&self, at: usize) -> usize {
         1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
     }
@@ -94,7 +118,7 @@ impl File<'_> {
         self.places.iter().find(|place| place.table == table && place.key == key)
     }
 
-    fn parse(&mut self) -> Result<Document> {
+    fn document(&mut self) -> Result<Document> {
         let document = DeTable::parse(self.text).map_err(|error| {
             let at = error.span().map_or(0, |span| span.start);
             self.refuse(at, "not TOML", error.message())
@@ -113,6 +137,9 @@ impl File<'_> {
         };
         let why = match (table, key.as_str()) {
             (Table::Top, "gauge") => "write [[gauge]] above the keys of each gauge".into(),
+            (Table::Top, "alert") if !error.message().starts_with("missing field") => {
+                "write [[alert]] above the keys of each alert".into()
+            }
             (Table::Top, "mount" | "defaults") => format!("write [{key}] above its keys"),
             // It is about the key itself, not about its value.
             _ if *start == at => unknown(*table, key),
@@ -199,10 +226,11 @@ fn places(document: &DeTable<'_>) -> Vec<Place> {
         match (key.get_ref().as_ref(), value.get_ref()) {
             ("mount", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Mount, key)),
             ("defaults", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Defaults, key)),
-            ("gauge", DeValue::Array(list)) => {
-                for (number, gauge) in list.iter().enumerate() {
-                    let table = gauge.get_ref().as_table();
-                    table.into_iter().flatten().for_each(|key| add(Table::Gauge(number), key));
+            (kind @ ("gauge" | "alert"), DeValue::Array(list)) => {
+                let place = if kind == "gauge" { Table::Gauge } else { Table::Alert };
+                for (number, item) in list.iter().enumerate() {
+                    let table = item.get_ref().as_table();
+                    table.into_iter().flatten().for_each(|key| add(place(number), key));
                 }
             }
             _ => {}
@@ -216,6 +244,10 @@ fn unknown(table: Table, key: &str) -> String {
     let of_mount = keys::<MountOptions>();
     let of_gauge = keys::<GaugeOptions>();
     let is_of = |keys: &[String]| keys.iter().any(|known| known == key);
+    if let Table::Alert(_) = table {
+        let of_alert = keys::<AlertOptions>().join(", ");
+        return format!("unknown key; known below [[alert]] are gauge, {of_alert}");
+    }
     if OWN.contains(&key) {
         return "belongs to one gauge; move it below its [[gauge]]".into();
     }
@@ -229,10 +261,12 @@ fn unknown(table: Table, key: &str) -> String {
         return format!("unknown key; did you mean {known}?");
     }
     let here = match table {
-        Table::Top => return "unknown key; a file has the tables [mount], [defaults] and [[gauge]]".into(),
+        Table::Top => {
+            return "unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]".into();
+        }
         Table::Mount => of_mount,
         Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
-        Table::Gauge(_) => of_gauge,
+        Table::Gauge(_) | Table::Alert(_) => of_gauge,
     };
     format!("unknown key; known here are {}", here.join(", "))
 }
@@ -249,13 +283,14 @@ fn nearest(word: &str) -> Option<String> {
     // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
     // the rest of the command line.
     let options = options.mut_args(|option| Arg::new(option.get_id()).long(option.get_id().clone()));
-    let options = options.args(["mount", "defaults", "gauge"].map(|table| Arg::new(table).long(table)));
+    let options =
+        options.args(["mount", "defaults", "gauge", "alert"].map(|table| Arg::new(table).long(table)));
     let options = options.no_binary_name(true).disable_help_flag(true);
     // With dashes it is none of the ids, only like one.
     let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;
     match refused.get(ContextKind::SuggestedArg)? {
         ContextValue::String(option) => Some(match option.trim_start_matches('-') {
-            "gauge" => "[[gauge]]".into(),
+            table @ ("gauge" | "alert") => format!("[[{table}]]"),
             table @ ("mount" | "defaults") => format!("[{table}]"),
             key => format!("`{}`", key.replace('_', "-")),
         }),

@@ -63,6 +63,10 @@ pub(super) fn group<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u32>, D
     word(from, values::group)
 }
 
+pub(super) fn hold<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Duration>, D::Error> {
+    word(from, values::hold)
+}
+
 pub(super) fn interval<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Duration>, D::Error> {
     word(from, values::interval)
 }

@@ -85,6 +85,13 @@ pub(super) fn interval(text: &str) -> Result<Duration, String> {
     }
 }
 
+pub(super) fn hold(text: &str) -> Result<Duration, String> {
+    match text.parse() {
+        Ok(seconds @ 0.0..=86400.0) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("expected 0 to 86400 seconds".into()),
+    }
+}
+
 pub(super) fn factor(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(factor @ 0.001..=1000.0) => Ok(factor),

@@ -149,12 +149,12 @@ pub struct Attribute(u8);
 
 impl Attribute {
     /// All of them, in the order of `uevent`.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
         (0..ATTRIBUTES.len() as u8).map(Self)
     }
 
     /// The attribute of that file name.
-    pub(super) fn by_name(name: &str) -> Option<Self> {
+    pub(crate) fn by_name(name: &str) -> Option<Self> {
         Self::all().find(|attribute| attribute.name() == name)
     }
 
@@ -163,8 +163,13 @@ impl Attribute {
     }
 
     /// File name.
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         self.row().name
+    }
+
+    /// Whether its text is a number in decimal.
+    pub(crate) fn is_number(self) -> bool {
+        matches!(self.row().show, Show::Number(_))
     }
 
     /// Its text without a newline; `None` where the gauge does not have it, or does not have it now.

@@ -18,6 +18,7 @@ use ti_gauge::authentication;
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
 use ti_gauge::dataflash::Decision;
+use ti_gauge::gauge::Statistics;
 use ti_gauge::keys;
 use ti_gauge::text;
 
@@ -63,6 +64,7 @@ static FILES: &[File] = &[
         gauge.submit(Attempt::Authenticate, challenge, done, Request::Authenticate)
     }),
     file("auth_order", Mode::Public, auth_order),
+    file("owed", Mode::Public, owed),
     file("settle", Mode::ReadWrite, settling)
         .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
     file("calibrate", Mode::Write, |gauge| can_calibrate(gauge).then(String::new)).written(
@@ -114,6 +116,25 @@ pub enum GaugeItem {
     Group(u8),
     /// A row of `GROUPS`, and the number of a file in it.
     Member(u8, u16),
+}
+
+/// The files of `gauge/` with a text of their own, on one chip or on any; with the names of the bits that one of flags
+/// shows.
+pub(crate) fn file_names() -> impl Iterator<Item = (String, &'static [Bit])> {
+    let fixed = FILES.iter().filter(|file| matches!(file.mode, Mode::Public | Mode::ReadWrite));
+    let fixed = fixed.map(|file| (file.name.to_string(), [].as_slice()));
+    let counters = Statistics::default().list();
+    let counters = counters.into_iter().map(|(name, _)| (format!("statistics/{name}"), [].as_slice()));
+    let of_chips = Chip::all().flat_map(|chip| {
+        let registers = chip.registers.iter().filter(|register| register.tier != Tier::Window);
+        let registers = registers.flat_map(|register| {
+            let name = snake_case(register.name);
+            let flags = (!register.bits.is_empty()).then(|| (name.clone(), register.bits));
+            flags.into_iter().chain([(format!("registers/{name}"), [].as_slice())])
+        });
+        registers.chain([("control_status".to_string(), chip.control_status)])
+    });
+    fixed.chain(counters).chain(of_chips)
 }
 
 /// The folders in which files come and go with what the gauge reports.
@@ -305,6 +326,13 @@ fn owed_and(owed: Option<(Timestamp, &str)>, error: Option<(Timestamp, &str)>) -
         (Some(only), None) | (None, Some(only)) => line(only),
         (Some(owed), Some(error)) => line(format_args!("{owed}; last error: {error}")),
     }
+}
+
+/// 1 while a seal is owed, or a write that is neither done nor undone.
+fn owed(gauge: &Supply) -> Option<String> {
+    let published = gauge.published();
+    let is_owed = !published.settling.is_empty() || !published.owed.is_empty();
+    line(u8::from(is_owed)).filter(|_| gauge.has_own_table())
 }
 
 /// What is known of an interrupted write.

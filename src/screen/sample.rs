@@ -14,7 +14,7 @@ use gauge_bus::clock::{Clock, RealClock};
 
 /// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
 /// apart.
-const SETTLED: Duration = Duration::from_millis(200);
+pub(super) const SETTLED: Duration = Duration::from_millis(200);
 /// Attempts to read all files between two polls before a mixed sample is accepted.
 const TRIES: u32 = 3;
 /// Less than the time between two polls, more than the rounding of an age to milliseconds.
@@ -69,36 +69,14 @@ impl Moment {
 impl Sample {
     /// Reads a gauge's folder. If there was a poll just now, it waits a fraction of a second first.
     pub(super) fn read(folder: &Path) -> io::Result<Self> {
-        let mut tries = 0;
-        loop {
-            tries += 1;
-            let before = age(folder)?;
-            if let Some((age, _)) = before.filter(|(age, _)| *age < SETTLED) {
-                RealClock::new().sleep(SETTLED - age);
-            }
-            let sample = Self::once(folder, before)?;
-            let after = age(folder)?;
-            let same = match (before, after) {
-                (Some((_, before)), Some((_, after))) => before.is_same_poll(after),
-                (before, after) => before.is_none() && after.is_none(),
-            };
-            if same || tries == TRIES {
-                return Ok(sample);
-            }
-        }
+        of_one_poll(folder, |polled| Self::once(folder, polled))
     }
 
     fn once(folder: &Path, polled: Option<(Duration, Moment)>) -> io::Result<Self> {
         let age = polled.map(|(_, moment)| moment.latest.elapsed());
         let time =
             Timestamp::now() - jiff::SignedDuration::try_from(age.unwrap_or_default()).unwrap_or_default();
-        let uevent = fs::read_to_string(folder.join("uevent"))?;
-        let attributes = uevent.lines().filter_map(|line| {
-            let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
-            // uevent writes a space as `_`, but a name may contain a real one.
-            let value = if name == "NAME" { value.to_string() } else { value.replace('_', " ") };
-            Some((name.to_lowercase(), value))
-        });
+        let attributes = attributes(folder)?;
         let gauge = folder.join("gauge");
         let names = |folder: &Path| -> io::Result<Vec<String>> {
             let Some(entries) = if_readable(fs::read_dir(folder))? else { return Ok(Vec::new()) };
@@ -126,7 +104,7 @@ impl Sample {
             simulated: simulated(folder, polled.map(|(_, moment)| moment))?,
             moment: polled.map(|(_, moment)| moment),
             age,
-            attributes: attributes.collect(),
+            attributes,
             words,
             registers,
             seal: text(&gauge.join("seal"))?,
@@ -195,6 +173,42 @@ impl Sample {
     }
 }
 
+/// The attributes of `uevent`, by their file names.
+pub(super) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
+    let uevent = fs::read_to_string(folder.join("uevent"))?;
+    let attributes = uevent.lines().filter_map(|line| {
+        let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
+        // uevent writes a space as `_`, but a name may contain a real one.
+        let value = if name == "NAME" { value.to_string() } else { value.replace('_', " ") };
+        Some((name.to_lowercase(), value))
+    });
+    Ok(attributes.collect())
+}
+
+/// Reads files of one poll. If there was a poll just now, it waits a fraction of a second first.
+pub(super) fn of_one_poll<T>(
+    folder: &Path,
+    read: impl Fn(Option<(Duration, Moment)>) -> io::Result<T>,
+) -> io::Result<T> {
+    let mut tries = 0;
+    loop {
+        tries += 1;
+        let before = age(folder)?;
+        if let Some((age, _)) = before.filter(|(age, _)| *age < SETTLED) {
+            RealClock::new().sleep(SETTLED - age);
+        }
+        let found = read(before)?;
+        let after = age(folder)?;
+        let same = match (before, after) {
+            (Some((_, before)), Some((_, after))) => before.is_same_poll(after),
+            (before, after) => before.is_none() && after.is_none(),
+        };
+        if same || tries == TRIES {
+            return Ok(found);
+        }
+    }
+}
+
 /// The age of the values, and the time of their poll.
 fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     let before = Instant::now();
@@ -229,12 +243,12 @@ fn difference(before: &str, after: &str) -> String {
 }
 
 /// A file's one line; `None` if the file does not exist now, or this user may not read it.
-fn text(path: &Path) -> io::Result<Option<String>> {
+pub(super) fn text(path: &Path) -> io::Result<Option<String>> {
     Ok(if_readable(fs::read_to_string(path))?.map(|text| text.trim_end().to_string()))
 }
 
 /// `None` for a file that does not exist now, or that this user may not read.
-fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+pub(super) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(value) => Ok(Some(value)),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => Ok(None),

@@ -22,7 +22,7 @@ use ti_gauge::learning::Limits;
 /// TI's name for the subclass with the values that a gauge has learned.
 const STATE: &str = "State";
 /// Time between two samples if the time of the next poll is not known.
-const INTERVAL: Duration = Duration::from_secs(1);
+pub(super) const INTERVAL: Duration = Duration::from_secs(1);
 
 /// What a thread can be asked to do.
 pub(super) enum Order {
@@ -179,7 +179,7 @@ fn watch(
 }
 
 /// The gauges at a path: itself, or the folders in it.
-fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
+pub(super) fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
     match fs::metadata(path.join("uevent")) {
         Ok(_) => return Ok(vec![path.to_path_buf()]),
         Err(error) if error.kind() == ErrorKind::NotFound => {}
@@ -191,7 +191,7 @@ fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
     if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
 }
 
-fn trouble(root: &Path, error: &io::Error) -> String {
+pub(super) fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
             let mount = mountpoint::of(root);

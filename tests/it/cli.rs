@@ -17,6 +17,8 @@ use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 use crate::scratch;
 
 #[cfg(feature = "screen")]
+mod acting;
+#[cfg(feature = "screen")]
 mod calibrating;
 mod watching;
 
@@ -150,6 +152,9 @@ fn help_texts() {
             "learn --help",
             "log --help",
             "plot --help",
+            "wait --help",
+            "watch --help",
+            "metrics --help",
         ],
     );
 }

@@ -117,7 +117,10 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[[gauge]]\nx = 3\n", &["line 2: x: unknown key; known here are sim, sim-state, sim-key, bus"]),
         ("[[gague]]\n", &["line 1: gague: unknown key; did you mean [[gauge]]?"]),
         ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),
-        ("x.y = 3\n", &["line 1: x: unknown key; a file has the tables [mount], [defaults] and [[gauge]]"]),
+        (
+            "x.y = 3\n",
+            &["line 1: x: unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]"],
+        ),
         ("[mount]\n'' = 3\n'--help' = 3\n", &["line 2: \"\": unknown key; known here are"]),
         ("[mount]\n\"a\\nb\" = 3\n", &["line 2: a\\nb: unknown key; known here are"]),
         // Keys in the wrong table, as in files without [mount] and [defaults].
@@ -137,6 +140,14 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("gauge.name = 'PACK'\n", &["line 1: gauge: write [[gauge]]"]),
         ("gauge = 3\n", &["line 1: gauge: write [[gauge]]"]),
         ("gauge = ['x']\n", &["line 1: gauge: write [[gauge]]"]),
+        ("[alert]\nwhen = 'missing'\n", &["line 1: alert: write [[alert]] above the keys of each alert"]),
+        // Alerts.
+        ("[[alert]]\nname = 'x'\n", &["line 1: alert:", "missing field `when`"]),
+        ("[[alert]]\nwhen = 'capacity<<20'\n", &["line 2: when:", "is not a number of %"]),
+        (
+            "[[alert]]\nwhen = 'missing'\nbus = 'x'\n",
+            &["line 3: bus: unknown key; known below [[alert]] are gauge, when"],
+        ),
         ("[[mount]]\nmountpoint = 'm'\n", &["line 1: mount: write [mount] above its keys"]),
         ("defaults = 3\n", &["line 1: defaults: write [defaults] above its keys"]),
         // Values.

@@ -135,6 +135,10 @@ fn the_page_of_the_configuration_lists_every_option() {
         options.remove(only_there);
     }
     options.insert("mountpoint".into());
+    let help = gaugefs(&["watch", "--help"]).done();
+    let of_alerts = help.lines().filter_map(|line| line.strip_prefix("      --")).map(name);
+    options.extend(of_alerts.filter(|option| option != "config"));
+    options.extend(["when", "gauge"].map(String::from));
     assert_eq!(keys, options);
 }
 

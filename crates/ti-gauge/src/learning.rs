@@ -94,6 +94,14 @@ bits! {
     "QMAX_UP" qmax_up 0x0200, "RES_UP" ra_up 0x0400, "VDQ" qualified 0x0800, "EDV2" edv2 0x1000
 }
 
+impl Bits {
+    /// Update Status, as LearnedStatus() shows it.
+    pub fn update_status(self) -> u8 {
+        let bits = [self.qmax(), self.both(), self.iten(), self.field()];
+        (0..4).fold(0, |byte, at| byte | u8::from(bits[at]) << at)
+    }
+}
+
 /// One reading of a gauge.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reading {
@@ -588,11 +596,9 @@ impl Cycle {
             ],
             Learns::FullCharge => vec![on("VDQ", bits.qualified()), on("EDV2", bits.edv2())],
         };
-        let update_status = [bits.qmax(), bits.both(), bits.iten(), bits.field()];
-        let update_status = (0..4).fold(0, |byte, at| byte | u8::from(update_status[at]) << at);
         State {
             learned: self.learned,
-            update_status: Some(update_status).filter(|_| reading.has_learned_status),
+            update_status: Some(bits.update_status()).filter(|_| reading.has_learned_status),
             waits_for: self.waits_for(reading),
             phase: self.phase,
             phase_since: self.phase_since,

@@ -1,0 +1,380 @@
+//! `gaugefs watch`: runs programs when conditions come true.
+//!
+//! It is a program of its own, apart from the daemon, which starts no programs and has no privilege. All it has of a
+//! gauge are the files of the mount.
+
+use std::collections::HashMap;
+use std::ffi::OsString;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, ExitStatus, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use jiff::Timestamp;
+use nix::errno::Errno;
+
+use super::values::{self, Seen};
+use crate::condition::Texts;
+use crate::config::{self, AlertOptions};
+use crate::error::{Cause, Error, Result, shown};
+
+const WATCH: &str = "\
+An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
+when the condition of --clear is true. Without --clear that is when the first condition is false; a
+value that is missing clears nothing. Each change is printed as a line, and the program of --exec or
+--exec-clear is run for it: without a shell, unless CMD is sh -c '...'; never two at a time for one
+alert of one gauge; and with these variables in its environment:
+
+  GAUGEFS_EVENT       raised or cleared
+  GAUGEFS_ALERT       name of the alert
+  GAUGEFS_CONDITION   its condition
+  GAUGEFS_VALUE       text of the first file that it compares; not set if it is missing
+  GAUGEFS_GAUGE       folder of the gauge
+  POWER_SUPPLY_*      the lines of its uevent
+
+A program that fails is reported, and nothing else happens. An alert that comes and goes while its
+program runs is not reported to it again. Everything is read after each poll of the mount, which
+causes no bus traffic.
+
+Examples:
+  gaugefs watch /run/gauges 'capacity<=5 && status==Discharging' --for 60 --exec systemctl poweroff
+  gaugefs watch /run/gauges/BAT0 'temp>50C' --clear 'temp<45C' --exec fan on \\; --exec-clear fan off
+  gaugefs watch --config /etc/gaugefs/gaugefs.toml     its [[alert]] tables";
+
+/// Run programs when conditions on gauges come true
+#[derive(Args, Debug)]
+#[command(after_help = WATCH)]
+pub(crate) struct Watch {
+    /// Mount point, or folder of a mounted gauge, such as /run/gauges/BAT0
+    #[arg(required_unless_present = "config")]
+    gauge: Option<PathBuf>,
+    /// Take the alerts, and the mount point if there is no other, from this file
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["when", "clear", "for", "exec", "exec_clear", "name"])]
+    config: Option<PathBuf>,
+    #[command(flatten)]
+    alert: Option<AlertOptions>,
+}
+
+/// What the main thread waits for.
+enum Event {
+    Seen(Seen),
+    /// The program of an alert has ended.
+    Ended(usize, io::Result<ExitStatus>),
+}
+
+impl From<Seen> for Event {
+    fn from(seen: Seen) -> Self {
+        Self::Seen(seen)
+    }
+}
+
+/// A gauge that is watched.
+struct Gauge {
+    folder: PathBuf,
+    texts: Option<Texts>,
+    /// Why there are no texts, as it was printed last.
+    trouble: String,
+    /// When it counts as missing, unless there is another report of it.
+    due: Instant,
+}
+
+/// One alert of one gauge.
+struct Alert {
+    gauge: usize,
+    options: AlertOptions,
+    state: State,
+    /// The event for which a program was run last, or none was needed.
+    told: bool,
+    running: bool,
+}
+
+/// Whether an alert is raised.
+#[derive(Debug, Default)]
+struct State {
+    raised: bool,
+    /// Since when its condition has been true in every poll.
+    since: Option<Instant>,
+}
+
+impl State {
+    /// Takes a poll in.
+    fn update(&mut self, alert: &AlertOptions, texts: Option<&Texts>, now: Instant) {
+        let holds = alert.when.holds(texts);
+        if self.raised {
+            let is_over = match &alert.clear {
+                Some(clear) => clear.holds(texts) == Some(true),
+                None => holds == Some(false),
+            };
+            self.raised = !is_over;
+            self.since = None;
+        }
+        // What clears an alert does not raise it again at once.
+        else if holds == Some(true) {
+            let since = *self.since.get_or_insert(now);
+            self.raised = now.duration_since(since) >= alert.hold.unwrap_or_default();
+        } else {
+            self.since = None;
+        }
+    }
+}
+
+impl Watch {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let (place, alerts) = match (self.config, self.alert) {
+            (Some(file), _) => {
+                let (mountpoint, alerts) = config::alerts(&file)?;
+                let place = self.gauge.or(mountpoint).ok_or_else(|| {
+                    let why = "no mount point; give one on the command line, or set mountpoint below [mount]";
+                    Error::new(file.display().to_string(), Cause::Invalid(why.into()))
+                })?;
+                (place, alerts)
+            }
+            (None, Some(alert)) => (self.gauge.expect("clap demands it"), vec![alert]),
+            (None, None) => unreachable!("clap demands a condition or a file"),
+        };
+        Watching::start(&place, &alerts)?.run()
+    }
+}
+
+/// All that is watched.
+struct Watching {
+    gauges: Vec<Gauge>,
+    alerts: Vec<Alert>,
+    sender: Sender<Event>,
+    events: mpsc::Receiver<Event>,
+}
+
+impl Watching {
+    fn start(place: &Path, options: &[AlertOptions]) -> Result<Self> {
+        let folders = values::gauges_at(place)?;
+        let names = folders.iter().map(|gauge| values::folder_name(gauge)).collect::<Vec<_>>();
+        let mut alerts = Vec::new();
+        for options in options {
+            if let Some(wanted) = &options.gauge
+                && !names.contains(wanted)
+            {
+                let why = format!("no gauge {wanted} is mounted there, only {}", names.join(", "));
+                return Err(Error::host(place.display().to_string(), Errno::ENOENT, why));
+            }
+            let is_for = |name: &String| options.gauge.as_ref().is_none_or(|wanted| wanted == name);
+            let gauges = (0..).zip(&names).filter(|(_, name)| is_for(name));
+            alerts.extend(gauges.map(|(gauge, _)| Alert {
+                gauge,
+                options: options.clone(),
+                state: State::default(),
+                told: false,
+                running: false,
+            }));
+        }
+        let (sender, events) = mpsc::channel();
+        let now = Instant::now();
+        let mut gauges = Vec::new();
+        for (number, folder) in folders.into_iter().enumerate() {
+            let of_gauge = alerts.iter().filter(|alert| alert.gauge == number);
+            let mut files: Vec<_> =
+                of_gauge.flat_map(|alert| alert.options.names()).map(str::to_string).collect();
+            files.sort();
+            files.dedup();
+            values::follow(number, folder.clone(), files, sender.clone())?;
+            gauges.push(Gauge { folder, texts: None, trouble: String::new(), due: now + values::PATIENCE });
+        }
+        Ok(Self { gauges, alerts, sender, events })
+    }
+
+    fn run(mut self) -> Result<ExitCode> {
+        loop {
+            let due = self.gauges.iter().map(|gauge| gauge.due).min().expect("there is a gauge");
+            match self.events.recv_timeout(due.saturating_duration_since(Instant::now())) {
+                Ok(Event::Seen(seen)) => self.seen(seen),
+                Ok(Event::Ended(alert, outcome)) => self.ended(alert, outcome),
+                Err(RecvTimeoutError::Timeout) => {
+                    let now = Instant::now();
+                    let silent = (0..).zip(&self.gauges).filter(|(_, gauge)| gauge.due <= now);
+                    for gauge in silent.map(|(number, _)| number).collect::<Vec<_>>() {
+                        let texts = Err(values::SILENT.to_string());
+                        self.seen(Seen { gauge, texts, next: Duration::ZERO });
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => unreachable!("it has a sender of its own"),
+            }
+        }
+    }
+
+    /// Takes a look at a gauge in.
+    fn seen(&mut self, seen: Seen) {
+        let now = Instant::now();
+        let gauge = &mut self.gauges[seen.gauge];
+        gauge.due = now + seen.next + values::PATIENCE;
+        match seen.texts {
+            Ok(texts) => {
+                gauge.texts = Some(texts);
+                gauge.trouble.clear();
+            }
+            Err(why) => {
+                gauge.texts = None;
+                if gauge.trouble != why {
+                    eprintln!("gaugefs: {}: {why}", shown(&gauge.folder));
+                    gauge.trouble = why;
+                }
+            }
+        }
+        for number in 0..self.alerts.len() {
+            let alert = &mut self.alerts[number];
+            if alert.gauge != seen.gauge {
+                continue;
+            }
+            let before = alert.state.raised;
+            let texts = self.gauges[seen.gauge].texts.as_ref();
+            alert.state.update(&alert.options, texts, now);
+            if alert.state.raised != before {
+                print_event(&self.gauges[seen.gauge], alert);
+                self.act(number);
+            }
+        }
+    }
+
+    /// Runs the program for the present state of an alert, unless the last one still runs or has run for it.
+    fn act(&mut self, number: usize) {
+        let alert = &mut self.alerts[number];
+        let raised = alert.state.raised;
+        if alert.running || alert.told == raised {
+            return;
+        }
+        alert.told = raised;
+        let program = if raised { &alert.options.exec } else { &alert.options.exec_clear };
+        let Some((program, arguments)) = program.split_first() else { return };
+        let facts = facts(&self.gauges[alert.gauge], alert);
+        let child = Command::new(program).args(arguments).envs(facts).stdin(Stdio::null()).spawn();
+        let name = alert.options.shown();
+        let waits = child.and_then(|mut child| {
+            let sender = self.sender.clone();
+            let wait = move || {
+                let outcome = child.wait();
+                // Nobody listens at the end of the program.
+                let _ = sender.send(Event::Ended(number, outcome));
+            };
+            std::thread::Builder::new().stack_size(256 * 1024).spawn(wait)
+        });
+        match waits {
+            Ok(_) => alert.running = true,
+            Err(error) => {
+                let why = Error::io(program, "cannot be started", &error).within(&format!("alert {name}"));
+                eprintln!("gaugefs: {why}");
+            }
+        }
+    }
+
+    fn ended(&mut self, number: usize, outcome: io::Result<ExitStatus>) {
+        let alert = &mut self.alerts[number];
+        alert.running = false;
+        let what = match outcome {
+            Ok(status) if status.success() => None,
+            Ok(status) => Some(status.to_string()),
+            Err(error) => Some(error.to_string()),
+        };
+        if let Some(what) = what {
+            eprintln!("gaugefs: alert {}: its program has failed: {what}", alert.options.shown());
+        }
+        self.act(number);
+    }
+}
+
+fn event(alert: &Alert) -> &'static str {
+    if alert.state.raised { "raised" } else { "cleared" }
+}
+
+/// A line for each change. Whoever reads them may close the pipe.
+fn print_event(gauge: &Gauge, alert: &Alert) {
+    let (name, values) =
+        (values::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
+    let line =
+        format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
+    let mut out = io::stdout().lock();
+    let _ = writeln!(out, "{}", ti_gauge::text::printable(&line)).and_then(|()| out.flush());
+}
+
+/// The environment of an alert's program.
+fn facts(gauge: &Gauge, alert: &Alert) -> HashMap<String, OsString> {
+    let mut facts = HashMap::new();
+    let texts = gauge.texts.iter().flatten().filter(|(name, _)| !name.contains('/'));
+    facts.extend(texts.map(|(name, text)| (format!("POWER_SUPPLY_{}", name.to_uppercase()), text.into())));
+    let value = alert.options.when.names().next().and_then(|name| gauge.texts.as_ref()?.get(name));
+    let rows = [
+        ("EVENT", Some(event(alert).into())),
+        ("ALERT", Some(alert.options.shown().into())),
+        ("CONDITION", Some(alert.options.when.to_string().into())),
+        ("VALUE", value.map(OsString::from)),
+        ("GAUGE", Some(gauge.folder.clone().into_os_string())),
+    ];
+    facts.extend(rows.into_iter().filter_map(|(name, fact)| Some((format!("GAUGEFS_{name}"), fact?))));
+    facts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn alert(when: &str, clear: Option<&str>, hold: u64) -> AlertOptions {
+        let parse = |text: &str| text.parse().expect(text);
+        AlertOptions {
+            when: parse(when),
+            clear: clear.map(parse),
+            hold: Some(Duration::from_secs(hold)),
+            exec: Vec::new(),
+            exec_clear: Vec::new(),
+            name: None,
+            gauge: None,
+        }
+    }
+
+    /// The states after polls with these capacities, one a second.
+    fn states(alert: &AlertOptions, capacities: &[Option<u32>]) -> Vec<bool> {
+        let (start, mut state) = (Instant::now(), State::default());
+        let seconds = (0..).zip(capacities);
+        let states = seconds.map(|(second, capacity)| {
+            let texts: Texts =
+                capacity.iter().map(|number| ("capacity".into(), number.to_string())).collect();
+            state.update(alert, Some(&texts), start + Duration::from_secs(second));
+            state.raised
+        });
+        states.collect()
+    }
+
+    #[test]
+    fn an_alert_is_raised_once_and_cleared_by_its_own_condition() {
+        let low = alert("capacity<20", Some("capacity>25"), 0);
+        let polls = [30, 20, 19, 21, 19, 25, 26, 21, 19].map(Some);
+        let raised = [false, false, true, true, true, true, false, false, true];
+        assert_eq!(states(&low, &polls), raised);
+        let plain = alert("capacity<20", None, 0);
+        assert_eq!(states(&plain, &[19, 20, 19].map(Some)), [true, false, true]);
+    }
+
+    #[test]
+    fn a_missing_value_neither_raises_nor_clears() {
+        let low = alert("capacity<20", None, 0);
+        assert_eq!(states(&low, &[None, Some(19), None, Some(30), None]), [false, true, true, false, false]);
+    }
+
+    #[test]
+    fn a_condition_must_be_true_in_every_poll_of_its_time() {
+        let low = alert("capacity<20", None, 2);
+        let polls = [Some(19), Some(19), Some(19), Some(30), Some(19), None, Some(19), Some(19), Some(19)];
+        let raised = [false, false, true, false, false, false, false, false, true];
+        assert_eq!(states(&low, &polls), raised);
+        let zero = alert("capacity<20", None, 0);
+        assert_eq!(states(&zero, &[Some(19)]), [true]);
+    }
+
+    #[test]
+    fn a_gauge_that_is_gone_raises_missing_only() {
+        let (mut gone, mut low) = (State::default(), State::default());
+        gone.update(&alert("missing", None, 0), None, Instant::now());
+        low.update(&alert("capacity<20", None, 0), None, Instant::now());
+        assert!(gone.raised && !low.raised);
+        gone.update(&alert("missing", None, 0), Some(&Texts::new()), Instant::now());
+        assert!(!gone.raised);
+    }
+}

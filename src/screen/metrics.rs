@@ -1,0 +1,205 @@
+//! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use gauge_bus::clock::{Clock, RealClock};
+use nix::errno::Errno;
+
+use super::values;
+use super::watch::gauges;
+use crate::daemon::mountpoint;
+use crate::error::{Error, Result};
+
+mod page;
+mod serve;
+
+use page::Mount;
+
+const METRICS: &str = "\
+Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
+learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
+firmware and serial number as labels of gaugefs_chip_info. They have the label power_supply, as
+node_exporter's have it. docs/FLEET.md lists them.
+
+Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
+gauge/seal gets the seal of some parts only, and no poll interval.
+
+Examples:
+  gaugefs metrics
+  gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
+  gaugefs metrics --listen 127.0.0.1:9947
+  gaugefs metrics --listen unix:/run/gaugefs-metrics.sock";
+
+/// The most threads that read one mount, for as many clients at once.
+const MOST: usize = 8;
+
+/// Print metrics of mounted gauges for Prometheus
+#[derive(Args, Debug)]
+#[command(after_help = METRICS)]
+pub(crate) struct Metrics {
+    /// Mount points [default: every mounted gaugefs]
+    mountpoints: Vec<PathBuf>,
+    /// File to replace as a whole, for node_exporter's textfile collector [default: standard output]
+    #[arg(short, long, value_name = "FILE", conflicts_with = "listen")]
+    output: Option<PathBuf>,
+    /// Write the file again and again, with this time in between
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds, requires = "output")]
+    interval: Option<Duration>,
+    /// Answer HTTP requests at HOST:PORT, or at unix:PATH
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<serve::Address>,
+    /// Text format [default: text with -o, what the client asks for with --listen, else openmetrics]
+    #[arg(long, value_enum, conflicts_with = "listen")]
+    format: Option<Format>,
+}
+
+/// The text formats of Prometheus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    #[value(name = "openmetrics")]
+    OpenMetrics,
+    // The older one, which node_exporter's textfile collector reads.
+    Text,
+}
+
+impl Metrics {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let reader = Reader::new(self.mountpoints);
+        if let Some(address) = &self.listen {
+            return serve::run(address, &reader);
+        }
+        let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
+        let format = self.format.unwrap_or(default);
+        let Some(file) = &self.output else {
+            let mut out = io::stdout().lock();
+            // Whoever reads it may close the pipe.
+            let _ = out.write_all(reader.page(format).as_bytes()).and_then(|()| out.flush());
+            return Ok(ExitCode::SUCCESS);
+        };
+        loop {
+            replace(file, &reader.page(format))?;
+            let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
+            RealClock::new().sleep(interval);
+        }
+    }
+}
+
+/// Reads mounts.
+#[derive(Debug)]
+struct Reader {
+    /// Mount points; none for every mounted gaugefs.
+    mountpoints: Vec<PathBuf>,
+    /// How many threads read each mount. One whose daemon hangs keeps them.
+    threads: Mutex<HashMap<PathBuf, usize>>,
+}
+
+impl Reader {
+    fn new(mountpoints: Vec<PathBuf>) -> Arc<Self> {
+        Arc::new(Self { mountpoints, threads: Mutex::default() })
+    }
+
+    fn threads(&self) -> MutexGuard<'_, HashMap<PathBuf, usize>> {
+        // A panic cannot leave the counts half changed.
+        self.threads.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
+    /// while too many threads wait for it.
+    fn page(self: &Arc<Self>, format: Format) -> String {
+        let begun = Instant::now();
+        let all = if self.mountpoints.is_empty() { mountpoint::list() } else { self.mountpoints.clone() };
+        let (sender, found) = mpsc::channel();
+        for (number, path) in all.iter().cloned().enumerate() {
+            let (reader, sender) = (self.clone(), sender.clone());
+            match self.threads().entry(path.clone()).or_default() {
+                &mut MOST => continue,
+                count => *count += 1,
+            }
+            let work = move || {
+                // Nobody listens any more to a mount that was silent for too long.
+                let _ = read(&path, |seen| sender.send((number, seen)).is_ok());
+                reader.threads().entry(path).and_modify(|count| *count -= 1);
+            };
+            if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
+                self.threads().entry(all[number].clone()).and_modify(|count| *count -= 1);
+                eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
+            }
+        }
+        drop(sender);
+        let mut mounts: Vec<_> =
+            all.into_iter().map(|path| Mount { path, is_up: false, gauges: Vec::new() }).collect();
+        while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
+            match seen {
+                Some(gauge) => mounts[number].gauges.push(gauge),
+                None => mounts[number].is_up = true,
+            }
+        }
+        page::render(&mounts, begun.elapsed(), format)
+    }
+}
+
+/// Reads the gauges of a mount, and reports each, and at last that there are no more.
+fn read(path: &Path, report: impl Fn(Option<page::Gauge>) -> bool) -> io::Result<()> {
+    let names = page::names();
+    for folder in gauges(path)? {
+        // One that goes away meanwhile is not there.
+        let Ok(texts) = values::all(&folder, &names) else { continue };
+        if !report(Some(page::Gauge { name: values::folder_name(&folder), texts })) {
+            return Ok(());
+        }
+    }
+    report(None);
+    Ok(())
+}
+
+/// Writes a whole file, or leaves the one that is there: the collector may read it at any moment.
+fn replace(path: &Path, text: &str) -> Result<()> {
+    let name = path.display().to_string();
+    let failed = |error: io::Error| Error::io(&name, "cannot write it", &error);
+    let Some(file) = path.file_name() else {
+        return Err(Error::host(name, Errno::EISDIR, "name a file"));
+    };
+    // The collector takes only names that end in .prom.
+    let mut scratch = file.to_os_string();
+    scratch.push(format!(".{}", std::process::id()));
+    let scratch = path.with_file_name(scratch);
+    let written = File::create_new(&scratch)
+        .and_then(|mut file| file.write_all(text.as_bytes()))
+        .and_then(|()| fs::rename(&scratch, path));
+    written.map_err(|error| {
+        // Only what was made here: one that was there before is somebody else's.
+        if error.kind() != io::ErrorKind::AlreadyExists {
+            let _ = fs::remove_file(&scratch);
+        }
+        failed(error)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mount_that_keeps_its_readers_gets_no_more_of_them() {
+        let path = PathBuf::from("/no/such/mount");
+        let reader = Reader::new(vec![path.clone()]);
+        let count = || reader.threads().get(&path).copied();
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        // The page is ready a moment before the thread has ended.
+        let start = Instant::now();
+        while count() != Some(0) {
+            assert!(start.elapsed() < Duration::from_secs(30), "{:?}", count());
+            std::thread::yield_now();
+        }
+        reader.threads().insert(path.clone(), MOST);
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        assert_eq!(count(), Some(MOST));
+    }
+}

@@ -1,0 +1,119 @@
+//! The files of a gauge that a condition compares, read after each poll.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, Sender};
+use std::time::Duration;
+
+use nix::errno::Errno;
+use nix::fcntl::{OFlag, openat};
+use nix::sys::stat::Mode;
+
+use gauge_bus::clock::{Clock, RealClock};
+
+use super::sample::{self, if_readable, of_one_poll, text};
+use super::watch::{INTERVAL, gauges, trouble};
+use crate::condition::Texts;
+use crate::error::{Error, Result};
+
+/// A daemon that has not answered for this long hangs.
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+/// Why there is nothing of a daemon that hangs.
+pub(super) const SILENT: &str = "its daemon does not answer";
+
+/// What a thread that follows a gauge reports.
+pub(super) struct Seen {
+    /// The gauge, by its number.
+    pub(super) gauge: usize,
+    /// Its files; what is missing of them, or why there are none.
+    pub(super) texts: Result<Texts, String>,
+    /// Time until the next report.
+    pub(super) next: Duration,
+}
+
+/// The attributes of a gauge and other files of its folder.
+pub(super) fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
+    let mut texts: Texts = sample::attributes(folder)?.into_iter().collect();
+    // The folder of the last file: those of one folder are named one after the other.
+    let mut parent: Option<(&str, File)> = None;
+    for (path, name) in names.iter().filter_map(|path| Some((path, path.rsplit_once('/')?))) {
+        let (inside, name) = name;
+        if parent.as_ref().is_none_or(|(open, _)| *open != inside) {
+            parent = if_readable(File::open(folder.join(inside)))?.map(|open| (inside, open));
+        }
+        let Some((_, open)) = &parent else { continue };
+        texts.extend(if_readable(text_in(open, name))?.map(|text| (path.clone(), text)));
+    }
+    Ok(texts)
+}
+
+/// The one line of a file in an open folder. The daemon gets three messages for it: each folder of a whole path, the
+/// file's length and a second read would be one more, and there may be a thousand gauges.
+fn text_in(folder: &File, name: &str) -> io::Result<String> {
+    let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
+    // More than any text of one line has.
+    let mut bytes = [0; 16384];
+    let length = File::from(file).read(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes[..length]).trim_end().to_string())
+}
+
+/// Follows a gauge from a thread of its own, because a read blocks if the daemon hangs. It ends with its receiver.
+pub(super) fn follow<T: From<Seen> + Send + 'static>(
+    gauge: usize,
+    folder: PathBuf,
+    names: Vec<String>,
+    to: Sender<T>,
+) -> Result<()> {
+    let work = move || {
+        loop {
+            let (texts, next) = match of_one_poll(&folder, |_| all(&folder, &names)) {
+                Ok(texts) if texts.get("present").is_some_and(|text| text == "1") => {
+                    (Ok(texts), next_poll(&folder))
+                }
+                Ok(_) => (Err("the gauge does not answer".into()), None),
+                Err(error) => (Err(trouble(&folder, &error)), None),
+            };
+            let next = next.unwrap_or(INTERVAL);
+            if to.send(Seen { gauge, texts, next }.into()).is_err() {
+                return;
+            }
+            RealClock::new().sleep(next);
+        }
+    };
+    let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(work);
+    thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", &error))
+}
+
+/// Time until the next poll can be read; `None` for a user who may not read the interval.
+fn next_poll(folder: &Path) -> Option<Duration> {
+    let number = |name: &str| text(&folder.join(name)).ok()??.parse::<f64>().ok();
+    let left = number("gauge/poll_interval")? - number("gauge/age_ms")? / 1000.0;
+    Some(Duration::try_from_secs_f64(left).unwrap_or_default() + sample::SETTLED)
+}
+
+/// The gauges at a path, which is a mount point or a gauge's folder; an error after 5 s without an answer.
+pub(super) fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
+    let name = path.display().to_string();
+    // Symbolic links are not resolved: that may hang.
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let (sender, found) = mpsc::channel();
+    let look = move || {
+        let found = gauges(&path).map_err(|error| trouble(&path, &error));
+        // It cannot be heard any more after 5 s.
+        let _ = sender.send(found);
+    };
+    std::thread::Builder::new()
+        .spawn(look)
+        .map_err(|error| Error::io("", "cannot start a thread", &error))?;
+    match found.recv_timeout(PATIENCE) {
+        Ok(Ok(gauges)) => Ok(gauges),
+        Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),
+        Err(_) => Err(Error::host(name, Errno::ETIMEDOUT, SILENT)),
+    }
+}
+
+/// The name of a gauge's folder.
+pub(super) fn folder_name(gauge: &Path) -> String {
+    gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

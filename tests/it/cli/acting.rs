@@ -1,0 +1,437 @@
+//! `gaugefs wait`, `watch` and `metrics` on mounted gauges.
+
+use std::fs::{self, File, Permissions};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::Signal;
+use nix::unistd::geteuid;
+
+use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, run, within};
+
+/// Far longer than anything takes on an idle machine.
+const LONG: Duration = Duration::from_secs(60);
+
+/// A simulated gauge that is polled often, with this state of charge.
+fn mounted(folder: &Folder, soc: &str) -> String {
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    set(&at, "soc", soc);
+    within(LONG, "a poll", || read(&at, "BAT0/capacity") == soc);
+    // Not all registers are read by the first one.
+    let second = Path::new(&at).join("BAT0/gauge/learned_status");
+    within(LONG, "the second poll", || second.exists());
+    at
+}
+
+fn set(at: &str, knob: &str, value: &str) {
+    fs::write(Path::new(at).join("BAT0/sim").join(knob), value).expect("a knob");
+}
+
+/// A command in the background, killed when the test ends.
+struct Running {
+    child: Child,
+    out: String,
+    err: String,
+}
+
+impl Running {
+    fn new(folder: &Folder, arguments: &[&str]) -> Self {
+        let (out, err) = (folder.file("out"), folder.file("err"));
+        let file = |path: &str| Stdio::from(File::create(path).expect("a file"));
+        let child = command(arguments).stdout(file(&out)).stderr(file(&err)).spawn().expect("gaugefs runs");
+        Self { child, out, err }
+    }
+
+    fn out(&self) -> String {
+        fs::read_to_string(&self.out).expect("text")
+    }
+
+    fn err(&self) -> String {
+        fs::read_to_string(&self.err).expect("text")
+    }
+
+    fn ends(&mut self) -> Option<i32> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                return status.code();
+            }
+            assert!(start.elapsed() < LONG, "it does not end: {}{}", self.out(), self.err());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn lines(path: &str) -> Vec<String> {
+    fs::read_to_string(path).unwrap_or_default().lines().map(str::to_string).collect()
+}
+
+#[test]
+fn wait_ends_when_its_condition_is_true_or_its_time_is_up() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let gauge = format!("{at}/BAT0");
+    // True already; the mount point of one gauge will do.
+    gaugefs(&["wait", "--timeout", "0", &at, "capacity<=60 && voltage_now>3V"]).done();
+    let late = gaugefs(&["wait", "--timeout", "0", &gauge, "capacity<20"]);
+    assert_eq!((late.code, late.err.as_str()), (Some(3), ""), "{}", late.out);
+    let begun = Instant::now();
+    assert_eq!(gaugefs(&["wait", "--timeout", "1.5", &gauge, "status==Full"]).code, Some(3));
+    assert!(begun.elapsed() >= Duration::from_millis(1500), "{:?}", begun.elapsed());
+
+    let mut waiting = Running::new(&folder, &["wait", &gauge, "capacity<20"]);
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(waiting.child.try_wait().expect("a child").is_none(), "{}", waiting.err());
+    set(&at, "soc", "19");
+    assert_eq!((waiting.ends(), waiting.err().as_str()), (Some(0), ""));
+    // A misspelt name is an error at once.
+    let begun = Instant::now();
+    let wrong = gaugefs(&["wait", &gauge, "capcity<20"]);
+    assert_eq!(wrong.code, Some(2));
+    assert!(wrong.err.contains("did you mean capacity?"), "{}", wrong.err);
+    assert!(begun.elapsed() < Duration::from_secs(30));
+    gaugefs(&["wait", &folder.file("none"), "capacity<20"]).failed(&["none: not mounted"]);
+}
+
+#[test]
+fn wait_for_a_gauge_that_is_missing() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let mut gone = Running::new(&folder, &["wait", &at, "missing"]);
+    assert_eq!(gaugefs(&["wait", "--timeout", "0", &at, "missing"]).code, Some(3));
+    set(&at, "power", "off");
+    assert_eq!(gone.ends(), Some(0));
+    // Without values nothing is true, and whoever waits is told.
+    let late = gaugefs(&["wait", "--timeout", "1", &at, "capacity!=0"]);
+    assert_eq!(late.code, Some(3));
+    assert!(late.err.contains("the gauge does not answer; waiting"), "{}", late.err);
+}
+
+#[test]
+fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mut daemon = Foreground::new(&at, &["--poll", "0.5"]);
+    let mut gone = Running::new(&folder, &["wait", &at, "missing"]);
+    std::thread::sleep(Duration::from_secs(1));
+    daemon.send(Signal::SIGSTOP);
+    assert_eq!(gone.ends(), Some(0), "{}", gone.err());
+    let out = gaugefs(&["metrics", &at]).done();
+    let down = format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 0\n");
+    assert!(out.contains(&down), "{out}");
+    gaugefs(&["watch", &at, "capacity<20"]).failed(&["its daemon does not answer"]);
+    daemon.send(Signal::SIGCONT);
+    daemon.send(Signal::SIGTERM);
+    daemon.ends();
+}
+
+/// The fewest polls there can be; what watches makes none of its own.
+#[test]
+fn waiting_and_metrics_cause_no_bus_traffic() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
+    let counts = || ["polls", "transfers"].map(|name| read(&at, &format!("BAT0/gauge/statistics/{name}")));
+    within(LONG, "two polls", || counts()[0] == "2");
+    let before = counts();
+    let late = gaugefs(&["wait", "--timeout", "1.5", &at, "capacity<20 && gauge/control_status has VOK"]);
+    assert_eq!(late.code, Some(3), "{}", late.err);
+    let page = gaugefs(&["metrics", &at]).done();
+    assert!(page.contains("gaugefs_polls_total{"), "{page}");
+    assert_eq!(counts(), before);
+}
+
+#[test]
+fn watch_runs_a_program_once_an_alert_with_facts_in_its_environment() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let (events, facts) = (folder.file("events"), folder.file("facts"));
+    let script = "echo \"$GAUGEFS_EVENT $GAUGEFS_VALUE\" >> \"$0\"; env > \"$1\"";
+    let arguments = ["watch", &at, "capacity<20", "--clear", "capacity>25", "--name", "low"];
+    let raised = ["--exec", "sh", "-c", script, &events, &facts, ";"];
+    let cleared = ["--exec-clear", "sh", "-c", script, &events, "/dev/null"];
+    let watch = Running::new(&folder, &[&arguments[..], &raised, &cleared].concat());
+    set(&at, "soc", "19");
+    within(LONG, "raised", || lines(&events) == ["raised 19"]);
+    within(LONG, "its facts", || {
+        let facts = lines(&facts);
+        [
+            "GAUGEFS_ALERT=low",
+            "GAUGEFS_CONDITION=capacity<20",
+            &format!("GAUGEFS_GAUGE={at}/BAT0"),
+            "POWER_SUPPLY_MODEL_NAME=bq34z100-G1",
+        ]
+        .iter()
+        .all(|fact| facts.iter().any(|found| found == fact))
+    });
+    // Between the two thresholds nothing happens.
+    for soc in ["22", "19", "25"] {
+        set(&at, "soc", soc);
+        within(LONG, "a poll", || read(&at, "BAT0/capacity") == soc);
+        std::thread::sleep(Duration::from_millis(1200));
+    }
+    assert_eq!(lines(&events), ["raised 19"]);
+    set(&at, "soc", "26");
+    within(LONG, "cleared", || lines(&events) == ["raised 19", "cleared 26"]);
+    set(&at, "soc", "10");
+    within(LONG, "raised again", || lines(&events).len() == 3);
+    let out = watch.out();
+    let told: Vec<_> =
+        out.lines().filter_map(|line| line.split_once("Z BAT0: ")).map(|(_, told)| told).collect();
+    assert_eq!(
+        told,
+        ["raised low (capacity 19)", "cleared low (capacity 26)", "raised low (capacity 10)"],
+        "{out}"
+    );
+    assert_eq!(watch.err(), "");
+}
+
+#[test]
+fn a_program_that_fails_or_is_slow_stops_no_alert_and_runs_once_at_a_time() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let (runs, go) = (folder.file("runs"), folder.file("go"));
+    let config = folder.file("alerts.toml");
+    let text = format!(
+        "[[alert]]\nwhen = \"capacity<20\"\nname = \"slow\"\n\
+         exec = [\"sh\", \"-c\", 'echo begin >> \"$0\"; until [ -e \"$1\" ]; do sleep 0.1; done; echo end >> \"$0\"', {runs:?}, {go:?}]\n\
+         [[alert]]\nwhen = \"capacity<20\"\nname = \"broken\"\nexec = [\"false\"]\n\
+         [[alert]]\ngauge = \"BAT0\"\nwhen = \"capacity<20\"\nname = \"none\"\nexec = [\"/no/such/program\"]\n"
+    );
+    fs::write(&config, text).expect("a file");
+    let watch = Running::new(&folder, &["watch", "--config", &config, &at]);
+    for soc in ["10", "60", "11"] {
+        let count = watch.out().lines().count();
+        set(&at, "soc", soc);
+        within(LONG, "an event", || watch.out().lines().count() >= count + 3);
+    }
+    assert_eq!(lines(&runs), ["begin"], "the first one still runs");
+    let failure = "alert broken: its program has failed: exit status: 1";
+    within(LONG, "both failures", || watch.err().matches(failure).count() == 2);
+    let missing = "alert none: /no/such/program: cannot be started: No such file or directory";
+    assert!(watch.err().contains(missing), "{}", watch.err());
+    fs::write(&go, "").expect("a file");
+    within(LONG, "its end", || lines(&runs) == ["begin", "end"]);
+}
+
+#[test]
+fn alerts_of_a_file_are_checked_before_anything_runs() {
+    let folder = Folder::new();
+    let file = folder.file("gauges.toml");
+    let refused = |text: &str, words: &[&str]| {
+        fs::write(&file, text).expect("a file");
+        gaugefs(&["watch", "--config", &file]).failed(&[&[file.as_str()], words].concat());
+    };
+    refused("[[gauge]]\n", &["no alert", "[[alert]]"]);
+    refused("[[alert]]\nwhen = \"missing\"\n", &["no mount point"]);
+    let mounted = "[mount]\nmountpoint = \"m\"\n[[alert]]\n";
+    refused(&format!("{mounted}when = \"capcity<20\"\n"), &["line 4: when", "did you mean capacity?"]);
+    refused(&format!("{mounted}when = \"missing\"\nexce = []\n"), &["line 5: exce", "unknown key", "exec"]);
+    refused(&format!("{mounted}exec = [\"true\"]\n"), &["when"]);
+    refused(&format!("{mounted}when = \"missing\"\nexec = \"true\"\n"), &["line 5: exec", "sequence"]);
+    refused(&format!("{mounted}when = \"missing\"\nfor = -1\n"), &["line 5: for", "0 to 86400"]);
+    // The mount sees such a mistake as well.
+    fs::write(&file, format!("{mounted}when = \"capcity<20\"\n[[gauge]]\nsim = \"bq35100\"\n"))
+        .expect("a file");
+    gaugefs(&["mount", "--config", &file, "--check"]).failed(&["did you mean capacity?"]);
+    // Whoever can change the file chooses what is run.
+    fs::write(&file, format!("{mounted}when = \"missing\"\n")).expect("a file");
+    fs::set_permissions(&file, Permissions::from_mode(0o664)).expect("a mode");
+    gaugefs(&["watch", "--config", &file]).failed(&["others may change the programs", "chmod go-w"]);
+}
+
+/// What a server answers to a request, without its head; and the head.
+fn ask(mut client: impl Read + Write, request: &str) -> (String, String) {
+    client.write_all(request.as_bytes()).expect("a request");
+    let mut answer = String::new();
+    client.read_to_string(&mut answer).expect("an answer");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("a head");
+    (head.to_string(), body.to_string())
+}
+
+#[test]
+fn metrics_are_printed_written_to_a_file_and_answered() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let page = gaugefs(&["metrics", &at]).done();
+    let of = format!("{{mountpoint=\"{at}\",power_supply=\"BAT0\"");
+    for line in [
+        "gaugefs_build_info{version=\"0.1.0\"} 1".to_string(),
+        format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 1"),
+        format!(
+            "gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0001\",firmware=\"0x0016\",\
+             chem_id=\"0x0107\",technology=\"Unknown\"}} 1"
+        ),
+        format!("gaugefs_present{of}}} 1"),
+        format!("gaugefs_state_of_health_ratio{of}}} 1"),
+        format!("gaugefs_control_status{of},bit=\"QEN\"}} 0"),
+        format!("gaugefs_update_status{of}}} 0"),
+        format!("gaugefs_seal_state{of},state=\"sealed\"}} 1"),
+        format!("gaugefs_owed{of}}} 0"),
+        format!("gaugefs_poll_interval_seconds{of}}} 0.5"),
+        format!("gaugefs_failed_polls_total{of}}} 0"),
+        "# EOF".into(),
+    ] {
+        assert!(page.lines().any(|found| found == line), "{line} is not in:\n{page}");
+    }
+
+    // All of a file or nothing, and nothing beside it.
+    let inside = folder.0.join("textfile");
+    fs::create_dir(&inside).expect("a folder");
+    let file = inside.join("gaugefs.prom");
+    gaugefs(&["metrics", &at, "-o", file.to_str().expect("text")]).done();
+    let text = fs::read_to_string(&file).expect("the metrics");
+    assert!(
+        text.contains("# TYPE gaugefs_failed_polls_total counter\n") && !text.contains("# EOF"),
+        "{text}"
+    );
+    assert_eq!(fs::read_dir(&inside).expect("a folder").count(), 1);
+    let nowhere = folder.file("nowhere/gaugefs.prom");
+    gaugefs(&["metrics", &at, "-o", &nowhere]).failed(&[&nowhere, "cannot write it"]);
+
+    let server = Running::new(&folder, &["metrics", "--listen", "127.0.0.1:0", &at]);
+    within(LONG, "it listens", || server.err().contains("/metrics\n"));
+    let address = server.err().trim().trim_start_matches("gaugefs: http://").replace("/metrics", "");
+    let tcp = |request: &str| ask(TcpStream::connect(&address).expect("a connection"), request);
+    let (head, body) =
+        tcp("GET /metrics HTTP/1.1\r\nHost: x\r\nAccept: application/openmetrics-text\r\n\r\n");
+    assert!(
+        head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("openmetrics-text; version=1.0.0"),
+        "{head}"
+    );
+    assert!(
+        head.contains(&format!("Content-Length: {}\r\n", body.len())) && body.ends_with("# EOF\n"),
+        "{head}"
+    );
+    let (head, body) = tcp("GET /metrics?x=1 HTTP/1.0\r\n\r\n");
+    assert!(head.contains("text/plain; version=0.0.4") && !body.contains("# EOF"), "{head}");
+    assert!(tcp("GET / HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
+    assert!(tcp("POST /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 405 "));
+    // Clients that say nothing hold up no other, until there are too many of them; and these only for a while.
+    let silent: Vec<_> = (0..4).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
+    assert!(tcp("GET /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 200 "));
+    let many: Vec<_> = (0..8).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
+    let mut last = many.last().expect("a connection");
+    assert!(matches!(last.read(&mut [0; 1]), Ok(0) | Err(_)), "it is turned away");
+    within(LONG, "the others are left", || {
+        let mut client = TcpStream::connect(&address).expect("a connection");
+        let mut answer = String::new();
+        let asked = client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n");
+        asked.and_then(|()| client.read_to_string(&mut answer)).is_ok_and(|length| length > 0)
+    });
+    drop((silent, many));
+    let long = format!("GET /metrics HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(10_000));
+    let mut client = TcpStream::connect(&address).expect("a connection");
+    let mut answer = Vec::new();
+    let asked = client.write_all(long.as_bytes()).and_then(|()| client.read_to_end(&mut answer));
+    assert!(asked.is_err() || answer.starts_with(b"HTTP/1.1 400 "), "{}", String::from_utf8_lossy(&answer));
+
+    // A socket that a killed server has left is taken over.
+    let socket = folder.file("socket");
+    let listen = format!("unix:{socket}");
+    for _ in 0..2 {
+        let mut server = Running::new(&folder, &["metrics", "--listen", &listen, &at]);
+        within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+        let (_, body) =
+            ask(UnixStream::connect(&socket).expect("a connection"), "GET /metrics HTTP/1.1\r\n\r\n");
+        assert!(body.contains("gaugefs_mount_up"), "{body}");
+        server.child.kill().expect("it runs");
+        server.ends();
+    }
+}
+
+/// What docs/fleet runs without privilege gets from a mount of root's.
+#[test]
+fn metrics_and_conditions_need_no_privilege() {
+    if !can_mount() || !geteuid().is_root() {
+        eprintln!("SKIPPED: without root there is no other user to read a mount");
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let program = folder.file("gaugefs");
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that everybody may run");
+    let other = |arguments: &[&str]| {
+        let mut command = Command::new(&program);
+        command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+        run(command)
+    };
+    let page = other(&["metrics", &at]).done();
+    for sample in
+        [",state=\"sealed\"} 1\n", "gaugefs_owed{", "gaugefs_update_status{", "gaugefs_polls_total{"]
+    {
+        assert!(page.contains(sample), "{sample} is not in:\n{page}");
+    }
+    assert!(!page.contains("gaugefs_poll_interval_seconds{"), "only the owner may read it:\n{page}");
+    other(&["wait", "--timeout", "0", &at, "capacity==60 && gauge/owed==0"]).done();
+    // The seal itself is the owner's to see.
+    let late = other(&["wait", "--timeout", "0", &at, "gauge/seal==sealed"]);
+    assert_eq!(late.code, Some(3), "{}", late.err);
+}
+
+/// What is shipped beside the program is understood by the programs that it is for.
+#[test]
+fn the_units_and_scripts_of_alerts_and_metrics_are_accepted() {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let script = top.join("docs/fleet/gaugefs-alerts.openrc");
+    let checked = Command::new("sh").arg("-n").arg(script).status().expect("a shell");
+    assert!(checked.success());
+    let folder = Folder::new();
+    let names =
+        ["udev/gaugefs-alerts.service", "udev/gaugefs-alerts@.service", "docs/fleet/gaugefs-metrics.service"];
+    let units = names.map(|name| {
+        let text = fs::read_to_string(top.join(name)).expect("a unit");
+        // systemd looks whether the program is there.
+        let text = text.replace("/usr/bin/gaugefs", "/bin/true");
+        let unit = folder.0.join(Path::new(name).file_name().expect("a name"));
+        fs::write(&unit, text).expect("a file");
+        unit.with_file_name(unit.file_name().expect("a name").to_string_lossy().replace("@.", "@i2c-1."))
+    });
+    let mut verify = Command::new("systemd-analyze");
+    verify.args(["verify", "--man=no"]).args(&units).stdin(Stdio::null());
+    match verify.output() {
+        Ok(output) => {
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(output.status.success() && !said.contains("gaugefs-"), "{said}");
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            eprintln!("SKIPPED in part: systemd-analyze is missing, so it did not check the units");
+        }
+        Err(error) => panic!("systemd-analyze: {error}"),
+    }
+}
