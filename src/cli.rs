@@ -26,6 +26,7 @@ mod lint;
 mod manual;
 mod mount;
 mod probe;
+mod program;
 mod report;
 mod rescue;
 mod settle;
@@ -53,6 +54,7 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     Probe(probe::Probe),
+    Program(program::Program),
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
@@ -95,6 +97,7 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Program(command) => command.run(),
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),

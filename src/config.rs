@@ -17,7 +17,9 @@ use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
 mod file;
 mod from_toml;
+mod station;
 mod values;
+pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, Unsettled};
 
 use values::Key;
 pub(crate) use values::{address, chip_names, chips};

@@ -123,6 +123,7 @@ fn help_texts() {
             "mount --help",
             "umount --help",
             "probe --help",
+            "program --help",
             "rescue --help",
             "chips --help",
             "report --help",

@@ -11,6 +11,7 @@ mod model;
 mod mount;
 mod others;
 mod over;
+mod program;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
