@@ -31,6 +31,7 @@ mod manual;
 mod mount;
 mod names;
 mod probe;
+mod program;
 mod report;
 mod rescue;
 mod set;
@@ -61,6 +62,7 @@ enum Command {
     Umount(umount::Umount),
     List(list::List),
     Probe(probe::Probe),
+    Program(program::Program),
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
@@ -110,6 +112,7 @@ impl Command {
             Self::Umount(command) => command.run(),
             Self::List(command) => command.run(),
             Self::Probe(command) => command.run(),
+            Self::Program(command) => command.run(),
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),

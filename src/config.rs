@@ -19,7 +19,9 @@ use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 mod alert;
 mod file;
 mod from_toml;
+mod station;
 mod values;
+pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, Unsettled};
 
 pub(crate) use alert::AlertOptions;
 use values::Key;

@@ -13,8 +13,8 @@ use gauge_bus::clock::{Clock, RealClock};
 
 mod adapters;
 pub mod background;
-mod gauges;
-mod journal_dir;
+pub(crate) mod gauges;
+pub(crate) mod journal_dir;
 pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
@@ -23,7 +23,7 @@ pub(crate) mod preflight;
 mod report;
 pub mod service;
 mod shutdown;
-mod source;
+pub(crate) mod source;
 
 use gauges::{Opening, Ready};
 pub(crate) use report::report;

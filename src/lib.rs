@@ -17,6 +17,7 @@ pub mod key_file;
 pub mod lock;
 mod mounted;
 pub mod owner;
+mod program;
 mod report;
 #[cfg(feature = "screen")]
 mod screen;

@@ -307,25 +307,37 @@ pub(crate) fn ask(gauge: &Path, code: u16) -> Result<u16> {
 /// Makes sure that a gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line
 /// that says so.
 pub(crate) fn check_chemistry(gauge: &Path, chip: &Chip, expected: u16) -> Result<String> {
+    let chem_id = text(gauge, "gauge/chem_id").unwrap_or_default();
+    let name = gauge.display().to_string();
+    same_chemistry(&name, chip, expected, (chem_id.trim(), "pass --same-chemistry"), |code| ask(gauge, code))
+}
+
+/// The same for a gauge of that name and CHEM_ID, which `ask` asks a subcommand. `told` is how a person vouches for the
+/// chemistry.
+pub(crate) fn same_chemistry(
+    name: &str,
+    chip: &Chip,
+    expected: u16,
+    (chem_id, told): (&str, &str),
+    ask: impl FnOnce(u16) -> Result<u16>,
+) -> Result<String> {
     /// Set if the gauge's data of the chemistry does not have the sum that is stored with it.
     const DIFFERS: u16 = 0x8000;
-    let name = gauge.display().to_string();
-    let chem_id = text(gauge, "gauge/chem_id").unwrap_or_default();
-    let chem_id = match chem_id.trim() {
+    let chem_id = match chem_id {
         "" => "CHEM_ID unknown".to_string(),
         id => format!("CHEM_ID {id}"),
     };
     let refuse = |why: String| {
         let why = format!(
-            "{why}. An import does not write the chemistry: program it with TI's tools, or pass --same-chemistry if \
+            "{why}. An import does not write the chemistry: program it with TI's tools, or {told} if \
              the image was made from a gauge with that CHEM_ID"
         );
-        Err(Error::new(&name, Cause::Invalid(why)))
+        Err(Error::new(name, Cause::Invalid(why)))
     };
     let Some(sum) = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM") else {
         return refuse(format!("whether it has the image's chemistry is unknown ({chem_id})"));
     };
-    match ask(gauge, sum.code)? {
+    match ask(sum.code)? {
         sum if sum == expected => Ok(format!("same chemistry ({chem_id}, checksum 0x{sum:04x})")),
         sum if sum & DIFFERS != 0 => {
             refuse(format!("it reports that its own chemistry is damaged ({chem_id}, checksum 0x{sum:04x})"))

@@ -6,7 +6,7 @@
 //!
 //! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
 //! says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
-//! first write, `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, `report` records all
+//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
@@ -34,6 +34,7 @@ mod attempt;
 mod backup;
 mod calibrate;
 mod debt;
+mod direct;
 mod handle;
 mod poll;
 mod report;
@@ -44,7 +45,9 @@ pub(crate) mod rig;
 use arrival::Loss;
 pub use attempt::Attempt;
 pub use backup::Backup;
+pub(crate) use backup::readable;
 use debt::Debt;
+pub(crate) use direct::Direct;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
@@ -221,17 +224,22 @@ impl Owner {
     /// Opens the gauge and sends the outcome. After a failure the gauge is gone, and is tried again with
     /// each poll.
     fn begin(&mut self, opened: &Sender<Result<()>>) {
-        let outcome = self.survive(Attempt::Poll, Self::open).and_then(|opened| opened);
-        if let Err(error) = &outcome {
-            self.schedule.set_gone(self.gauge.clock.now());
-            self.shared.record(Attempt::Poll, error);
-        }
+        let outcome = self.first_poll();
         // If the caller has stopped waiting, the outcome goes to the log instead.
         match opened.send(outcome) {
             Ok(()) => {}
             Err(SendError(Ok(()))) => log::info!("{}: the gauge answers", self.shared.name()),
             Err(SendError(Err(error))) => self.shared.report(Attempt::Poll, &error),
         }
+    }
+
+    /// Opens the gauge. After a failure it is gone.
+    fn first_poll(&mut self) -> Result<()> {
+        let outcome = self.survive(Attempt::Poll, Self::open).and_then(|opened| opened);
+        outcome.inspect_err(|error| {
+            self.schedule.set_gone(self.gauge.clock.now());
+            self.shared.record(Attempt::Poll, error);
+        })
     }
 
     /// Serves requests, and polls when a poll is due, until the last handle has been dropped.

@@ -1,4 +1,5 @@
-//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`.
+//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`; a station's
+//! file has `[station]` in place of `[mount]`, and no alerts.
 //!
 //! A file is read strictly. Whatever it holds that is not known or makes no sense is an error with file,
 //! line and key, and no gauge is opened before the whole file has been understood.
@@ -9,23 +10,55 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clap::error::{ContextKind, ContextValue};
-use clap::{Arg, Args, Command};
+use clap::{Arg, Args, Command, Id};
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
+use super::station::StationOptions;
 use super::{AlertOptions, GaugeOptions, MountOptions, make_absolute, values};
 use crate::daemon::Source;
 use crate::error::{Cause, Error, Result};
 
-#[derive(Deserialize)]
+/// What a file says of gauges.
+#[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-#[derive(Default)]
-struct Document {
-    mount: MountOptions,
+struct Gauges {
     defaults: GaugeOptions,
     gauge: Vec<Spanned<GaugeOptions>>,
+}
+
+/// The tables of [`Gauges`].
+const OF_GAUGES: [&str; 2] = ["defaults", "gauge"];
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OfMount {
+    mount: MountOptions,
     alert: Vec<AlertOptions>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OfStation {
+    station: StationOptions,
+}
+
+/// The table of a file that is not about gauges.
+struct Head {
+    /// Its name, which is also what it is about.
+    name: &'static str,
+    /// The tables of which there may be any number.
+    lists: &'static [&'static str],
+    keys: Vec<String>,
+    augment: fn(Command) -> Command,
+}
+
+impl Head {
+    fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
+        Self { name, lists, keys: keys::<Options>(), augment: Options::augment_args }
+    }
 }
 
 /// Keys that belong to one gauge, and are no defaults for many.
@@ -35,41 +68,83 @@ const CONFLICTS: [(&str, &[&str]); 2] = [
     ("sim", &["replay", "bus", "address", "chip"]),
     ("replay", &["bus", "address", "chip", "restore", "trace", "trace-replace"]),
 ];
+/// Keys of gauges that a station has no use for.
+const NOT_AT_A_STATION: [&str; 10] = [
+    "replay",
+    "restore",
+    "poll",
+    "energy",
+    "absolute-current",
+    "current-scale",
+    "voltage-scale",
+    "energy-scale",
+    "allow-learning",
+    "trace",
+];
 /// Keys that are for simulated gauges only.
 const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];
 
 /// Reads the options of a mount and of its gauges. Those are on `bus` where the file gives them no source.
 pub(super) fn read(path: &Path, bus: Option<PathBuf>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
     let text = text(path)?;
-    let (file, Document { mut mount, mut defaults, mut gauge, .. }) = File::parse(path, &text)?;
-    let folder = path.parent().unwrap_or(Path::new("/"));
-    let gauges = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
-    make_absolute(mount.paths().chain(defaults.paths()).chain(gauges), folder)?;
-    defaults.bus = bus.or(defaults.bus);
-    Ok((mount, file.complete(gauge, &defaults)?))
+    let head = of_mount();
+    let (file, OfMount { mut mount, .. }, gauges) = File::read::<OfMount>(path, &text, head)?;
+    make_absolute(mount.paths(), folder(path))?;
+    Ok((mount, file.gauges(gauges, path, bus)?))
+}
+
+fn of_mount() -> Head {
+    Head::of::<MountOptions>("mount", &["gauge", "alert"])
+}
+
+/// Reads the options of a station and of its gauges.
+pub(super) fn read_station(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
+    let text = text(path)?;
+    let head = Head::of::<StationOptions>("station", &["gauge"]);
+    let (file, OfStation { mut station }, gauges) = File::read::<OfStation>(path, &text, head)?;
+    make_absolute(station.paths(), folder(path))?;
+    station.check().map_err(|(key, why)| match file.place(Table::Head, key) {
+        Some(place) => file.refuse(place.at, key, &why),
+        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
+    })?;
+    for number in 0..gauges.gauge.len() {
+        let not_here = NOT_AT_A_STATION.iter();
+        let mut places = not_here
+            .filter_map(|key| file.place(Table::Gauge(number), key).or(file.place(Table::Defaults, key)));
+        if let Some(place) = places.next() {
+            return Err(file.refuse(place.at, &place.key, "has no meaning at a station; remove it"));
+        }
+    }
+    Ok((station, file.gauges(gauges, path, None)?))
+}
+
+fn text(path: &Path) -> Result<String> {
+    let failed = |error| Error::io(path.display().to_string(), "cannot read it", &error);
+    fs::read_to_string(path).map_err(failed)
+}
+
+/// The folder at which the relative paths of a file begin.
+fn folder(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new("/"))
 }
 
 /// Reads the mount point and the alerts. Whether the gauges have a source does not matter to them.
 #[cfg(feature = "screen")]
 pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     let text = text(path)?;
-    let (file, Document { mut mount, alert, .. }) = File::parse(path, &text)?;
+    let (file, OfMount { mut mount, alert }, _) = File::read::<OfMount>(path, &text, of_mount())?;
     if alert.is_empty() {
         return Err(Error::new(file.name, Cause::Invalid("no alert; add one below a line [[alert]]".into())));
     }
-    make_absolute(mount.mountpoint.iter_mut(), path.parent().unwrap_or(Path::new("/")))?;
+    make_absolute(mount.mountpoint.iter_mut(), folder(path))?;
     Ok((mount.mountpoint, alert))
-}
-
-fn text(path: &Path) -> Result<String> {
-    let name = path.display().to_string();
-    fs::read_to_string(path).map_err(|error| Error::io(name, "cannot read it", &error))
 }
 
 /// A configuration file that is being read.
 struct File<'a> {
     name: String,
     text: &'a str,
+    head: Head,
     places: Vec<Place>,
 }
 
@@ -85,7 +160,7 @@ struct Place {
 enum Table {
     /// The file outside of any table.
     Top,
-    Mount,
+    Head,
     Defaults,
     /// By its number in the file.
     Gauge(usize),
@@ -94,13 +169,6 @@ enum Table {
 }
 
 impl<'a> File<'a> {
-    fn parse(path: &Path, text: &'a str) -> Result<(Self, Document)> {
-        let mut file = File { name: path.display().to_string(), text, places: Vec::new() };
-        let document = file.document()?;
-        file.check_keys(document.gauge.len())?;
-        Ok((file, document))
-    }
-
     fn line(&self, at: usize) -> usize {
         1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
     }
@@ -118,13 +186,38 @@ impl<'a> File<'a> {
         self.places.iter().find(|place| place.table == table && place.key == key)
     }
 
-    fn document(&mut self) -> Result<Document> {
-        let document = DeTable::parse(self.text).map_err(|error| {
+    /// Reads the table of its head and those of the gauges.
+    fn read<H: DeserializeOwned>(path: &Path, text: &'a str, head: Head) -> Result<(Self, H, Gauges)> {
+        let mut file = Self { name: path.display().to_string(), text, head, places: Vec::new() };
+        file.places = places(file.parse()?.get_ref(), &file.head);
+        let head = file.tables(|key| !OF_GAUGES.contains(&key))?;
+        let gauges: Gauges = file.tables(|key| OF_GAUGES.contains(&key))?;
+        file.check_keys(gauges.gauge.len())?;
+        Ok((file, head, gauges))
+    }
+
+    fn parse(&self) -> Result<Spanned<DeTable<'a>>> {
+        DeTable::parse(self.text).map_err(|error| {
             let at = error.span().map_or(0, |span| span.start);
             self.refuse(at, "not TOML", error.message())
-        })?;
-        self.places = places(document.get_ref());
-        Document::deserialize(toml::de::Deserializer::from(document)).map_err(|error| self.explain(&error))
+        })
+    }
+
+    /// Some of its tables.
+    fn tables<T: DeserializeOwned>(&self, wanted: impl Fn(&str) -> bool) -> Result<T> {
+        let mut document = self.parse()?;
+        let all = std::mem::take(document.get_mut());
+        *document.get_mut() = all.into_iter().filter(|(key, _)| wanted(key.get_ref())).collect();
+        T::deserialize(toml::de::Deserializer::from(document)).map_err(|error| self.explain(&error))
+    }
+
+    /// The gauges, complete and with absolute paths.
+    fn gauges(&self, gauges: Gauges, path: &Path, bus: Option<PathBuf>) -> Result<Vec<GaugeOptions>> {
+        let Gauges { mut defaults, mut gauge } = gauges;
+        let paths = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
+        make_absolute(defaults.paths().chain(paths), folder(path))?;
+        defaults.bus = bus.or(defaults.bus);
+        self.complete(gauge, &defaults)
     }
 
     /// What is wrong at the place where the structs above do not fit the file.
@@ -140,9 +233,11 @@ impl<'a> File<'a> {
             (Table::Top, "alert") if !error.message().starts_with("missing field") => {
                 "write [[alert]] above the keys of each alert".into()
             }
-            (Table::Top, "mount" | "defaults") => format!("write [{key}] above its keys"),
+            (Table::Top, name) if name == self.head.name || name == "defaults" => {
+                format!("write [{key}] above its keys")
+            }
             // It is about the key itself, not about its value.
-            _ if *start == at => unknown(*table, key),
+            _ if *start == at => self.unknown(*table, key),
             _ => error.message().into(),
         };
         self.refuse(*start, key, &why)
@@ -159,7 +254,7 @@ impl<'a> File<'a> {
             }
         }
         if let Some(own) = OWN.iter().find_map(|key| self.place(Table::Defaults, key)) {
-            return Err(self.refuse(own.at, &own.key, &unknown(own.table, &own.key)));
+            return Err(self.refuse(own.at, &own.key, &self.unknown(own.table, &own.key)));
         }
         for table in (0..gauges).map(Table::Gauge) {
             for (key, others) in CONFLICTS.iter().filter(|(key, _)| self.place(table, key).is_some()) {
@@ -208,10 +303,74 @@ impl<'a> File<'a> {
         }
         Ok(complete)
     }
+
+    /// Why a key cannot be in a table.
+    fn unknown(&self, table: Table, key: &str) -> String {
+        let head = self.head.name;
+        let of_gauge = keys::<GaugeOptions>();
+        let is_of = |keys: &[String]| keys.iter().any(|known| known == key);
+        if let Table::Alert(_) = table {
+            let of_alert = keys::<AlertOptions>().join(", ");
+            return format!("unknown key; known below [[alert]] are gauge, {of_alert}");
+        }
+        if OWN.contains(&key) {
+            return "belongs to one gauge; move it below its [[gauge]]".into();
+        }
+        if is_of(&self.head.keys) {
+            return format!("belongs to the {head}; move it below [{head}]");
+        }
+        if is_of(&of_gauge) {
+            return "belongs to the gauges; move it below [defaults], or below a [[gauge]]".into();
+        }
+        if let Some(known) = self.nearest(key) {
+            return format!("unknown key; did you mean {known}?");
+        }
+        let here = match table {
+            Table::Top => {
+                let lists = self.head.lists.iter().map(|list| format!("[[{list}]]")).collect::<Vec<_>>();
+                let tables = [format!("[{head}]"), "[defaults]".into()].into_iter().chain(lists);
+                let tables = tables.collect::<Vec<_>>().join(", ");
+                return format!("unknown key; a file has the tables {tables}");
+            }
+            Table::Head => self.head.keys.clone(),
+            Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
+            Table::Gauge(_) | Table::Alert(_) => of_gauge,
+        };
+        format!("unknown key; known here are {}", here.join(", "))
+    }
+
+    /// The key or table that was probably meant, as clap would suggest an option.
+    fn nearest(&self, word: &str) -> Option<String> {
+        let options = GaugeOptions::augment_args(Command::new("gaugefs"));
+        let of_head = (self.head.augment)(Command::new("gaugefs"));
+        // A key may be in both tables.
+        let mut ids: Vec<Id> = options
+            .get_arguments()
+            .chain(of_head.get_arguments())
+            .map(|option| option.get_id().clone())
+            .collect();
+        ids.extend([self.head.name, "defaults"].iter().chain(self.head.lists).map(|&table| Id::from(table)));
+        ids.sort();
+        ids.dedup();
+        // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
+        // the rest of the command line.
+        let options = ids.into_iter().map(|id| Arg::new(id.clone()).long(id));
+        let options = Command::new("gaugefs").args(options).no_binary_name(true).disable_help_flag(true);
+        // With dashes it is none of the ids, only like one.
+        let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;
+        match refused.get(ContextKind::SuggestedArg)? {
+            ContextValue::String(option) => Some(match option.trim_start_matches('-') {
+                table if self.head.lists.contains(&table) => format!("[[{table}]]"),
+                table if table == self.head.name || table == "defaults" => format!("[{table}]"),
+                key => format!("`{}`", key.replace('_', "-")),
+            }),
+            _ => None,
+        }
+    }
 }
 
 /// All keys of a file: those outside of tables, and those of the tables that are known.
-fn places(document: &DeTable<'_>) -> Vec<Place> {
+fn places(document: &DeTable<'_>, head: &Head) -> Vec<Place> {
     let mut places = Vec::new();
     let mut add = |table, (key, value): (&Spanned<DeString<'_>>, &Spanned<DeValue<'_>>)| {
         places.push(Place {
@@ -224,9 +383,11 @@ fn places(document: &DeTable<'_>) -> Vec<Place> {
     for (key, value) in document {
         add(Table::Top, (key, value));
         match (key.get_ref().as_ref(), value.get_ref()) {
-            ("mount", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Mount, key)),
+            (name, DeValue::Table(table)) if name == head.name => {
+                table.iter().for_each(|key| add(Table::Head, key));
+            }
             ("defaults", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Defaults, key)),
-            (kind @ ("gauge" | "alert"), DeValue::Array(list)) => {
+            (kind, DeValue::Array(list)) if head.lists.contains(&kind) => {
                 let place = if kind == "gauge" { Table::Gauge } else { Table::Alert };
                 for (number, item) in list.iter().enumerate() {
                     let table = item.get_ref().as_table();
@@ -239,63 +400,10 @@ fn places(document: &DeTable<'_>) -> Vec<Place> {
     places
 }
 
-/// Why a key cannot be in a table.
-fn unknown(table: Table, key: &str) -> String {
-    let of_mount = keys::<MountOptions>();
-    let of_gauge = keys::<GaugeOptions>();
-    let is_of = |keys: &[String]| keys.iter().any(|known| known == key);
-    if let Table::Alert(_) = table {
-        let of_alert = keys::<AlertOptions>().join(", ");
-        return format!("unknown key; known below [[alert]] are gauge, {of_alert}");
-    }
-    if OWN.contains(&key) {
-        return "belongs to one gauge; move it below its [[gauge]]".into();
-    }
-    if is_of(&of_mount) {
-        return "belongs to the mount; move it below [mount]".into();
-    }
-    if is_of(&of_gauge) {
-        return "belongs to the gauges; move it below [defaults], or below a [[gauge]]".into();
-    }
-    if let Some(known) = nearest(key) {
-        return format!("unknown key; did you mean {known}?");
-    }
-    let here = match table {
-        Table::Top => {
-            return "unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]".into();
-        }
-        Table::Mount => of_mount,
-        Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
-        Table::Gauge(_) | Table::Alert(_) => of_gauge,
-    };
-    format!("unknown key; known here are {}", here.join(", "))
-}
-
 /// The names of options as the command line has them.
 fn keys<Options: Args>() -> Vec<String> {
     let command = Options::augment_args(Command::new("gaugefs"));
     command.get_arguments().map(|option| option.get_id().as_str().replace('_', "-")).collect()
-}
-
-/// The key or table that was probably meant, as clap would suggest an option.
-fn nearest(word: &str) -> Option<String> {
-    let options = GaugeOptions::augment_args(MountOptions::augment_args(Command::new("gaugefs")));
-    // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
-    // the rest of the command line.
-    let options = options.mut_args(|option| Arg::new(option.get_id()).long(option.get_id().clone()));
-    let options =
-        options.args(["mount", "defaults", "gauge", "alert"].map(|table| Arg::new(table).long(table)));
-    let options = options.no_binary_name(true).disable_help_flag(true);
-    // With dashes it is none of the ids, only like one.
-    let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;
-    match refused.get(ContextKind::SuggestedArg)? {
-        ContextValue::String(option) => Some(match option.trim_start_matches('-') {
-            table @ ("gauge" | "alert") => format!("[[{table}]]"),
-            table @ ("mount" | "defaults") => format!("[{table}]"),
-            key => format!("`{}`", key.replace('_', "-")),
-        }),
-        _ => None,
-    }
 }
 
 /// What only one gauge can have.

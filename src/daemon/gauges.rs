@@ -145,21 +145,8 @@ impl Opening {
             true => None,
             false => journal_dir::place(self.state_dir.as_deref(), opened.journal_key)?,
         };
-        let settings = Settings {
-            keys,
-            key_file: gauge
-                .key_file
-                .as_ref()
-                .map_or_else(key_file::of_credential, |path| Some(path.display().to_string())),
-            interval: gauge.interval(),
-            byte_writes: gauge.byte_writes.unwrap_or_default() || chip.is_slower_than(clock_hz),
-            allow_unproven: gauge.allow_unproven.unwrap_or_default(),
-            limits: gauge.limits(),
-            auth_order: gauge.auth_order.unwrap_or_default(),
-            restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
-            journal: place.clone().map(|(folder, key)| Journal::new(folder, key, subject.clone())),
-            backup: place.filter(|_| !self.no_backup).map(|(folder, key)| Backup::new(folder, key)),
-        };
+        let slow = chip.is_slower_than(clock_hz);
+        let settings = settings(&gauge, keys, chip, &subject, slow, place, self.no_backup)?;
         let origin = Origin {
             place: Source::of(&gauge).place(),
             address,
@@ -193,6 +180,31 @@ pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
     Err(Error::host(path.display().to_string(), Errno::EEXIST, why))
 }
 
+/// How a gauge is run, as its options have it. `place` is the folder of its journals and backups, and its name there.
+pub(crate) fn settings(
+    gauge: &GaugeOptions,
+    keys: Keys,
+    chip: &'static Chip,
+    subject: &str,
+    byte_writes: bool,
+    place: Option<(PathBuf, String)>,
+    no_backup: bool,
+) -> Result<Settings> {
+    let key_file = gauge.key_file.as_ref().map(|path| path.display().to_string());
+    Ok(Settings {
+        keys,
+        key_file: key_file.or_else(key_file::of_credential),
+        interval: gauge.interval(),
+        byte_writes: gauge.byte_writes.unwrap_or_default() || byte_writes,
+        allow_unproven: gauge.allow_unproven.unwrap_or_default(),
+        limits: gauge.limits(),
+        auth_order: gauge.auth_order.unwrap_or_default(),
+        restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
+        journal: place.clone().map(|(folder, key)| Journal::new(folder, key, subject.into())),
+        backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
+    })
+}
+
 /// Waits for a gauge's first poll. A failure is an error, or with `waits` the reason why it is not there yet.
 fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready, Option<Error>)> {
     let error = match begun.recv_timeout(end.saturating_duration_since(Instant::now())) {
@@ -223,7 +235,7 @@ pub(super) fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
 }
 
 /// The gauge's keys, from its key file or else from systemd's credential.
-pub(super) fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
+pub(crate) fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
     let mut keys = match &gauge.key_file {
         Some(path) => key_file::from_file(path, name)?,
         None => key_file::from_credential(name)?.unwrap_or_default(),

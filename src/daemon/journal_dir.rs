@@ -10,7 +10,7 @@ use crate::folders;
 
 /// The folder, and the name of the gauge in it. A gauge that ends with this process has no name, since there is
 /// nothing to settle later; it has one only if a folder was given.
-pub(super) fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
+pub(crate) fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
     let key = match (key, folder) {
         (Some(key), _) => key,
         (None, Some(_)) => {

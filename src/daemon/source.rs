@@ -51,24 +51,24 @@ pub(crate) enum Source<'a> {
 }
 
 /// A gauge that is reached and locked, and nothing more.
-pub(super) struct Opened {
-    pub(super) chip: &'static Chip,
-    pub(super) bus: Box<dyn Bus>,
+pub(crate) struct Opened {
+    pub(crate) chip: &'static Chip,
+    pub(crate) bus: Box<dyn Bus>,
     /// The bus clock, where it is known.
-    pub(super) clock_hz: Option<u32>,
-    pub(super) address: u8,
+    pub(crate) clock_hz: Option<u32>,
+    pub(crate) address: u8,
     /// What to call it in messages.
-    pub(super) subject: String,
-    pub(super) sim: Option<Sim>,
-    pub(super) lock: Option<Lock>,
+    pub(crate) subject: String,
+    pub(crate) sim: Option<Sim>,
+    pub(crate) lock: Option<Lock>,
     /// The name of its journal; `None` for a gauge that ends with this process.
-    pub(super) journal_key: Option<String>,
+    pub(crate) journal_key: Option<String>,
     /// The node of its adapter.
-    pub(super) node: Option<PathBuf>,
+    pub(crate) node: Option<PathBuf>,
     /// Nothing has shown yet that what is at the address reads like a gauge.
-    pub(super) unverified: bool,
+    pub(crate) unverified: bool,
     /// Why it cannot be reached yet.
-    pub(super) missing: Option<Error>,
+    pub(crate) missing: Option<Error>,
 }
 
 impl fmt::Display for Source<'_> {
@@ -101,7 +101,7 @@ impl<'a> Source<'a> {
     }
 
     /// The same without the names of files.
-    pub(super) fn place(self) -> String {
+    pub(crate) fn place(self) -> String {
         match self {
             Self::Sim { .. } => "simulated gauge".into(),
             Self::Recording(_) => "recording".into(),
@@ -119,7 +119,7 @@ impl<'a> Source<'a> {
     }
 
     /// Opens and locks the gauge. With `waits`, one on a bus whose chip is known may be out of reach now.
-    pub(super) fn open(self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
+    pub(crate) fn open(self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
             Self::Sim { chip, state, key } => {

@@ -10,7 +10,7 @@ use ti_gauge::text;
 use crate::error::{Cause, Error, Result};
 
 /// The bytes that a line `raw PLACE HEX` asks for, all in one block, and the place of the first.
-pub(super) fn bytes(chip: &'static Chip, line: &str) -> Result<(Place, Vec<u8>)> {
+pub(crate) fn bytes(chip: &'static Chip, line: &str) -> Result<(Place, Vec<u8>)> {
     let mut words = line.split_whitespace();
     let (place, digits) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     let numbers =

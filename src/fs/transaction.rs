@@ -284,7 +284,7 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
 }
 
 /// The change that a text asks for, checked as far as it can be without the gauge.
-pub(super) fn check(
+pub(crate) fn check(
     subclass: &'static Subclass,
     parameter: &'static Parameter,
     allow_unproven: bool,

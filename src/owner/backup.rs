@@ -9,8 +9,7 @@ use jiff::{SignedDuration, Timestamp};
 use super::Owner;
 use crate::error::{Error, Result};
 use ti_gauge::chip::{CHIPS, Chip, Kind};
-use ti_gauge::codec;
-use ti_gauge::image::{Entry, Image, toml};
+use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 
 /// Backups of one gauge's place that are kept.
@@ -95,20 +94,11 @@ impl Owner {
     pub(super) fn back_up(&mut self, waited: Duration) -> Result<()> {
         let Some(backup) = self.backup.clone().filter(|_| !self.backed_up) else { return Ok(()) };
         let chip = self.gauge.chip;
-        let rows = chip.subclasses.iter().enumerate();
-        let readable: Vec<_> =
-            rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect();
+        let readable = readable(chip);
         let read = self.read(&readable, waited).map_err(|error| error.within("backup"))?;
         let published = self.shared.published();
-        let mut image = Image::new(chip, Some(published.answers.firmware_version));
-        for (&index, bytes) in readable.iter().zip(&read) {
-            let subclass = &chip.subclasses[index];
-            image.entries.extend(subclass.parameters.iter().map(|parameter| {
-                let at = usize::from(parameter.offset - subclass.start());
-                let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
-                Entry { subclass, parameter, value, line: 0 }
-            }));
-        }
+        let read = readable.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
+        let image = Image::of_flash(chip, Some(published.answers.firmware_version), read);
         let snapshot = published.snapshot.as_ref();
         let serial = snapshot.and_then(|snapshot| snapshot.value(serial_number(chip)?));
         let prefix = &self.shared.prefix;
@@ -119,6 +109,12 @@ impl Owner {
         self.backed_up = true;
         Ok(())
     }
+}
+
+/// The subclasses, by their indices in the table, that hold a configuration: all but the keys.
+pub(crate) fn readable(chip: &Chip) -> Vec<usize> {
+    let rows = chip.subclasses.iter().enumerate();
+    rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect()
 }
 
 /// The register with the pack's serial number, if the part has one.
@@ -138,6 +134,7 @@ mod tests {
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::dataflash::Change;
+    use ti_gauge::image::Entry;
     use ti_gauge::value::Value;
 
     fn folder(name: &str) -> PathBuf {

@@ -307,7 +307,7 @@ mod tests {
     fn polls_of_many_gauges_are_spread_over_the_interval() {
         for at in 0..4 {
             let phase = INTERVAL * at / 4;
-            let mut owner = Rig::new(Startup { phase, ..Startup::default() }).owner;
+            let mut owner = Rig::new(Startup { phase, ..Startup::default() }).direct.owner;
             owner.open().expect("it answers");
             // The second poll comes soon, as with a single gauge; the third one comes early by the phase.
             let pauses = [(); 4].map(|()| {

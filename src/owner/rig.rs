@@ -1,10 +1,10 @@
 //! For tests: the owner of a simulated bq34z100-G1 on a simulated clock, driven by the test's own thread.
 
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
-use super::{Done, Handle, Owner, Request, Settings, Startup};
+use super::{Direct, Settings, Startup};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::{Clock, SimClock};
@@ -17,9 +17,21 @@ pub(crate) const INTERVAL: Duration = Duration::from_secs(8);
 pub(crate) struct Rig {
     pub(crate) clock: Arc<SimClock>,
     pub(crate) sim: Sim,
-    pub(in crate::owner) owner: Owner,
-    pub(crate) handle: Handle,
-    requests: Receiver<(Duration, Request)>,
+    pub(in crate::owner) direct: Direct,
+}
+
+impl Deref for Rig {
+    type Target = Direct;
+
+    fn deref(&self) -> &Direct {
+        &self.direct
+    }
+}
+
+impl DerefMut for Rig {
+    fn deref_mut(&mut self) -> &mut Direct {
+        &mut self.direct
+    }
 }
 
 impl Rig {
@@ -46,9 +58,8 @@ impl Rig {
         let settings = Settings { interval: INTERVAL, ..settings };
         let chip = Chip::by_name(chip).expect("it has a table");
         let bus = wrap(sim.bus());
-        let (owner, shared) = Owner::new(chip, bus, clock.clone(), settings, startup, Arc::default());
-        let (queue, requests) = mpsc::channel();
-        Self { clock, sim, owner, handle: Handle::new(shared, queue), requests }
+        let direct = Direct::new(chip, bus, clock.clone(), settings, startup);
+        Self { clock, sim, direct }
     }
 
     /// A recorded gauge.
@@ -72,25 +83,6 @@ impl Rig {
     pub(crate) fn poll_after(&mut self, pause: Duration) {
         self.clock.sleep(pause);
         self.owner.poll_on_time();
-    }
-
-    /// Submits a request, which the owner serves after that delay.
-    pub(crate) fn ask_late<T: Send + 'static>(
-        &mut self,
-        delay: Duration,
-        request: impl FnOnce(Done<T>) -> Request,
-    ) -> Result<T> {
-        let (done, outcome) = mpsc::channel();
-        let answer = move |answer| done.send(answer).expect("the test waits");
-        self.handle.submit(request(Box::new(answer)));
-        self.clock.sleep(delay);
-        let (submitted, request) = self.requests.try_recv().expect("a request");
-        self.owner.answer(submitted, request);
-        outcome.try_recv().expect("an answer")
-    }
-
-    pub(crate) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
-        self.ask_late(Duration::ZERO, request)
     }
 
     /// The index in the table of the subclass of that id.

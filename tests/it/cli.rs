@@ -132,6 +132,7 @@ fn help_texts() {
             "umount --help",
             "list --help",
             "probe --help",
+            "program --help",
             "rescue --help",
             "chips --help",
             "report --help",

@@ -119,7 +119,7 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),
         (
             "x.y = 3\n",
-            &["line 1: x: unknown key; a file has the tables [mount], [defaults], [[gauge]] and [[alert]]"],
+            &["line 1: x: unknown key; a file has the tables [mount], [defaults], [[gauge]], [[alert]]"],
         ),
         ("[mount]\n'' = 3\n'--help' = 3\n", &["line 2: \"\": unknown key; known here are"]),
         ("[mount]\n\"a\\nb\" = 3\n", &["line 2: a\\nb: unknown key; known here are"]),

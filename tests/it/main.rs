@@ -16,6 +16,7 @@ mod others;
 mod over;
 mod packaging;
 mod production;
+mod program;
 mod readme;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]

@@ -31,7 +31,7 @@ pub enum Format {
 }
 
 /// The configuration of a gauge, or a part of it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Image {
     /// The chip that it is for.
     pub chip: &'static Chip,
@@ -54,7 +54,7 @@ pub struct Image {
 }
 
 /// Something that is not part of an image although its file or its gauge has it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LeftOut {
     /// What it is, where it is from, and why it is left out.
     pub text: String,
@@ -85,6 +85,15 @@ pub enum Group {
 }
 
 impl Group {
+    /// All of them, each with its name in options.
+    pub const NAMES: [(&'static str, Group); 5] = [
+        ("calibration", Group::Calibration),
+        ("serial", Group::Serial),
+        ("learned", Group::Learned),
+        ("undocumented", Group::Undocumented),
+        ("keys", Group::Keys),
+    ];
+
     fn has(self, subclass: &Subclass, parameter: &Parameter) -> bool {
         match self {
             Group::Calibration => subclass.class == "Calibration",
@@ -96,7 +105,7 @@ impl Group {
 }
 
 /// One value of an image.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Entry {
     /// Its subclass.
     pub subclass: &'static Subclass,
@@ -183,7 +192,8 @@ fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> 
 }
 
 impl Entry {
-    fn bytes(&self) -> Option<Vec<u8>> {
+    /// Its bytes in data flash.
+    pub fn bytes(&self) -> Option<Vec<u8>> {
         codec::encode(self.parameter.kind, &self.value)
     }
 
@@ -262,6 +272,40 @@ impl Image {
             names_chip: false,
             chemistry_sum: None,
             firmware_line: None,
+        }
+    }
+
+    /// The configuration in whole subclasses, given by their indices in the table.
+    pub fn of_flash<'a>(
+        chip: &'static Chip,
+        firmware: Option<u16>,
+        read: impl IntoIterator<Item = (usize, &'a [u8])>,
+    ) -> Self {
+        let mut image = Self::new(chip, firmware);
+        for (index, bytes) in read {
+            let subclass = &chip.subclasses[index];
+            for parameter in subclass.parameters {
+                let at = usize::from(parameter.offset - subclass.start());
+                let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+                image.add(subclass, parameter, value, 0);
+            }
+        }
+        image
+    }
+
+    /// Gives a parameter a value, which takes the place of the one that it has.
+    pub fn set(&mut self, subclass: &'static Subclass, parameter: &'static Parameter, value: Value) {
+        let new = Entry { subclass, parameter, value, line: 0 };
+        self.entries.retain(|entry| !entry.is(&new));
+        self.entries.push(new);
+    }
+
+    /// Drops what belongs to these groups.
+    pub fn exclude(&mut self, groups: &[Group]) {
+        self.entries.retain(|entry| !entry.is_in(groups));
+        self.left_out.retain(|left| left.counts(groups));
+        if groups.contains(&Group::Undocumented) {
+            self.raw.clear();
         }
     }
 

@@ -23,7 +23,7 @@ use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
-pub use disk::{Disk, File, save};
+pub use disk::{Disk, File, Host, save, save_on};
 
 mod disk;
 

@@ -81,12 +81,17 @@ fn create_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
 /// Stores a file as a whole on the host's disk, by way of a temporary name in the same folder. On return it is on
 /// disk. Only its owner can read it; if root writes it, that is the owner of the folder.
 pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
-    store(&Host, path, temporary, text, 0).map(drop)
+    save_on(&Host, path, temporary, text)
+}
+
+/// The same on another disk.
+pub fn save_on(disk: &dyn Disk, path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
+    store(disk, path, temporary, text, 0).map(drop)
 }
 
 /// The file system of the host.
 #[derive(Debug)]
-pub(super) struct Host;
+pub struct Host;
 
 impl Disk for Host {
     fn create_folder(&self, folder: &Path) -> io::Result<()> {

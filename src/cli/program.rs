@@ -1,0 +1,172 @@
+//! `gaugefs program`: a station at which one pack after the other is connected.
+
+use std::fs::File;
+use std::io::BufRead;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
+
+use clap::Args;
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use nix::sys::signal::{SigSet, Signal};
+
+use super::print;
+use crate::config::StationSetup;
+use crate::error::{Error, Result};
+use crate::program::{Place, Plan, Scanner, Screen, Station};
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular;
+use ti_gauge::journal::{Disk, Host};
+
+const PROGRAM: &str = "\
+Waits for a pack, identifies it, writes the image, serial number, date and lot, calibrates it if the
+station's file says so, changes its keys, seals it, reads all of it back, and prints PASS or FAIL
+with the reason. Then it waits for the next pack. A pack passes only if it has every bit that was
+asked for.
+
+The record has a line of JSON for each pack that is begun and one for its outcome, and each pack's
+complete image before and after is beside it. If something stops the station in the middle of a
+pack, its next start records that this pack has failed.
+
+Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
+Exit code 0: all packs have passed, 1: one has not, or the station could not start.
+
+Examples:
+  gaugefs program --image golden.gm.fs --station line1.toml --check
+  gaugefs program --image golden.gm.fs --station line1.toml";
+
+/// How often whoever waits for a line looks whether the station ends.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Program one pack after the other, as a station's file says
+#[derive(Args, Debug)]
+#[command(after_help = PROGRAM)]
+pub(super) struct Program {
+    /// Image that every pack gets, in any format that import reads
+    #[arg(long, value_name = "FILE")]
+    image: PathBuf,
+    /// TOML file that describes the station
+    #[arg(long, value_name = "FILE")]
+    station: PathBuf,
+    /// Check both files, without touching a bus
+    #[arg(long)]
+    check: bool,
+    /// End after that many packs
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    /// End after one pack
+    #[arg(long, conflicts_with = "count")]
+    once: bool,
+}
+
+impl Program {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let setup = StationSetup::read(&self.station)?;
+        let record = setup.record.clone();
+        let plan = Plan::read(&self.image, setup)?;
+        if self.check {
+            print(&plan.describe());
+            return Ok(ExitCode::SUCCESS);
+        }
+        let stops = watch_signals()?;
+        let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+        let mut places = Place::all(&plan, &clock)?;
+        let packs = if self.once { Some(1) } else { self.count };
+        let disk: Arc<dyn Disk> = Arc::new(Host);
+        let scanner = Box::new(Input::new(stops.clone()));
+        // Two stations would give the same serial numbers.
+        let _alone = lock(&record)?;
+        let station = Station::start(plan, disk, Box::new(Terminal), scanner, packs, stops)?;
+        station.close_unfinished(&places.iter().map(|place| &place.bench).collect::<Vec<_>>())?;
+        thread::scope(|scope| {
+            for place in &mut places {
+                let station = &station;
+                scope.spawn(move || station.run(&place.bench, &mut *place.slot));
+            }
+        });
+        Ok(if station.all_passed() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    }
+}
+
+/// Keeps other stations from using the same record.
+fn lock(record: &Path) -> Result<Flock<File>> {
+    let name = record.display().to_string();
+    let mut options = File::options();
+    options.append(true).create(true).mode(0o640);
+    let file =
+        regular::open(&options, record).map_err(|error| Error::io(&name, "cannot be opened", &error))?;
+    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
+        Errno::EWOULDBLOCK => Error::host(name, errno, "another station uses this record"),
+        errno => Error::io(name, "cannot be locked", &errno.into()),
+    })
+}
+
+/// The first signal ends the station when the present packs are done, the second one ends it at once.
+fn watch_signals() -> Result<Arc<AtomicBool>> {
+    let signals = [Signal::SIGTERM, Signal::SIGINT].into_iter().collect::<SigSet>();
+    signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
+    let stops = Arc::new(AtomicBool::new(false));
+    let watched = stops.clone();
+    thread::spawn(move || {
+        while signals.wait().is_ok() {
+            if watched.swap(true, Ordering::SeqCst) {
+                crate::lock::remove_all();
+                std::process::exit(1);
+            }
+            eprintln!("gaugefs: ending after the packs that are being programmed; once more to end at once");
+        }
+    });
+    Ok(stops)
+}
+
+struct Terminal;
+
+impl Screen for Terminal {
+    fn outcome(&self, line: &str) {
+        print(&format!("{line}\n"));
+    }
+
+    fn prompt(&self, line: &str) {
+        eprintln!("gaugefs: {line}");
+    }
+}
+
+/// Lines of standard input.
+struct Input {
+    lines: Option<Receiver<String>>,
+    stops: Arc<AtomicBool>,
+}
+
+impl Input {
+    fn new(stops: Arc<AtomicBool>) -> Self {
+        Self { lines: None, stops }
+    }
+}
+
+impl Scanner for Input {
+    fn line(&mut self, what: &str) -> Option<String> {
+        // A station that needs none does not read its input.
+        let lines = self.lines.get_or_insert_with(|| {
+            let (sender, lines) = mpsc::sync_channel(0);
+            thread::spawn(move || {
+                let lines = std::io::stdin().lock().lines();
+                lines.map_while(std::result::Result::ok).try_for_each(|line| sender.send(line).ok())
+            });
+            lines
+        });
+        Terminal.prompt(what);
+        loop {
+            match lines.recv_timeout(LOOK) {
+                Ok(line) => return Some(line),
+                Err(RecvTimeoutError::Timeout) if !self.stops.load(Ordering::SeqCst) => {}
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! A gauge without a thread of its own: whoever holds it asks, and has the answer when the request has been carried
+//! out. It is polled only when that is asked for.
+
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
+
+use nix::errno::Errno;
+
+use super::{Done, Handle, Owner, Request, Settings, Startup};
+use crate::error::{Error, Result};
+use gauge_bus::Bus;
+use gauge_bus::clock::Clock;
+use ti_gauge::chip::Chip;
+use ti_gauge::keys::{Name, Secret};
+
+/// The owner of a gauge, driven by the caller's thread.
+pub(crate) struct Direct {
+    pub(in crate::owner) owner: Owner,
+    pub(crate) handle: Handle,
+    requests: Receiver<(Duration, Request)>,
+}
+
+impl Direct {
+    /// Nothing has been sent to the gauge yet.
+    pub(crate) fn new(
+        chip: &'static Chip,
+        bus: Box<dyn Bus>,
+        clock: Arc<dyn Clock>,
+        settings: Settings,
+        startup: Startup,
+    ) -> Self {
+        let (owner, shared) = Owner::new(chip, bus, clock, settings, startup, Arc::default());
+        let (queue, requests) = mpsc::channel();
+        Self { owner, handle: Handle::new(shared, queue), requests }
+    }
+
+    /// Identifies the gauge, settles what an earlier process has left, and polls it.
+    pub(crate) fn open(&mut self) -> Result<()> {
+        self.owner.first_poll()
+    }
+
+    /// Carries out a request.
+    pub(crate) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
+        self.ask_late(Duration::ZERO, request)
+    }
+
+    /// The same after that delay.
+    pub(in crate::owner) fn ask_late<T: Send + 'static>(
+        &mut self,
+        delay: Duration,
+        request: impl FnOnce(Done<T>) -> Request,
+    ) -> Result<T> {
+        let (done, outcome) = mpsc::channel();
+        self.handle.submit(request(Box::new(move |answer| drop(done.send(answer)))));
+        self.owner.gauge.clock.sleep(delay);
+        if let Ok((submitted, request)) = self.requests.try_recv() {
+            self.owner.answer(submitted, request);
+        }
+        let unanswered = || Error::host(self.owner.shared.name(), Errno::EIO, "the request was dropped");
+        outcome.try_recv().unwrap_or_else(|_| Err(unanswered()))
+    }
+
+    /// The key that is sent to the gauge.
+    pub(crate) fn key(&self, name: Name) -> Option<Secret> {
+        self.owner.gauge.key(name)
+    }
+
+    /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
+    /// whether only a person can decide it.
+    pub(crate) fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {
+        let clock = self.owner.gauge.clock.clone();
+        let end = clock.now() + patience;
+        loop {
+            let owed = self.owner.dataflash.owed().map(|owed| (owed.why.to_string(), owed.needs_decision))?;
+            let due = self.owner.debt.due().filter(|due| *due <= end && !owed.1);
+            let Some(due) = due else { return Some(owed) };
+            clock.sleep(due.saturating_sub(clock.now()));
+            // A panic has thrown away what was known of the gauge, and its journal is still there.
+            if self.owner.survive(super::Attempt::Settle, Owner::pay).is_err() {
+                return Some(owed);
+            }
+        }
+    }
+}

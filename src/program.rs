@@ -1,0 +1,510 @@
+//! A station that programs one pack after the other: `gaugefs program`.
+//!
+//! `pack` is the way of one pack, `target` what it is asked to have, `record` the file that says what became of each,
+//! and `serial` gives the numbers. Each bus has a thread of its own; the record is what they share.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use jiff::Timestamp;
+use nix::unistd::{User, geteuid};
+use sha2::{Digest, Sha256};
+use ti_gauge::calibration::Job;
+use ti_gauge::chip::{Chip, Kind};
+use ti_gauge::dataflash::Row;
+use ti_gauge::image::{Group, Image};
+use ti_gauge::journal::Disk;
+use ti_gauge::keys::{Keys, Name};
+use ti_gauge::text;
+use ti_gauge::value::Value;
+
+use crate::config::{Date, GaugeOptions, StationSetup};
+use crate::daemon::{self, Source, gauges, journal_dir};
+use crate::error::{Cause, Error, Result};
+use crate::key_file;
+use crate::owner::Settings;
+use gauge_bus::Bus;
+use gauge_bus::clock::Clock;
+
+mod pack;
+mod record;
+mod serial;
+mod slot;
+mod target;
+#[cfg(test)]
+mod tests;
+
+use record::{Entry, Event, Record};
+pub(crate) use serial::Scanner;
+use serial::Serials;
+pub(crate) use slot::Place;
+
+/// Time between two looks for a pack. The watchdog of some gauges resets them after more than two reads a second.
+const LOOK: Duration = Duration::from_millis(600);
+/// Looks in a row that must find a pack, or none: contacts bounce.
+const STEADY: u32 = 3;
+
+/// Where packs are connected, one after the other.
+pub(crate) trait Slot: Send {
+    fn clock(&self) -> Arc<dyn Clock>;
+    /// A bus to the pack.
+    fn bus(&mut self) -> Box<dyn Bus>;
+    /// Whether a pack is connected; `None` if there will never be one again.
+    fn is_there(&mut self) -> Option<bool>;
+    /// The pack is done with.
+    fn done(&mut self) {}
+    /// Why there will never be a pack again, if that is a failure.
+    fn error(&mut self) -> Option<Error> {
+        None
+    }
+}
+
+/// Where people see what happens.
+pub(crate) trait Screen: Send + Sync {
+    /// The outcome of a pack, one line.
+    fn outcome(&self, line: &str);
+    /// What somebody has to do.
+    fn prompt(&self, line: &str);
+}
+
+/// One place of a station at which packs are connected.
+pub(crate) struct Bench {
+    name: String,
+    gauge: GaugeOptions,
+    keys: Keys,
+    /// The keys that the packs get.
+    new_keys: Option<Keys>,
+    /// What to call it in messages.
+    subject: String,
+    /// The folder of its journal and backups, and its name there.
+    place: (PathBuf, String),
+    /// The bus is faster than the manual allows.
+    byte_writes: bool,
+}
+
+/// What all benches of a station share.
+pub(crate) struct Station {
+    plan: Plan,
+    serials: Serials,
+    disk: Arc<dyn Disk>,
+    record: Mutex<Record>,
+    screen: Box<dyn Screen>,
+    who: String,
+    /// Packs that may still be begun.
+    left: AtomicU64,
+    failures: AtomicU64,
+    stops: Arc<AtomicBool>,
+}
+
+/// A station's file and its image, checked without a gauge or a record.
+pub(crate) struct Plan {
+    setup: StationSetup,
+    /// What every pack is asked to have.
+    image: Image,
+    image_name: String,
+    image_sum: String,
+    serial_row: Option<Row>,
+    date_row: Option<Row>,
+    date: Option<Date>,
+    names: Vec<String>,
+    keys: Vec<(Keys, Option<Keys>)>,
+}
+
+impl Plan {
+    /// Whether packs keep what no document describes.
+    fn leaves_undocumented(&self) -> bool {
+        self.setup.station.groups().is_ok_and(|groups| groups.contains(&Group::Undocumented))
+    }
+
+    /// Reads and checks both.
+    pub(crate) fn read(image_path: &Path, setup: StationSetup) -> Result<Self> {
+        let name = image_path.display().to_string();
+        let sum = || {
+            let bytes = std::fs::read(image_path);
+            let bytes = bytes.map_err(|error| Error::io(&name, "cannot be read", &error))?;
+            Ok::<_, Error>(text::hex(&Sha256::digest(&bytes)))
+        };
+        let image_sum = sum()?;
+        let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
+        let mut image = crate::mounted::open(image_path, chip, setup.station.data_flash)?;
+        let refuse = |why: String| Err(Error::new(&name, Cause::Invalid(why)));
+        if sum()? != image_sum {
+            return refuse("somebody is writing it; try again".into());
+        }
+        image.exclude(&setup.station.groups().map_err(of_key)?);
+        if let Some(left) = image.left_out.first() {
+            return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
+        }
+        for gauge in &setup.gauges {
+            if Source::of(gauge).chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
+                return refuse(format!(
+                    "it is for a {}, and {} is none",
+                    image.chip.model,
+                    Source::of(gauge)
+                ));
+            }
+        }
+        for entry in &image.entries {
+            entry.not_imported(true).map_err(|error| error.within(&name))?;
+        }
+        let image_name = image_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let file = setup.file.clone();
+        Self::of(image, image_name, image_sum, setup).map_err(|error| error.within(&file))
+    }
+
+    /// What the station does with packs that get an image.
+    fn of(mut image: Image, image_name: String, image_sum: String, setup: StationSetup) -> Result<Self> {
+        let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid(why));
+        let chip = image.chip;
+        if chip.access.scheme.is_ram() {
+            let why = format!(
+                "a {} loses its configuration with its power; gaugefs mount --restore writes it again",
+                chip.model
+            );
+            return Err(invalid("image", why));
+        }
+        let station = &setup.station;
+        let serial_row = serial::row(chip, station)?;
+        let lots =
+            [("pack-lot", "Pack Lot Code", station.pack_lot), ("pcb-lot", "PCB Lot Code", station.pcb_lot)];
+        for (key, parameter, number) in lots {
+            if let Some(number) = number {
+                let row = own_row(chip, key, parameter)?;
+                let value =
+                    text::parse(row.1, number.to_string().as_bytes()).map_err(|error| error.within(key))?;
+                image.set(row.0, row.1, value);
+            }
+        }
+        let date = station.date().map_err(of_key)?;
+        let date_row = date.map(|_| own_row(chip, "date", "Manufacture Date")).transpose()?;
+        if date_row.is_some_and(|(_, row)| !row.unit.starts_with("Day+Mo*32+(Yr-1980)*512")) {
+            return Err(invalid("date", format!("how a {} stores it is not known", chip.model)));
+        }
+        for row in [station.serial.and(serial_row), date_row].into_iter().flatten() {
+            if row.0.kind == Kind::Security {
+                return Err(invalid(
+                    "serial-parameter",
+                    "keys cannot be changed like other parameters".into(),
+                ));
+            }
+        }
+        if !jobs(&setup).is_empty() && chip.calibration.is_none() {
+            return Err(ti_gauge::calibration::not_documented(chip).into());
+        }
+        if let Some(cells) = station.cells {
+            let at = chip.gate.as_ref().and_then(|gate| gate.external.as_ref().and(gate.cells));
+            let Some(at) = at else {
+                return Err(invalid(
+                    "cells",
+                    format!("no document describes how a {} is set up", chip.model),
+                ));
+            };
+            let of_image =
+                image.entries.iter().find(|entry| (entry.subclass.id, entry.parameter.offset) == at);
+            if let Some(entry) = of_image.filter(|entry| entry.value != Value::Int(cells.into())) {
+                let why = format!("{cells} cells in series, but the image has {}", entry.text());
+                return Err(invalid("cells", why));
+            }
+        }
+        let names = daemon::names(&setup.gauges, &[]);
+        let keys = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
+            let keys = gauges::keys(gauge, name)?;
+            let new =
+                station.new_key_file.as_ref().map(|path| key_file::from_file(path, name)).transpose()?;
+            if new.as_ref().is_some_and(|new| Name::ALL.iter().all(|name| new.secret(*name).is_none())) {
+                return Err(invalid("new-key-file", format!("it has no key for {name}")));
+            }
+            Ok((keys, new))
+        });
+        let keys = keys.collect::<Result<Vec<_>>>()?;
+        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, names, keys };
+        // What a list holds is checked as well.
+        struct Nobody;
+        impl Scanner for Nobody {
+            fn line(&mut self, _: &str) -> Option<String> {
+                None
+            }
+        }
+        Serials::of(&plan.setup.station, plan.serial_row, Box::new(Nobody))?;
+        Ok(plan)
+    }
+
+    /// What a run would do, as lines.
+    pub(crate) fn describe(&self) -> String {
+        let Self { setup, image, .. } = self;
+        let mut text = format!(
+            "image {} for a {}: {} values of each pack, SHA-256 {}\nrecord {}, images in {}\n",
+            self.image_name,
+            image.chip.model,
+            image.entries.len(),
+            self.image_sum,
+            setup.record.display(),
+            setup.images.display()
+        );
+        for (name, gauge) in self.names.iter().zip(&setup.gauges) {
+            text += &format!("{name}: {}\n", Source::of(gauge));
+        }
+        text
+    }
+
+    /// The gauges with their names.
+    pub(crate) fn gauges(&self) -> impl Iterator<Item = (&str, &GaugeOptions)> {
+        self.names.iter().map(String::as_str).zip(&self.setup.gauges)
+    }
+
+    /// The part of all packs.
+    pub(crate) fn chip(&self) -> &'static Chip {
+        self.image.chip
+    }
+
+    /// The bench of a gauge. `byte_writes` and `journal_key` are what its bus needs.
+    fn bench(
+        &self,
+        at: usize,
+        subject: String,
+        byte_writes: bool,
+        journal_key: Option<String>,
+    ) -> Result<Bench> {
+        let (keys, new_keys) = self.keys[at].clone();
+        let folder = self.setup.station.state_dir.as_deref().or(Some(&self.setup.images));
+        // A journal of packs on a bus is where a mount would look for it.
+        let folder = if journal_key.is_some() { self.setup.station.state_dir.as_deref() } else { folder };
+        let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
+        let (name, gauge) = (self.names[at].clone(), self.setup.gauges[at].clone());
+        Ok(Bench { name, gauge, keys, new_keys, subject, place, byte_writes })
+    }
+}
+
+/// An error about a key of the station's file.
+fn of_key((key, why): (&str, String)) -> Error {
+    Error::new(key, Cause::Invalid(why))
+}
+
+fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
+    serial::called(chip, parameter).ok_or_else(|| {
+        let why = format!("a {} has no parameter {parameter}", chip.model);
+        Error::new(key, Cause::Invalid(why))
+    })
+}
+
+/// What is calibrated, and the current in mA that must flow meanwhile.
+fn jobs(setup: &StationSetup) -> Vec<(Job, Option<f64>)> {
+    let station = &setup.station;
+    let offsets = [(station.board_offset, Job::BoardOffset), (station.cc_offset, Job::CcOffset)];
+    let offsets = offsets.into_iter().filter(|(wanted, _)| *wanted).map(|(_, job)| (job, Some(0.0)));
+    let voltage = station.voltage.map(|actual| (Job::Voltage(actual), None));
+    let temperature = station.temperature.map(|actual| (Job::Temperature(actual), None));
+    let current = station.current.map(|actual| (Job::Current(actual), Some(actual)));
+    offsets.chain(voltage).chain(temperature).chain(current).collect()
+}
+
+impl Bench {
+    fn settings(&self, station: &Station) -> Result<Settings> {
+        let chip = station.plan.image.chip;
+        let no_backup = station.plan.setup.station.no_backup;
+        let place = Some(self.place.clone());
+        let keys = self.keys.clone();
+        let mut settings =
+            gauges::settings(&self.gauge, keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
+        settings.journal = settings.journal.map(|journal| journal.on(station.disk.clone()));
+        Ok(settings)
+    }
+
+    /// The file of its journal.
+    fn journal(&self) -> PathBuf {
+        self.place.0.join(format!("{}.journal", self.place.1))
+    }
+
+    fn allow_unproven(&self) -> bool {
+        self.gauge.allow_unproven.unwrap_or_default()
+    }
+}
+
+impl Station {
+    /// Opens the record, and closes what a station that was stopped has left there.
+    pub(crate) fn start(
+        plan: Plan,
+        disk: Arc<dyn Disk>,
+        screen: Box<dyn Screen>,
+        scanner: Box<dyn Scanner>,
+        packs: Option<u64>,
+        stops: Arc<AtomicBool>,
+    ) -> Result<Self> {
+        let record = Record::open(&*disk, &plan.setup.record)?;
+        let serials = Serials::of(&plan.setup.station, plan.serial_row, scanner)?;
+        let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
+        // Buses often belong to root, and the person is somebody else.
+        let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
+        let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        Ok(Self {
+            who: format!("{user}@{}", host.trim()),
+            plan,
+            serials,
+            disk,
+            record: Mutex::new(record),
+            screen,
+            left: AtomicU64::new(packs.unwrap_or(u64::MAX)),
+            failures: AtomicU64::new(0),
+            stops,
+        })
+    }
+
+    /// Records as failed what was begun and has no outcome.
+    pub(crate) fn close_unfinished(&self, benches: &[&Bench]) -> Result<()> {
+        let mut record = self.record();
+        for entry in record.unfinished() {
+            let bench = benches.iter().find(|bench| bench.name == entry.gauge);
+            let journal = bench.map(|bench| bench.journal()).filter(|path| self.disk.exists(path));
+            let state = match journal {
+                Some(path) => format!(
+                    "its write is in the journal {}, and is settled when that pack answers",
+                    path.display()
+                ),
+                None => "no write was under way, or it has been settled".to_string(),
+            };
+            let why =
+                format!("the station was stopped while it programmed this pack; {state}; program it again");
+            let entry = Entry { event: Event::Fail, time: self.time(), reason: Some(why), ..entry };
+            record.append(&entry)?;
+            self.screen.outcome(&line(&entry));
+        }
+        Ok(())
+    }
+
+    fn record(&self) -> MutexGuard<'_, Record> {
+        self.record.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn time(&self) -> String {
+        format!("{:.0}", Timestamp::now())
+    }
+
+    fn prompt(&self, bench: &str, what: &str) {
+        self.screen.prompt(&format!("{bench}: {what}"));
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.stops.load(Ordering::SeqCst)
+    }
+
+    fn seals(&self) -> bool {
+        self.plan.setup.station.seal.unwrap_or(true)
+    }
+
+    fn gives_serials(&self) -> bool {
+        !matches!(self.serials, Serials::None)
+    }
+
+    fn jobs(&self) -> Vec<(Job, Option<f64>)> {
+        jobs(&self.plan.setup)
+    }
+
+    /// The first line about a pack, as a failure until it is known better.
+    fn entry(&self, bench: &Bench) -> Entry {
+        Entry {
+            number: self.record().number(),
+            time: self.time(),
+            station: self.plan.setup.name.clone(),
+            gauge: bench.name.clone(),
+            who: self.who.clone(),
+            chip: self.plan.image.chip.name.into(),
+            image: self.plan.image_name.clone(),
+            image_sha256: self.plan.image_sum.clone(),
+            ..Entry::default()
+        }
+    }
+
+    /// Records the outcome. A pack without its line has not passed.
+    fn end(&self, mut entry: Entry) -> Entry {
+        entry.time = self.time();
+        let appended = self.record().append(&entry);
+        if let Err(error) = appended {
+            let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
+            entry.event = Event::Fail;
+            entry.reason = Some(format!("{reason}{error}"));
+        }
+        if entry.event != Event::Pass {
+            self.failures.fetch_add(1, Ordering::SeqCst);
+        }
+        self.screen.outcome(&line(&entry));
+        entry
+    }
+
+    /// Whether no pack has failed.
+    pub(crate) fn all_passed(&self) -> bool {
+        self.failures.load(Ordering::SeqCst) == 0
+    }
+
+    /// Programs pack after pack, until there are no more.
+    pub(crate) fn run(&self, bench: &Bench, slot: &mut dyn Slot) {
+        self.packs(bench, slot);
+        if let Some(error) = slot.error() {
+            self.failures.fetch_add(1, Ordering::SeqCst);
+            self.prompt(&bench.name, &error.to_string());
+        }
+    }
+
+    fn packs(&self, bench: &Bench, slot: &mut dyn Slot) {
+        let mut what = "connect a pack";
+        while !self.is_over() && self.wait(bench, slot, true, what) && self.take() {
+            pack::program(self, bench, slot);
+            slot.done();
+            what = "connect the next pack";
+            if self.is_over() || !self.wait(bench, slot, false, "take the pack off") {
+                return;
+            }
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_stopping() || self.left.load(Ordering::SeqCst) == 0 || self.record().is_broken()
+    }
+
+    /// Takes one of the packs that may still be begun.
+    fn take(&self) -> bool {
+        let less = |left: u64| left.checked_sub(1);
+        self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, less).is_ok()
+    }
+
+    /// Waits until a pack is there, or none, and says what is to do for that. Returns whether that will ever be so.
+    fn wait(&self, bench: &Bench, slot: &mut dyn Slot, there: bool, what: &str) -> bool {
+        let (mut steady, mut told) = (0, false);
+        loop {
+            match slot.is_there() {
+                None => return false,
+                Some(found) if found == there => steady += 1,
+                Some(_) => {
+                    steady = 0;
+                    if !std::mem::replace(&mut told, true) {
+                        self.prompt(&bench.name, what);
+                    }
+                }
+            }
+            if steady >= STEADY {
+                return true;
+            }
+            if self.is_over() {
+                return false;
+            }
+            slot.clock().sleep(LOOK);
+        }
+    }
+}
+
+/// The line that people see.
+fn line(entry: &Entry) -> String {
+    let serial = entry.serial.as_ref().map_or(String::new(), |serial| format!(" serial {serial}"));
+    let number = entry.number;
+    match (&entry.event, &entry.reason) {
+        (Event::Pass, _) => {
+            let seconds = entry.seconds.unwrap_or_default();
+            format!("PASS {}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
+        }
+        (_, reason) => {
+            let reason = reason.as_deref().unwrap_or("unknown");
+            format!("FAIL {}{serial} (pack {number}): {}", entry.gauge, text::printable(reason))
+        }
+    }
+}

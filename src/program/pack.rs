@@ -1,0 +1,538 @@
+//! One pack: from the first look at it to the line of the record.
+//!
+//! Everything is asked of the gauge's owner, as a mount does it, so checks, journal, backup and the way back are those
+//! of any other write. Until `begun` is on disk nothing is changed. Only a complete reading at the very end, compared
+//! bit by bit, makes a pack pass.
+
+use std::time::Duration;
+
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+use ti_gauge::calibration::Job;
+use ti_gauge::chip::{Chip, Role};
+use ti_gauge::dataflash::{Change, Decision};
+use ti_gauge::image::{Group, Image, toml};
+use ti_gauge::journal;
+use ti_gauge::keys::{KeyChange, Name};
+use ti_gauge::value::Value;
+
+use super::record::{Entry, Event};
+use super::target::{self, Flash, Place};
+use super::{Bench, Slot, Station, serial};
+use crate::config::{Date, Seen, Unsettled};
+use crate::error::{Cause, Error, Result};
+use crate::mounted;
+use crate::owner::{Direct, Request, Seal, Settings, Startup};
+
+/// How often a pack that was just connected is tried, and the time between.
+const TRIES: usize = 4;
+const AGAIN: Duration = Duration::from_secs(1);
+/// How long a gauge may take to pay what a failed access has left.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// How long a calibration waits for its load, or until it is off, and the time between two looks.
+const LOAD_PATIENCE: Duration = Duration::from_secs(120);
+const LOAD_LOOK: Duration = Duration::from_secs(1);
+/// The largest current, in mA, that counts as none.
+const NO_LOAD_MA: f64 = 10.0;
+/// How much of a load may be missing.
+const LOAD_TOLERANCE: f64 = 0.25;
+
+/// A pack on its way.
+struct Task<'a> {
+    station: &'a Station,
+    bench: &'a Bench,
+    gauge: Direct,
+    entry: Entry,
+    /// It may have been changed.
+    begun: bool,
+    /// Transfers by an owner before this one.
+    transfers: u64,
+    /// The gauge was opened with the new keys.
+    has_new_keys: bool,
+}
+
+/// Programs the pack that is connected, and records the outcome, which is returned.
+pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> Entry {
+    let clock = slot.clock();
+    let since = clock.now();
+    let mut entry = station.entry(bench);
+    let settings = match bench.settings(station) {
+        Ok(settings) => settings,
+        Err(error) => {
+            entry.reason = Some(error.to_string());
+            return station.end(entry);
+        }
+    };
+    let mut task = Task {
+        station,
+        bench,
+        gauge: connect(station, bench, slot, settings),
+        entry,
+        begun: false,
+        transfers: 0,
+        has_new_keys: false,
+    };
+    match task.run(slot) {
+        Ok(()) => task.entry.event = Event::Pass,
+        Err(error) => task.failed(&error),
+    }
+    let mut entry = task.entry;
+    entry.transfers = Some(task.transfers + transfers(&task.gauge));
+    entry.seconds = Some((clock.now() - since).as_millis() as f64 / 1000.0);
+    station.end(entry)
+}
+
+fn connect(station: &Station, bench: &Bench, slot: &mut dyn Slot, settings: Settings) -> Direct {
+    // Nothing that writes is sent before the registers read like a gauge's.
+    let startup = Startup { name: bench.name.clone(), unverified: true, ..Startup::default() };
+    Direct::new(station.plan.image.chip, slot.bus(), slot.clock(), settings, startup)
+}
+
+fn transfers(gauge: &Direct) -> u64 {
+    let list = gauge.handle.statistics();
+    list.iter().find(|(name, _)| *name == "transfers").map_or(0, |(_, count)| *count)
+}
+
+fn refuse(subject: &str, why: String) -> Error {
+    Error::new(subject, Cause::NotPermitted(why))
+}
+
+impl Task<'_> {
+    fn chip(&self) -> &'static Chip {
+        self.station.plan.image.chip
+    }
+
+    fn run(&mut self, slot: &mut dyn Slot) -> Result<()> {
+        self.open(slot)?;
+        self.settle_before()?;
+        let before = self.first_look(slot)?;
+        let asked = self.begin(&before)?;
+        if self.gauge.handle.published().seal == Seal::Unsealed {
+            // A write may end with a reset, which seals it: the key has to be tried before.
+            self.seal()?;
+        }
+        let brought_up = self.bring_up(&before)?;
+        let programmed = self.import(&asked, brought_up.as_ref().unwrap_or(&before))?;
+        let calibrated = self.calibrate(slot)?;
+        let expected = match calibrated.is_empty() {
+            true => programmed,
+            false => {
+                let flash = self.look()?;
+                flash.check_same(&programmed, &calibrated)?;
+                flash
+            }
+        };
+        self.change_keys()?;
+        self.seal()?;
+        // Everything once more: what is sealed has to have all of it.
+        let last = self.look()?;
+        target::check(&asked, &last, &calibrated)?;
+        last.check_same(&expected, &[])?;
+        self.is_settled()?;
+        self.entry.fingerprint = Some(last.fingerprint());
+        self.entry.changes = last.changed_since(&before);
+        let name = self
+            .entry
+            .serial
+            .as_deref()
+            .unwrap_or("after")
+            .replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
+        self.entry.after = Some(self.save(&last.image(), &name)?);
+        Ok(())
+    }
+
+    /// Identifies the pack.
+    fn open(&mut self, slot: &mut dyn Slot) -> Result<()> {
+        let mut outcome = self.gauge.open();
+        for _ in 1..TRIES {
+            match &outcome {
+                Err(error) if !matches!(error.cause(), Cause::NotPermitted(_) | Cause::Io(..)) => {
+                    slot.clock().sleep(AGAIN);
+                    outcome = self.gauge.open();
+                }
+                _ => break,
+            }
+        }
+        outcome?;
+        let published = self.gauge.handle.published();
+        match published.limited {
+            Some(limited) => {
+                Err(refuse(limited.name(self.chip()), limited.why(self.chip(), &published.answers)))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// What an earlier pack, or a station that was stopped, has left is settled first.
+    fn settle_before(&mut self) -> Result<()> {
+        let Some((why, needs_decision)) = self.gauge.settle(PATIENCE) else {
+            self.keep_journal();
+            return Ok(());
+        };
+        if !needs_decision
+            || self.station.plan.setup.station.unsettled.unwrap_or_default() == Unsettled::Refuse
+        {
+            let what = format!(
+                "{why}; connect the pack that was begun before, mount it and use gaugefs settle, or set unsettled = \
+                 \"discard\" in the station's file"
+            );
+            return Err(Error::new("journal", Cause::Busy(what)));
+        }
+        self.gauge.ask(|done| Request::Settle(Some(Decision::Discard), done))?;
+        self.keep_journal();
+        Ok(())
+    }
+
+    /// Puts a journal that was dismissed beside the images, so that the next one does not replace it.
+    fn keep_journal(&self) {
+        let dismissed = self.bench.journal().with_extension("dismissed");
+        if !self.station.disk.exists(&dismissed) {
+            return;
+        }
+        let kept = self.station.plan.setup.images.join(format!("{}.journal", self.name("found")));
+        if let Err(error) = self.station.disk.rename(&dismissed, &kept) {
+            let what = format!("{} cannot be moved to {}: {error}", dismissed.display(), kept.display());
+            self.station.prompt(&self.bench.name, &what);
+        }
+    }
+
+    /// Reads the pack, and refuses one that was programmed before.
+    fn first_look(&mut self, slot: &mut dyn Slot) -> Result<Flash> {
+        let flash = match self.look() {
+            Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
+                self.look_with_new_keys(slot).ok_or_else(|| self.with_number(&error))?
+            }
+            read => read?,
+        };
+        self.entry.serial_before = self.station.plan.serial_row.and_then(|row| flash.text(row));
+        let record = self.station.record();
+        if let Some(seen) = record.seen(&flash.fingerprint()) {
+            self.entry.seen = Some(seen.number);
+            if self.station.plan.setup.station.seen.unwrap_or_default() == Seen::Refuse {
+                let serial = seen
+                    .serial
+                    .as_ref()
+                    .map_or(String::new(), |serial| format!(" as serial number {serial}"));
+                let why = format!(
+                    "it was programmed before{serial}, at {} (number {} of the record); nothing was changed. seen = \
+                     \"redo\" in the station's file programs it again",
+                    seen.time, seen.number
+                );
+                return Err(refuse("pack", why));
+            }
+        }
+        drop(record);
+        if let Some(sum) =
+            self.station.plan.image.chemistry_sum.filter(|_| !self.station.plan.setup.station.same_chemistry)
+        {
+            let id = self.gauge.handle.published().answers.chem_id;
+            let id = id.map_or(String::new(), |id| format!("0x{id:04x}"));
+            let gauge = &mut self.gauge;
+            let told = "set same-chemistry = true in the station's file";
+            mounted::same_chemistry("chemistry", flash.chip, sum, (&id, told), |code| {
+                gauge.ask(|done| Request::Control(code, done))?;
+                let answer = gauge.handle.published().control.filter(|(asked, _)| *asked == code);
+                answer.map(|(_, answer)| answer).ok_or_else(|| refuse("chemistry", "no answer".into()))
+            })?;
+        }
+        Ok(flash)
+    }
+
+    /// A pack that was programmed before has the new keys.
+    fn look_with_new_keys(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
+        let new = self.bench.new_keys.as_ref()?;
+        let mut settings = self.bench.settings(self.station).ok()?;
+        for name in Name::ALL {
+            if let Some(key) = new.secret(name) {
+                settings.keys.set(name, &key);
+            }
+        }
+        self.transfers += transfers(&self.gauge);
+        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.open(slot).ok()?;
+        self.has_new_keys = true;
+        self.look().ok()
+    }
+
+    /// An error about keys, with what the record knows of a pack that shows its serial number.
+    fn with_number(&self, error: &Error) -> Error {
+        let chip = self.chip();
+        let number = || {
+            let register = chip.register_at(chip.serial_register()?)?;
+            let number = self.gauge.handle.published().snapshot.as_ref()?.value(register)?;
+            let shown = serial::shown(self.station.plan.serial_row?, &Value::Int(number));
+            self.station.record().passed(&shown).map(|pack| (shown, pack))
+        };
+        match number() {
+            Some((serial, pack)) => refuse(
+                "keys",
+                format!(
+                    "{error}; it shows the serial number {serial}, which pack number {pack} of the record has"
+                ),
+            ),
+            None => error.clone(),
+        }
+    }
+
+    /// Gives the pack its serial number, and records that it is begun. Returns what it is asked to have.
+    fn begin(&mut self, before: &Flash) -> Result<Image> {
+        let station = self.station;
+        let own = self.entry.seen.and_then(|_| self.entry.serial_before.clone());
+        let scanned = match station.plan.serial_row {
+            Some(row) => station.serials.scan(row, &self.bench.name, |value| {
+                let shown = serial::shown(row, value);
+                let record = station.record();
+                let taken = record.passed(&shown).or(record.under_way(&shown));
+                taken.filter(|_| own.as_ref() != Some(&shown)).map(|pack| taken_by(&shown, pack))
+            })?,
+            None => None,
+        };
+        if scanned.is_some() {
+            // Somebody had time to exchange the pack.
+            self.look()?.check_same(before, &[])?;
+        }
+        // The first record of this pack, so that nothing is touched on a full disk.
+        self.entry.before = Some(self.save(&before.image(), "before")?);
+        let mut record = station.record();
+        let mut asked = station.plan.image.clone();
+        if station.plan.leaves_undocumented() {
+            asked.keep_reserved(&before.image());
+            asked.exclude(&[Group::Undocumented]);
+        }
+        if let Some(row) = station.plan.serial_row {
+            let given = match (&scanned, &own) {
+                (Some(value), _) => Some(value.clone()),
+                (None, Some(_)) if station.gives_serials() => {
+                    before.number((row.0.id, row.1.offset)).map(Value::Int)
+                }
+                (None, _) => station.serials.next(row, &record)?,
+            };
+            if let Some(value) = given {
+                let shown = serial::shown(row, &value);
+                // Another bench may have taken it meanwhile.
+                if let Some(pack) = record.under_way(&shown) {
+                    return Err(refuse("serial number", taken_by(&shown, pack)));
+                }
+                asked.set(row.0, row.1, value);
+                self.entry.serial = Some(shown);
+            }
+        }
+        if let (Some(row), Some(date)) = (station.plan.date_row, station.plan.date) {
+            asked.set(row.0, row.1, Value::Int(day(date)));
+        }
+        // What cannot be written is refused before anything is.
+        target::changes(&asked, before, self.bench.allow_unproven())?;
+        self.entry.event = Event::Begun;
+        self.entry.time = station.time();
+        let appended = record.append(&self.entry);
+        self.entry.event = Event::Fail;
+        appended?;
+        self.begun = true;
+        Ok(asked)
+    }
+
+    /// Sets up a new board of several cells. Returns what it then has, if that was necessary.
+    fn bring_up(&mut self, before: &Flash) -> Result<Option<Flash>> {
+        let station = &self.station.plan.setup.station;
+        let (Some(cells), Some(divider)) = (station.cells, station.divider) else { return Ok(None) };
+        let gate =
+            self.chip().gate.as_ref().and_then(|gate| Some((gate, gate.external.as_ref()?, gate.cells?)));
+        let Some((gate, external, cells_at)) = gate else {
+            return Err(refuse("bring-up", format!("no document describes that of a {}", self.chip().model)));
+        };
+        let size = self.chip().parameter(external.byte.0, external.byte.1).map_or(1, |row| row.kind.size());
+        let bit = i64::from(external.mask) << (8 * (size - 1));
+        let is_set = before.number(external.byte).is_some_and(|word| word & bit != 0);
+        if is_set && before.number(cells_at) == Some(cells.into()) {
+            return Ok(None);
+        }
+        let job = Job::BringUp { cells, divider, voltage_mv: station.pack_voltage };
+        self.measure(job).map_err(|error| error.within("bring-up"))?;
+        let flash = self.look()?;
+        if flash.number(gate.limit) == Some(0) {
+            let why = "the limit stays 0, with which flash is open at any voltage";
+            return Err(Error::new("bring-up", Cause::StateUnknown(why.into())));
+        }
+        Ok(Some(flash))
+    }
+
+    /// Writes what the pack has not yet, and reads all of it back.
+    fn import(&mut self, asked: &Image, now: &Flash) -> Result<Flash> {
+        let changes: Vec<Change> = target::changes(asked, now, self.bench.allow_unproven())?;
+        if !changes.is_empty() {
+            self.gauge.ask(|done| Request::WriteAll(changes, done))?;
+        }
+        let flash = self.look()?;
+        target::check(asked, &flash, &[])?;
+        // A row next to those that were written could have been lost.
+        let places: Vec<Place> =
+            asked.entries.iter().map(|entry| (entry.subclass.id, entry.parameter.offset)).collect();
+        flash.check_same(now, &places)?;
+        Ok(flash)
+    }
+
+    /// Calibrates the pack. Returns the places of what was measured.
+    fn calibrate(&mut self, slot: &mut dyn Slot) -> Result<Vec<Place>> {
+        let mut places = Vec::new();
+        let Some(calibration) = self.chip().calibration else { return Ok(places) };
+        for (job, load) in self.station.jobs() {
+            self.wait_for_load(slot, load)?;
+            places.extend(match job {
+                Job::BoardOffset => vec![calibration.board_offset.row, calibration.cc_offset.row],
+                Job::CcOffset => vec![calibration.cc_offset.row],
+                Job::Voltage(_) => vec![calibration.divider],
+                Job::Current(_) => vec![calibration.gain, calibration.delta],
+                Job::Temperature(_) => vec![calibration.internal, calibration.external],
+                Job::Leave | Job::BringUp { .. } => Vec::new(),
+            });
+            self.measure(job).map_err(|error| error.within("calibration"))?;
+        }
+        Ok(places)
+    }
+
+    /// Carries out a calibration, and records what it has reached.
+    fn measure(&mut self, job: Job) -> Result<()> {
+        let outcome = self.gauge.ask(|done| Request::Calibrate(job, done));
+        let told = self.gauge.handle.published().calibration.clone();
+        self.entry.calibration.extend(told.lines().next_back().map(String::from));
+        outcome
+    }
+
+    /// Waits until the current is near a load, or until none flows.
+    fn wait_for_load(&mut self, slot: &mut dyn Slot, load: Option<f64>) -> Result<()> {
+        let Some(wanted) = load else { return Ok(()) };
+        let clock = slot.clock();
+        let (end, mut told) = (clock.now() + LOAD_PATIENCE, false);
+        let tolerance = (wanted.abs() * LOAD_TOLERANCE).max(NO_LOAD_MA);
+        loop {
+            self.gauge.ask(Request::Refresh)?;
+            let register = self.chip().register(Role::CurrentNow);
+            let published = self.gauge.handle.published();
+            let now = register.and_then(|register| published.snapshot.as_ref()?.value(register));
+            if now.is_some_and(|now| (now as f64 - wanted).abs() <= tolerance) {
+                return Ok(());
+            }
+            let what = match wanted {
+                0.0 => "disconnect load and charger".to_string(),
+                _ => format!("switch on the current of {wanted} mA"),
+            };
+            if clock.now() > end || self.station.is_stopping() {
+                let now = now.map_or("unknown".into(), |now| format!("{now} mA"));
+                let why = format!("the current is {now} after {} s: {what}", LOAD_PATIENCE.as_secs());
+                return Err(Error::new("calibration", Cause::NotNow(why)));
+            }
+            if !std::mem::replace(&mut told, true) {
+                self.station.prompt(&self.bench.name, &what);
+            }
+            clock.sleep(LOAD_LOOK);
+        }
+    }
+
+    /// Gives the pack its own keys, each of which is tried.
+    fn change_keys(&mut self) -> Result<()> {
+        let Some(new) = &self.bench.new_keys else { return Ok(()) };
+        for name in Name::ALL {
+            let Some(key) = new.secret(name) else { continue };
+            if self.has_new_keys {
+                // It was opened with the first one. The others have to be proven, too.
+                match name {
+                    Name::Unseal => {}
+                    Name::FullAccess => self.gauge.ask(|done| Request::Seal(Seal::FullAccess, done))?,
+                    Name::Authentication => {
+                        let why = "whether a pack that was programmed before has the new one is not known; check it with \
+                                   gaugefs auth";
+                        return Err(refuse("authentication key", why.into()));
+                    }
+                }
+                continue;
+            }
+            let old = self.gauge.key(name).ok_or_else(|| {
+                refuse("keys", format!("the present {} key is not known; add it to key-file", name.as_str()))
+            })?;
+            if old != key {
+                let change = KeyChange { name, old, new: key };
+                self.gauge.ask(|done| Request::ChangeKey(change, done))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn seal(&mut self) -> Result<()> {
+        if !self.station.seals() {
+            return Ok(());
+        }
+        self.gauge.ask(|done| Request::Seal(Seal::Sealed, done))
+    }
+
+    /// Nothing is left to do, and the pack is sealed.
+    fn is_settled(&mut self) -> Result<()> {
+        if let Some((why, _)) = self.gauge.settle(PATIENCE) {
+            return Err(Error::new("pack", Cause::StateUnknown(why)));
+        }
+        let journal = self.bench.journal();
+        if self.station.disk.exists(&journal) {
+            let why = format!("{} is not settled", journal.display());
+            return Err(Error::new("journal", Cause::StateUnknown(why)));
+        }
+        if self.station.seals() {
+            // Asked once more: the last reading has unsealed it meanwhile.
+            self.seal()?;
+            if self.gauge.handle.published().seal != Seal::Sealed {
+                return Err(Error::new("seal", Cause::StateUnknown("the pack is not sealed".into())));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads all of the pack anew.
+    fn look(&mut self) -> Result<Flash> {
+        Flash::read(&mut self.gauge)
+    }
+
+    fn name(&self, what: &str) -> String {
+        format!("{:06}-{}-{what}", self.entry.number, self.bench.name)
+    }
+
+    /// Saves an image, and returns its name.
+    fn save(&self, image: &Image, what: &str) -> Result<String> {
+        let name = format!("{}.toml", self.name(what));
+        let path = self.station.plan.setup.images.join(&name);
+        let saved =
+            journal::save_on(&*self.station.disk, &path, &path.with_extension("new"), &toml::write(image));
+        saved.map_err(|error| Error::io(path.display().to_string(), "cannot be saved", &error))?;
+        Ok(name)
+    }
+
+    /// Records why the pack has failed, and in which state it is.
+    fn failed(&mut self, error: &Error) {
+        let mut reason = error.to_string();
+        if !self.begun {
+            reason += "; nothing was changed";
+        } else if let Some((why, _)) = self.gauge.settle(PATIENCE) {
+            let journal = self.bench.journal();
+            let journal = if self.station.disk.exists(&journal) {
+                format!("; its journal is {}", journal.display())
+            } else {
+                String::new()
+            };
+            reason += &format!("; still to settle: {why}{journal}");
+        } else if let Ok(flash) = self.look() {
+            self.entry.fingerprint = Some(flash.fingerprint());
+            self.entry.after = self.save(&flash.image(), "failed").ok();
+        }
+        (self.entry.event, self.entry.reason) = (Event::Fail, Some(reason));
+    }
+}
+
+fn taken_by(serial: &str, pack: u64) -> String {
+    format!("{serial} is the serial number of pack number {pack} of the record")
+}
+
+/// A date as data flash has it: day + month * 32 + (year - 1980) * 512.
+fn day(date: Date) -> i64 {
+    let date = match date {
+        Date::Today => Timestamp::now().to_zoned(TimeZone::UTC).date(),
+        Date::Day(date) => date,
+    };
+    i64::from(date.day()) + i64::from(date.month()) * 32 + (i64::from(date.year()) - 1980) * 512
+}

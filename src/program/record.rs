@@ -1,0 +1,314 @@
+//! The record of a station: a file with a line of JSON when a pack is begun, and one with the outcome.
+//!
+//! The first is on disk before the pack is changed, so a pack that is neither finished nor on record does not exist:
+//! a station that starts finds each pack that was begun and has no outcome, and records that it has failed. Serial
+//! numbers are given by the record as well, so none is given twice.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use ti_gauge::journal::{Disk, File};
+
+use crate::error::{Cause, Error, Result};
+
+/// Follows a line that a loss of power has cut short.
+const TORN: &str = "#torn";
+/// Room on disk for the outcomes of packs that are begun.
+const ROOM: u64 = 256 * 1024;
+
+/// What a line is about.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Event {
+    /// The pack is about to be changed.
+    Begun,
+    /// The pack has everything that was asked for.
+    Pass,
+    /// It has not, or it may have not.
+    #[default]
+    Fail,
+}
+
+/// A parameter that has another value than before.
+#[derive(Clone, Debug, Deserialize, PartialEq, Eq, Serialize)]
+pub(super) struct Changed {
+    pub(super) name: String,
+    pub(super) old: String,
+    pub(super) new: String,
+}
+
+/// A line of the record.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub(super) struct Entry {
+    pub(super) event: Event,
+    /// Number of the pack in this record.
+    pub(super) number: u64,
+    pub(super) time: String,
+    pub(super) station: String,
+    pub(super) gauge: String,
+    /// User and host.
+    pub(super) who: String,
+    pub(super) chip: String,
+    pub(super) image: String,
+    pub(super) image_sha256: String,
+    /// The serial number that the pack gets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) serial: Option<String>,
+    /// The one that it was found with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) serial_before: Option<String>,
+    /// The number under which the record has it already.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) seen: Option<u64>,
+    /// SHA-256 of all values that the gauge does not rewrite itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) fingerprint: Option<String>,
+    /// Why it has failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) reason: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) changes: Vec<Changed>,
+    /// What each calibration has reached, with the errors before and after.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) calibration: Vec<String>,
+    /// Names of the complete images, before and after.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) before: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) after: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) seconds: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) transfers: Option<u64>,
+}
+
+/// The record of a station, and what it says of earlier packs.
+#[derive(Debug)]
+pub(super) struct Record {
+    path: PathBuf,
+    file: Box<dyn File>,
+    length: u64,
+    next: u64,
+    /// The serial numbers of packs that were begun, in text form.
+    given: BTreeSet<String>,
+    /// Those of packs that have passed, each with the number of the pack.
+    passed: BTreeMap<String, u64>,
+    /// Packs that have passed, by their fingerprints.
+    seen: BTreeMap<String, Entry>,
+    /// Packs that were begun and have no outcome.
+    open: BTreeMap<u64, Entry>,
+    broken: bool,
+}
+
+impl Record {
+    /// Opens the record, or begins it. A last line that was cut short is marked as such.
+    pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let failed = |error| Error::io(&name, "the record cannot be used", &error);
+        let text = match disk.read(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                disk.create(path).and_then(|mut file| file.sync()).map_err(failed)?;
+                String::new()
+            }
+            read => read.map_err(failed)?,
+        };
+        disk.sync(path.parent().unwrap_or(Path::new("/"))).map_err(failed)?;
+        let file = disk.open(path).map_err(failed)?;
+        let mut record = Self {
+            path: path.to_path_buf(),
+            file,
+            length: text.len() as u64,
+            next: 1,
+            given: BTreeSet::new(),
+            passed: BTreeMap::new(),
+            seen: BTreeMap::new(),
+            open: BTreeMap::new(),
+            broken: false,
+        };
+        let lines: Vec<&str> = text.split_inclusive('\n').collect();
+        for (at, line) in lines.iter().enumerate() {
+            let is_last = at + 1 == lines.len();
+            let line = line.trim_end_matches('\n');
+            if line == TORN || lines.get(at + 1).is_some_and(|next| next.trim_end() == TORN) {
+                continue;
+            }
+            match serde_json::from_str(line) {
+                Ok(entry) if !is_last || text.ends_with('\n') => record.note(&entry),
+                // It was never on disk as a whole, so what it announces was not begun, or is not over.
+                _ if is_last => {
+                    let end = if text.ends_with('\n') { "" } else { "\n" };
+                    record.write(&format!("{end}{TORN}\n")).map_err(failed)?;
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    let why = format!(
+                        "not a line of a station's record: {error}; correct it, or move the file away"
+                    );
+                    return Err(Error::new(format!("{name}: line {}", at + 1), Cause::Invalid(why)));
+                }
+            }
+        }
+        Ok(record)
+    }
+
+    fn note(&mut self, entry: &Entry) {
+        self.next = self.next.max(entry.number + 1);
+        match entry.event {
+            Event::Begun => drop(self.open.insert(entry.number, entry.clone())),
+            Event::Pass | Event::Fail => drop(self.open.remove(&entry.number)),
+        }
+        if let Some(serial) = &entry.serial {
+            self.given.insert(serial.clone());
+            if entry.event == Event::Pass {
+                self.passed.insert(serial.clone(), entry.number);
+            }
+        }
+        if let Some(fingerprint) = entry.fingerprint.as_ref().filter(|_| entry.event == Event::Pass) {
+            self.seen.insert(fingerprint.clone(), entry.clone());
+        }
+    }
+
+    fn write(&mut self, text: &str) -> io::Result<()> {
+        self.file.append(text.as_bytes())?;
+        self.length += text.len() as u64;
+        self.file.sync()
+    }
+
+    /// Adds a line. On return it is on disk. Of a pack that is begun, there is room for the outcome, too.
+    pub(super) fn append(&mut self, entry: &Entry) -> Result<()> {
+        let name = self.path.display().to_string();
+        if self.broken {
+            let why = "an earlier line could not be written; correct that, and start the station again";
+            return Err(Error::new(name, Cause::Busy(why.into())));
+        }
+        let line = serde_json::to_string(entry).expect("keys are strings, so it cannot fail") + "\n";
+        let room = if entry.event == Event::Begun { ROOM } else { 0 };
+        if let Err(error) = self.file.reserve(self.length + line.len() as u64 + room) {
+            return Err(Error::io(name, "there is no room for the record", &error));
+        }
+        if let Err(error) = self.write(&line) {
+            self.broken = true;
+            return Err(Error::io(name, "the record cannot be written", &error));
+        }
+        self.note(entry);
+        Ok(())
+    }
+
+    /// The number of the next pack.
+    pub(super) fn number(&mut self) -> u64 {
+        self.next += 1;
+        self.next - 1
+    }
+
+    /// Whether a pack was begun with that serial number.
+    pub(super) fn is_given(&self, serial: &str) -> bool {
+        self.given.contains(serial)
+    }
+
+    /// The serial numbers of packs that were begun.
+    pub(super) fn given(&self) -> impl Iterator<Item = &str> {
+        self.given.iter().map(String::as_str)
+    }
+
+    /// The number of the pack that has passed with that serial number.
+    pub(super) fn passed(&self, serial: &str) -> Option<u64> {
+        self.passed.get(serial).copied()
+    }
+
+    /// The number of the pack that is being programmed with that serial number.
+    pub(super) fn under_way(&self, serial: &str) -> Option<u64> {
+        let open = self.open.values().find(|entry| entry.serial.as_deref() == Some(serial));
+        open.map(|entry| entry.number)
+    }
+
+    /// The pack that has passed and has that fingerprint, which covers its serial number.
+    pub(super) fn seen(&self, fingerprint: &str) -> Option<&Entry> {
+        self.seen.get(fingerprint)
+    }
+
+    /// The packs that were begun and have no outcome.
+    pub(super) fn unfinished(&self) -> Vec<Entry> {
+        self.open.values().cloned().collect()
+    }
+
+    /// Whether nothing more can be recorded.
+    pub(super) fn is_broken(&self) -> bool {
+        self.broken
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use ti_gauge::journal::Host;
+
+    fn path(name: &str) -> PathBuf {
+        let path = std::env::temp_dir().join(format!("gaugefs-record-{name}-{}.jsonl", std::process::id()));
+        let _ = fs::remove_file(&path);
+        path
+    }
+
+    fn entry(event: Event, number: u64, serial: &str) -> Entry {
+        Entry { event, number, serial: Some(serial.into()), ..Entry::default() }
+    }
+
+    #[test]
+    fn what_was_begun_and_not_ended_is_found_again() {
+        let path = path("begun");
+        let open = || Record::open(&Host, &path).expect("a record");
+        let mut record = open();
+        for (event, number, serial) in
+            [(Event::Begun, 1, "1"), (Event::Begun, 2, "2"), (Event::Pass, 1, "1"), (Event::Begun, 3, "3")]
+        {
+            record.append(&entry(event, number, serial)).expect("room");
+        }
+        record.append(&entry(Event::Fail, 3, "3")).expect("room");
+        let mut again = open();
+        assert_eq!(again.unfinished().iter().map(|entry| entry.number).collect::<Vec<_>>(), [2]);
+        assert_eq!(again.number(), 4);
+        assert!(again.is_given("2") && again.is_given("3") && !again.is_given("4"));
+        assert!(again.passed("1").is_some() && again.passed("3").is_none());
+        fs::remove_file(path).expect("it is there");
+    }
+
+    /// Wherever the file ends, what is whole counts, and the station can go on.
+    #[test]
+    fn a_last_line_that_was_cut_short_does_not_count() {
+        let path = path("torn");
+        let mut record = Record::open(&Host, &path).expect("a record");
+        record.append(&entry(Event::Begun, 1, "1")).expect("room");
+        let whole = fs::read(&path).expect("the record").len();
+        record.append(&entry(Event::Pass, 1, "1")).expect("room");
+        let text = fs::read(&path).expect("the record");
+        for length in whole..=text.len() {
+            fs::write(&path, &text[..length]).expect("a file");
+            for _ in 0..2 {
+                let mut record = Record::open(&Host, &path).expect("a record");
+                let is_whole = length == text.len();
+                assert_eq!(record.unfinished().is_empty(), is_whole, "{length} of {}", text.len());
+                if record.number() == 2 && !is_whole {
+                    record.append(&entry(Event::Begun, 2, "2")).expect("room");
+                    record.append(&entry(Event::Pass, 2, "2")).expect("room");
+                }
+            }
+            let record = Record::open(&Host, &path).expect("a record");
+            assert_eq!(record.is_given("2"), length < text.len());
+        }
+        fs::remove_file(path).expect("it is there");
+    }
+
+    #[test]
+    fn a_line_that_is_none_is_refused_with_its_number() {
+        let path = path("strange");
+        let mut record = Record::open(&Host, &path).expect("a record");
+        record.append(&entry(Event::Begun, 1, "1")).expect("room");
+        let text = fs::read_to_string(&path).expect("the record");
+        fs::write(&path, format!("{text}nonsense\n{text}")).expect("a file");
+        let error = Record::open(&Host, &path).expect_err("nonsense").to_string();
+        assert!(error.contains("line 2: not a line of a station's record"), "{error}");
+        fs::remove_file(path).expect("it is there");
+    }
+}

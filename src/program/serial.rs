@@ -1,0 +1,181 @@
+//! Serial numbers: from a counter, a list, or whoever types or scans them. None is given twice: what was given is in
+//! the record.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use ti_gauge::chip::{Chip, kebab_case};
+use ti_gauge::dataflash::Row;
+use ti_gauge::text;
+use ti_gauge::value::{Type, Value};
+
+use super::record::Record;
+use crate::config::{SerialFrom, StationOptions};
+use crate::error::{Cause, Error, Result};
+
+/// Where lines are typed or scanned. `None` at their end.
+pub(crate) trait Scanner: Send {
+    /// Asks for a line. The text says for what.
+    fn line(&mut self, what: &str) -> Option<String>;
+}
+
+/// Where serial numbers are from.
+pub(super) enum Serials {
+    /// The packs keep theirs.
+    None,
+    Counter {
+        first: i64,
+        last: i64,
+    },
+    List(Vec<Value>),
+    Input(Mutex<Box<dyn Scanner>>),
+}
+
+/// The parameter of that name, as `df/by-name` has it.
+pub(super) fn named(chip: &'static Chip, name: &str) -> Option<Row> {
+    let all = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |found| (row, found)));
+    let is_it = |(row, found): &Row| format!("{}/{}", chip.class_dir(row), kebab_case(found.name)) == name;
+    all.into_iter().find(is_it)
+}
+
+/// The parameter of that name of TI's.
+pub(super) fn called(chip: &'static Chip, name: &str) -> Option<Row> {
+    let all = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |found| (row, found)));
+    all.into_iter().find(|(_, found)| found.name == name)
+}
+
+/// The parameter that holds the serial number.
+pub(super) fn row(chip: &'static Chip, station: &StationOptions) -> Result<Option<Row>> {
+    let refuse = |key: &str, why: String| Err(Error::new(key, Cause::Invalid(why)));
+    match &station.serial_parameter {
+        Some(name) => match named(chip, name) {
+            Some(row) => Ok(Some(row)),
+            None => refuse(
+                "serial-parameter",
+                format!("a {} has no parameter {}", chip.model, text::printable(name)),
+            ),
+        },
+        None => match called(chip, "Serial Number") {
+            None if station.serial.is_some() => {
+                let why =
+                    format!("a {} has no parameter for it; name another with serial-parameter", chip.model);
+                refuse("serial", why)
+            }
+            row => Ok(row),
+        },
+    }
+}
+
+/// A serial number as it is shown and compared.
+pub(super) fn shown(row: Row, value: &Value) -> String {
+    text::render(row.1.kind, value)
+}
+
+impl Serials {
+    /// What a station's file says.
+    pub(super) fn of(station: &StationOptions, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
+        let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
+        let refuse = |key: &str, why: &str| Err(Error::new(key, Cause::Invalid(why.into())));
+        match from {
+            SerialFrom::Counter => {
+                if matches!(row.1.kind, Type::S(_) | Type::F4) {
+                    return refuse("serial", "a counter needs a parameter that is a whole number");
+                }
+                let first = station.first_serial.unwrap_or(1);
+                let most = row.1.kind.bounds().map_or(i64::MAX, |(_, most)| most);
+                let last = station.last_serial.unwrap_or(most);
+                for (key, number) in [("first-serial", first), ("last-serial", last.min(most))] {
+                    text::parse(row.1, number.to_string().as_bytes()).map_err(|error| error.within(key))?;
+                }
+                Ok(Self::Counter { first, last: last.min(most) })
+            }
+            SerialFrom::List => {
+                let path = station.serial_list.as_deref().unwrap_or(Path::new(""));
+                list(path, row).map(Self::List)
+            }
+            SerialFrom::Input => Ok(Self::Input(Mutex::new(scanner))),
+        }
+    }
+
+    /// Asks for a serial number, where a person gives it. What is refused is asked for again; an error is the end of
+    /// the input.
+    pub(super) fn scan(
+        &self,
+        row: Row,
+        gauge: &str,
+        refused: impl Fn(&Value) -> Option<String>,
+    ) -> Result<Option<Value>> {
+        let Self::Input(scanner) = self else { return Ok(None) };
+        let mut scanner = scanner.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut what = format!("{gauge}: scan the serial number");
+        loop {
+            let Some(line) = scanner.line(&what) else {
+                let why = "the input has ended, and a serial number is needed";
+                return Err(Error::new("serial number", Cause::Gone(why.into())));
+            };
+            let why = match line.trim() {
+                "" => "the line is empty".into(),
+                line => match text::parse(row.1, line.as_bytes()) {
+                    Ok(value) => match refused(&value) {
+                        None => return Ok(Some(value)),
+                        Some(why) => why,
+                    },
+                    Err(error) => error.to_string(),
+                },
+            };
+            what = format!("{gauge}: {why}; scan the serial number again");
+        }
+    }
+
+    /// The next serial number that was not given yet.
+    pub(super) fn next(&self, row: Row, record: &Record) -> Result<Option<Value>> {
+        let used_up = |what: &str| {
+            let why = format!("{what}: all serial numbers were given");
+            Err(Error::new("serial number", Cause::OutOfRange(why)))
+        };
+        match self {
+            Self::None | Self::Input(_) => Ok(None),
+            Self::Counter { first, last } => {
+                let given =
+                    record.given().filter_map(|text| match text::parse_stored(row.1, text.as_bytes()) {
+                        Ok(Value::Int(number)) if (*first..=*last).contains(&number) => Some(number),
+                        _ => None,
+                    });
+                match given.max().map_or(*first, |number| number + 1) {
+                    next if next > *last => used_up("the counter has reached last-serial"),
+                    next => Ok(Some(Value::Int(next))),
+                }
+            }
+            Self::List(list) => match list.iter().find(|value| !record.is_given(&shown(row, value))) {
+                Some(value) => Ok(Some(value.clone())),
+                None => used_up("the end of serial-list"),
+            },
+        }
+    }
+}
+
+/// The serial numbers of a file, one a line.
+fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
+    let name = path.display().to_string();
+    let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read the list", &error))?;
+    let (mut values, mut lines) = (Vec::new(), BTreeMap::new());
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        if line.is_empty() {
+            continue;
+        }
+        let at = |error: Error| error.within(&format!("{name}: line {number}"));
+        let value = text::parse(row.1, line.as_bytes()).map_err(|error| at(error.into()))?;
+        if let Some(first) = lines.insert(shown(row, &value), number) {
+            let why = format!("the serial number is also in line {first}; remove one of the two");
+            return Err(at(Error::new("", Cause::Invalid(why))));
+        }
+        values.push(value);
+    }
+    if values.is_empty() {
+        return Err(Error::new(name, Cause::Invalid("the list has no serial number".into())));
+    }
+    Ok(values)
+}

@@ -1,0 +1,197 @@
+//! Where packs are connected: a bus on which they are exchanged, or simulated packs one after the other.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::{Bench, Plan, STEADY, Slot};
+use crate::config::GaugeOptions;
+use crate::daemon::Source;
+use crate::error::{Error, Result};
+use crate::lock::Lock;
+use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
+use ti_gauge::chip::{Chip, Role};
+
+/// A place for packs, held by this process.
+pub(crate) struct Place {
+    pub(crate) bench: Bench,
+    pub(crate) slot: Box<dyn Slot>,
+}
+
+impl Place {
+    /// All places of a station.
+    pub(crate) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
+        let mut places = Vec::new();
+        for (at, (name, gauge)) in plan.gauges().enumerate() {
+            places.push(Self::open(plan, at, gauge, clock).map_err(|error| error.within(name))?);
+        }
+        Ok(places)
+    }
+
+    fn open(plan: &Plan, at: usize, gauge: &GaugeOptions, clock: &Arc<dyn Clock>) -> Result<Self> {
+        let chip = plan.chip();
+        if gauge.sim.is_some() {
+            let subject = Source::of(gauge).to_string();
+            let key = gauge.sim_state.as_deref().map(crate::lock::key_of_state);
+            let packs = plan.setup.station.packs.unwrap_or(1);
+            let slot = Simulated {
+                gauge: gauge.clone(),
+                clock: clock.clone(),
+                left: packs,
+                pack: None,
+                number: 0,
+                looks: STEADY,
+                error: None,
+            };
+            return Ok(Self { bench: plan.bench(at, subject, false, key)?, slot: Box::new(slot) });
+        }
+        // The image says what the packs are, so none is asked before its registers read like that part's.
+        let gauge = GaugeOptions { chip: Some(chip), ..gauge.clone() };
+        let opened = Source::of(&gauge).open(Path::new(""), clock, false)?;
+        let slow = chip.is_slower_than(opened.clock_hz);
+        let bench = plan.bench(at, opened.subject, slow, opened.journal_key)?;
+        let bus = Shared(Arc::new(Mutex::new(opened.bus)));
+        let slot = Wired { chip, bus, clock: clock.clone(), _lock: opened.lock };
+        Ok(Self { bench, slot: Box::new(slot) })
+    }
+}
+
+/// One bus for the owners of all packs on it, of which only one is at work.
+#[derive(Clone)]
+struct Shared(Arc<Mutex<Box<dyn Bus>>>);
+
+impl Shared {
+    fn with<T>(&self, work: impl FnOnce(&mut dyn Bus) -> T) -> T {
+        work(&mut **self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Bus for Shared {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        self.with(|bus| bus.transfer(write, read))
+    }
+
+    fn claim(&mut self) -> Result<(), BusError> {
+        self.with(|bus| bus.claim())
+    }
+
+    fn limit(&mut self, latest: Option<std::time::Duration>) {
+        self.with(|bus| bus.limit(latest));
+    }
+
+    fn release_if_gone(&mut self) {
+        self.with(|bus| bus.release_if_gone());
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.with(|bus| bus.set_secret(secret));
+    }
+}
+
+/// A bus on which packs are exchanged.
+struct Wired {
+    chip: &'static Chip,
+    bus: Shared,
+    clock: Arc<dyn Clock>,
+    _lock: Option<Lock>,
+}
+
+impl Slot for Wired {
+    fn clock(&self) -> Arc<dyn Clock> {
+        self.clock.clone()
+    }
+
+    fn bus(&mut self) -> Box<dyn Bus> {
+        Box::new(self.bus.clone())
+    }
+
+    fn is_there(&mut self) -> Option<bool> {
+        Some(answers(self.chip, &mut self.bus))
+    }
+}
+
+/// Whether something acknowledges a read of the voltage, which is harmless to any device.
+fn answers(chip: &Chip, bus: &mut dyn Bus) -> bool {
+    let code = chip.register(Role::VoltageNow).map_or(0x08, |register| register.code);
+    bus.release_if_gone();
+    bus.transfer(&[code], &mut [0; 2]).is_ok()
+}
+
+/// Simulated packs, each of which comes when the one before has gone.
+struct Simulated {
+    gauge: GaugeOptions,
+    clock: Arc<dyn Clock>,
+    left: u32,
+    pack: Option<Pack>,
+    number: u32,
+    /// Looks since the pack before has gone: the next one comes when that was seen.
+    looks: u32,
+    error: Option<Error>,
+}
+
+/// A simulated pack, and the lock of its file.
+struct Pack {
+    bus: Shared,
+    _lock: Option<Lock>,
+}
+
+impl Simulated {
+    /// The file of a pack: `%` in its name stands for the number of the pack.
+    fn state(&self) -> Option<PathBuf> {
+        let state = self.gauge.sim_state.as_ref()?;
+        Some(state.to_string_lossy().replace('%', &self.number.to_string()).into())
+    }
+
+    fn connect(&mut self) -> Result<Pack> {
+        let gauge = GaugeOptions { sim_state: self.state(), ..self.gauge.clone() };
+        let opened = Source::of(&gauge).open(Path::new(""), &self.clock, false)?;
+        Ok(Pack { bus: Shared(Arc::new(Mutex::new(opened.bus))), _lock: opened.lock })
+    }
+}
+
+impl Slot for Simulated {
+    fn clock(&self) -> Arc<dyn Clock> {
+        self.clock.clone()
+    }
+
+    fn bus(&mut self) -> Box<dyn Bus> {
+        match &self.pack {
+            Some(pack) => Box::new(pack.bus.clone()),
+            None => Box::new(Nothing),
+        }
+    }
+
+    fn is_there(&mut self) -> Option<bool> {
+        if let Some(pack) = &mut self.pack {
+            return Some(pack.bus.transfer(&[0x08], &mut [0; 2]).is_ok());
+        }
+        if self.looks < STEADY {
+            self.looks += 1;
+            return Some(false);
+        }
+        self.left = self.left.checked_sub(1)?;
+        self.number += 1;
+        match self.connect() {
+            Ok(pack) => self.pack = Some(pack),
+            Err(error) => (self.left, self.error) = (0, Some(error)),
+        }
+        self.pack.as_ref().map(|_| true)
+    }
+
+    fn error(&mut self) -> Option<Error> {
+        self.error.take()
+    }
+
+    fn done(&mut self) {
+        (self.pack, self.looks) = (None, 0);
+    }
+}
+
+/// A bus without a device.
+struct Nothing;
+
+impl Bus for Nothing {
+    fn transfer(&mut self, _: &[u8], _: &mut [u8]) -> Result<(), BusError> {
+        Err(BusError::NoAck)
+    }
+}

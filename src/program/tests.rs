@@ -1,0 +1,981 @@
+//! Stations with simulated packs.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use std::{fs, io};
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim, SimBus};
+use sha2::{Digest, Sha256};
+use ti_gauge::chip::{Chip, Kind};
+use ti_gauge::image::{Image, toml};
+use ti_gauge::journal::{Disk, File, Host};
+use ti_gauge::{codec, text};
+
+use super::record::{Entry, Event};
+use super::target::Flash;
+use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
+use crate::config::{StationOptions, StationSetup};
+use crate::error::Result;
+use crate::owner::{Direct, Request, Seal, Settings, Startup};
+
+/// A station's folder, which is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("gaugefs-program-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(&path).expect("a folder");
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    /// The station of a file with these lines, and an image of other values than a new pack has.
+    fn plan(&self, lines: &str) -> Plan {
+        self.try_plan(lines).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    fn try_plan(&self, lines: &str) -> Result<Plan> {
+        let station = self.file("line1.toml");
+        let text = format!(
+            "[station]\nno-backup = true\nstate-dir = 'journals'\n{lines}\n[[gauge]]\nsim = '{CHIP}'\n"
+        );
+        fs::write(&station, text).expect("a file");
+        let image = self.file("golden.toml");
+        if !image.exists() {
+            fs::write(&image, golden()).expect("a file");
+        }
+        Plan::read(&image, StationSetup::read(&station)?)
+    }
+
+    fn lines(&self) -> Vec<Entry> {
+        let text = fs::read_to_string(self.file("line1.jsonl")).expect("a record");
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+const CHIP: &str = "bq34z100-g1";
+/// The name of the journal.
+const KEY: &str = "i2c-1-55";
+/// Learned values are the gauge's own.
+const PLAIN: &str =
+    "exclude = ['calibration', 'serial', 'learned', 'keys']\nserial = 'counter'\nfirst-serial = 1000";
+
+/// Values that a new pack does not have.
+const OTHERS: [(&str, &str); 5] =
+    [("48/11", "2200"), ("80/53", "3100"), ("48/32", "golden pack"), ("49/0", "70"), ("64/0", "0x0171")];
+
+/// An image of a new pack with some other values.
+fn golden() -> String {
+    let chip = Chip::by_name(CHIP).expect("it has a table");
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("it is simulated");
+    clock.sleep(Duration::from_secs(2));
+    let mut gauge = Direct::new(chip, Box::new(sim.bus()), clock, Settings::default(), Startup::default());
+    gauge.open().expect("it answers");
+    let mut image = Flash::read(&mut gauge).expect("the default key").image();
+    for (place, text) in OTHERS {
+        let (id, offset) = place.split_once('/').expect("a place");
+        let Some(row) = chip.row(id, offset) else { continue };
+        if let Ok(value) = text::parse(row.1, text.as_bytes()) {
+            image.set(row.0, row.1, value);
+        }
+    }
+    // In the table's order.
+    Image::parse(&toml::write(&image), None).map(|image| toml::write(&image)).expect("an image")
+}
+
+/// The power of the station's computer: after that many calls and transfers nothing that it does has an effect.
+#[derive(Debug, Default)]
+struct Power {
+    done: AtomicU64,
+    cut: Option<u64>,
+    disk_is_full: AtomicBool,
+}
+
+impl Power {
+    fn is_on(&self) -> bool {
+        let number = self.done.fetch_add(1, Ordering::SeqCst) + 1;
+        self.cut.is_none_or(|cut| number < cut)
+    }
+
+    fn call<T>(&self, work: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
+        if self.is_on() { work() } else { Err(io::Error::other("no power")) }
+    }
+}
+
+struct Powered(SimBus, Arc<Power>);
+
+impl Bus for Powered {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        if self.1.is_on() { self.0.transfer(write, read) } else { Err(BusError::NoAck) }
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.0.set_secret(secret);
+    }
+}
+
+/// The disk of that computer. It does not sync, which takes time; a line that is being written when the power is lost
+/// is cut short.
+#[derive(Clone, Debug)]
+struct Memory(Arc<Power>);
+
+#[derive(Debug)]
+struct Opened(Box<dyn File>, Arc<Power>);
+
+impl Disk for Memory {
+    fn create_folder(&self, folder: &Path) -> io::Result<()> {
+        self.0.call(|| Host.create_folder(folder))
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        Host.exists(path)
+    }
+
+    fn read(&self, path: &Path) -> io::Result<String> {
+        Host.read(path)
+    }
+
+    fn create(&self, path: &Path) -> io::Result<Box<dyn File>> {
+        self.0.call(|| Ok(Box::new(Opened(Host.create(path)?, self.0.clone())) as Box<dyn File>))
+    }
+
+    fn open(&self, path: &Path) -> io::Result<Box<dyn File>> {
+        self.0.call(|| Ok(Box::new(Opened(Host.open(path)?, self.0.clone())) as Box<dyn File>))
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.0.call(|| Host.rename(from, to))
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.0.call(|| Host.remove(path))
+    }
+
+    fn sync(&self, _: &Path) -> io::Result<()> {
+        self.0.call(|| Ok(()))
+    }
+}
+
+impl File for Opened {
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let had_power = self.1.cut.is_none_or(|cut| self.1.done.load(Ordering::SeqCst) + 1 < cut);
+        let at_cut = self.1.cut == Some(self.1.done.load(Ordering::SeqCst) + 1);
+        if at_cut && !had_power {
+            let part = self.1.done.load(Ordering::SeqCst) as usize % bytes.len().max(1);
+            let _ = self.0.append(&bytes[..part]);
+        }
+        self.1.call(|| self.0.append(bytes))
+    }
+
+    fn reserve(&mut self, _: u64) -> io::Result<()> {
+        match self.1.disk_is_full.load(Ordering::SeqCst) {
+            true => Err(io::ErrorKind::StorageFull.into()),
+            false => self.1.call(|| Ok(())),
+        }
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.1.call(|| Ok(()))
+    }
+}
+
+/// Simulated packs, each with the fault that it gets when it is connected.
+struct Rack {
+    clock: Arc<SimClock>,
+    power: Arc<Power>,
+    packs: VecDeque<(Sim, String)>,
+    now: Option<Sim>,
+    looks: u32,
+}
+
+impl Rack {
+    fn new(
+        clock: &Arc<SimClock>,
+        power: &Arc<Power>,
+        packs: impl IntoIterator<Item = (Sim, String)>,
+    ) -> Self {
+        let packs = packs.into_iter().collect();
+        Self { clock: clock.clone(), power: power.clone(), packs, now: None, looks: STEADY }
+    }
+}
+
+impl Slot for Rack {
+    fn clock(&self) -> Arc<dyn Clock> {
+        self.clock.clone()
+    }
+
+    fn bus(&mut self) -> Box<dyn Bus> {
+        let sim = self.now.as_ref().expect("a pack is there");
+        Box::new(Powered(sim.bus(), self.power.clone()))
+    }
+
+    fn is_there(&mut self) -> Option<bool> {
+        if self.now.is_some() {
+            return Some(true);
+        }
+        self.looks += 1;
+        if self.looks <= STEADY {
+            return Some(false);
+        }
+        let (sim, fault) = self.packs.pop_front()?;
+        // From the power-up until it has measured.
+        self.clock.sleep(Duration::from_secs(3));
+        sim.set("fault", &fault).unwrap_or_else(|error| panic!("{fault}: {error}"));
+        self.now = Some(sim);
+        Some(true)
+    }
+
+    fn done(&mut self) {
+        (self.now, self.looks) = (None, 0);
+    }
+}
+
+#[derive(Clone, Default)]
+struct Said(Arc<Mutex<Vec<String>>>);
+
+impl Said {
+    fn all(&self) -> Vec<String> {
+        self.0.lock().expect("nobody panics").clone()
+    }
+}
+
+impl Screen for Said {
+    fn outcome(&self, line: &str) {
+        self.0.lock().expect("nobody panics").push(line.into());
+    }
+
+    fn prompt(&self, line: &str) {
+        self.0.lock().expect("nobody panics").push(format!("? {line}"));
+    }
+}
+
+struct Lines(VecDeque<String>);
+
+impl Lines {
+    fn of(lines: &[&str]) -> Box<Self> {
+        Box::new(Self(lines.iter().map(ToString::to_string).collect()))
+    }
+}
+
+impl Scanner for Lines {
+    fn line(&mut self, _: &str) -> Option<String> {
+        self.0.pop_front()
+    }
+}
+
+/// A station and what it says.
+struct Line {
+    station: Station,
+    bench: Bench,
+    said: Said,
+    power: Arc<Power>,
+}
+
+impl Line {
+    fn start(plan: Plan, typed: &[&str], cut: Option<u64>) -> Result<Self> {
+        let said = Said::default();
+        let power = Arc::new(Power { cut, ..Power::default() });
+        let bench = plan.bench(0, "i2c-1 address 0x55".into(), false, Some(KEY.into()))?;
+        let disk = Arc::new(Memory(power.clone()));
+        let stops = Arc::new(AtomicBool::new(false));
+        let station = Station::start(plan, disk, Box::new(said.clone()), Lines::of(typed), None, stops)?;
+        station.close_unfinished(&[&bench])?;
+        Ok(Self { station, bench, said, power })
+    }
+
+    /// Programs packs one after the other.
+    fn run(&self, clock: &Arc<SimClock>, packs: impl IntoIterator<Item = (Sim, String)>) -> Vec<String> {
+        let mut rack = Rack::new(clock, &self.power, packs);
+        self.station.run(&self.bench, &mut rack);
+        self.said.all().into_iter().filter(|line| !line.starts_with('?')).collect()
+    }
+}
+
+fn new_pack(clock: &Arc<SimClock>, seed: u64, envelope: Option<u64>) -> Sim {
+    let options = Options { seed, envelope, ..Options::default() };
+    Sim::new(CHIP, &options, clock.clone()).expect("it is simulated")
+}
+
+/// What every byte of a pack's flash is, found by changing it: what is asked for it, that the gauge may rewrite it, or
+/// neither. Nothing of the station is used.
+struct Map {
+    asked: BTreeMap<usize, u8>,
+    free: BTreeSet<usize>,
+}
+
+impl Map {
+    fn of(plan: &Plan) -> Self {
+        let chip = plan.chip();
+        let sim = new_pack(&Arc::new(SimClock::new()), 1, None);
+        let place = |id: u8, offset: u16| {
+            let before = sim.flash();
+            for probe in [0x00, 0xa5] {
+                sim.set_flash(id.into(), offset.into(), &[probe]);
+                let after = sim.flash();
+                if let Some(at) = (0..before.len()).find(|&at| before[at] != after[at]) {
+                    return at;
+                }
+            }
+            panic!("{id}/{offset} is not in flash")
+        };
+        let (mut asked, mut free) = (BTreeMap::new(), BTreeSet::new());
+        for subclass in chip.subclasses {
+            for row in subclass.parameters.iter().filter(|row| row.learned || subclass.kind == Kind::Security)
+            {
+                free.extend((row.offset..).take(row.kind.size()).map(|offset| place(subclass.id, offset)));
+            }
+        }
+        for entry in &plan.image.entries {
+            let bytes = codec::encode(entry.parameter.kind, &entry.value).expect("it fits");
+            for (offset, byte) in (entry.parameter.offset..).zip(bytes) {
+                asked.insert(place(entry.subclass.id, offset), byte);
+            }
+        }
+        Self { asked, free }
+    }
+
+    /// The serial number's bytes.
+    fn serial(&self, sim: &Sim) -> (usize, [u8; 2]) {
+        let chip = Chip::by_name(CHIP).expect("it has a table");
+        let (subclass, row) = serial::called(chip, "Serial Number").expect("it has one");
+        let (before, other) = (sim.flash(), new_pack(&Arc::new(SimClock::new()), 1, None));
+        let old = other.flash();
+        other.set_flash(subclass.id.into(), row.offset.into(), &[0xa5]);
+        let at = (0..old.len()).find(|&at| old[at] != other.flash()[at]).expect("it has changed");
+        (at, [before[at], before[at + 1]])
+    }
+
+    /// Compares the flash of a pack that has passed with what was asked, to the bit, and the rest with what it was.
+    fn check(&self, sim: &Sim, before: &[u8], serial: &str, at: &str) {
+        let (serial_at, stored) = self.serial(sim);
+        let number: u16 = text::unsigned(serial).expect("a number");
+        assert_eq!(u16::from_be_bytes(stored), number, "{at}: another serial number");
+        for (index, &byte) in sim.flash().iter().enumerate() {
+            match self.asked.get(&index) {
+                Some(&asked) => assert_eq!(byte, asked, "{at}: byte {index}"),
+                None if self.free.contains(&index) || (serial_at..serial_at + 2).contains(&index) => {}
+                None => assert_eq!(byte, before[index], "{at}: byte {index}, which nobody has asked for"),
+            }
+        }
+        assert_eq!(sim.get("seal").as_deref(), Some("sealed"), "{at}");
+        assert_eq!(sim.get("mode").as_deref(), Some("normal"), "{at}");
+    }
+}
+
+/// xorshift64
+struct Drawn(u64);
+
+impl Drawn {
+    fn new(seed: u64) -> Self {
+        Self((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+    }
+
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % end
+    }
+}
+
+/// What goes wrong with a pack.
+fn fault(seed: u64) -> String {
+    let mut drawn = Drawn::new(seed);
+    let at = drawn.below(900) + 1;
+    match drawn.below(14) {
+        0 => "none".into(),
+        1..=3 => format!("random {}", drawn.below(12) + 1),
+        4 => format!("silence {at} 900000"),
+        5 => format!("silence {at} {}", drawn.below(4000)),
+        6 => format!("power-cut {at} {}", drawn.below(3000) + 100),
+        7 => format!("power-cut-after {at} {}", drawn.below(3000) + 100),
+        8 => "drop-commit".into(),
+        9 => "corrupt-commit".into(),
+        10 => format!("torn-commit {}", drawn.below(16)),
+        11 => format!("flip {at} {} {}", drawn.below(8), drawn.below(8)),
+        12 => format!("burst {at} 0 32 255"),
+        _ => ["drop-seal", "drop-reset", "drop-key"][drawn.below(3) as usize].into(),
+    }
+}
+
+/// Every pack that was begun has an outcome, and no two that were begun share a serial number.
+fn check_record(folder: &Folder) {
+    let lines = folder.lines();
+    let of = |event: Event| lines.iter().filter(move |line| line.event == event);
+    let mut serials = BTreeSet::new();
+    for begun in of(Event::Begun) {
+        let ends = lines.iter().filter(|line| line.number == begun.number && line.event != Event::Begun);
+        assert_eq!(ends.count(), 1, "pack {}", begun.number);
+        let serial = begun.serial.clone().expect("a serial number");
+        assert!(serials.insert(serial.clone()), "{serial} was given twice");
+    }
+    for pass in of(Event::Pass) {
+        assert!(of(Event::Begun).any(|begun| begun.number == pass.number), "pack {}", pass.number);
+    }
+}
+
+#[test]
+fn no_pack_passes_that_is_not_what_was_asked() {
+    let packs = if std::env::var_os("GAUGEFS_ALL_FAULTS").is_some() { 1000 } else { 40 };
+    let folder = Folder::new("faults");
+    let plan = folder.plan(&format!("{PLAIN}\nunsettled = 'discard'"));
+    let (map, clock) = (Map::of(&plan), Arc::new(SimClock::new()));
+    assert!(map.asked.len() > 100);
+    let line = Line::start(plan, &[], None).expect("a record");
+    let (mut passed, mut reasons) = (0, BTreeMap::<String, u32>::new());
+    let (mut seconds, mut transfers) = (0.0, 0);
+    for seed in 0..packs {
+        let sim = new_pack(&clock, seed, (seed % 4 != 0).then_some(seed));
+        if seed % 8 != 7 {
+            // Other versions are refused, and nothing more is learned from that.
+            sim.set("firmware", "printed").and_then(|()| sim.set("hardware", "printed")).expect("knobs");
+        }
+        let (before, fault) = (sim.flash(), fault(seed));
+        let at = format!("seed {seed}, {fault}, {}", sim.envelope());
+        line.run(&clock, [(sim.clone(), fault)]);
+        let last = folder.lines().pop().expect("a line");
+        match last.event {
+            Event::Begun => panic!("{at}: no outcome"),
+            Event::Pass => {
+                passed += 1;
+                seconds += last.seconds.expect("it is measured");
+                transfers += last.transfers.expect("they are counted");
+                map.check(&sim, &before, last.serial.as_deref().expect("a number"), &at);
+            }
+            Event::Fail => {
+                let reason = last.reason.expect("a reason");
+                *reasons.entry(reason.split(": ").take(2).collect::<Vec<_>>().join(": ")).or_default() += 1;
+            }
+        }
+        clock.sleep(Duration::from_secs(1000));
+    }
+    check_record(&folder);
+    let each = f64::from(passed).max(1.0);
+    // A row of benches/run.
+    println!(
+        "| simulated packs programmed by a station, drawn gauges and faults | {packs} packs, {passed} passed, each with \
+         every bit that was asked for; {:.1} s and {:.0} transfers each | |\n{reasons:#?}",
+        seconds / each,
+        f64::from(transfers as u32) / each
+    );
+    assert!(passed > packs as u32 / 4, "{passed} of {packs} pass");
+    assert!(!reasons.is_empty());
+}
+
+#[test]
+fn a_pack_without_faults_passes_and_is_documented() {
+    let folder = Folder::new("plain");
+    let plan = folder.plan(&format!("{PLAIN}\ndate = '2026-11-22'\npack-lot = 0x12"));
+    let (map, clock) = (Map::of(&plan), Arc::new(SimClock::new()));
+    let line = Line::start(plan, &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8 (pack 1, "), "{said:?}");
+    let lines = folder.lines();
+    let [begun, pass] = &lines[..] else { panic!("{lines:?}") };
+    assert_eq!((begun.event, pass.event), (Event::Begun, Event::Pass));
+    assert_eq!(pass.image_sha256, text::hex(&Sha256::digest(golden())));
+    assert!(
+        pass.changes
+            .iter()
+            .any(|change| change.name == "it-cfg/cell-terminate-voltage" && change.new == "3100")
+    );
+    // Day 22, month 11, 46 years after 1980.
+    let date = pass.changes.iter().find(|change| change.name.ends_with("/manufacture-date")).expect("a date");
+    assert_eq!(date.new, (22 + 11 * 32 + 46 * 512).to_string());
+    let after = folder.file("line1.images").join(pass.after.as_ref().expect("an image"));
+    let image = Image::open(&after, None).expect("an image");
+    let all = image.chip.subclasses.iter().filter(|row| row.kind != Kind::Security);
+    assert_eq!(image.entries.len(), all.map(|row| row.parameters.len()).sum::<usize>());
+    assert!(map.asked.len() > 100);
+    println!(
+        "{:.1} s and {} transfers",
+        pass.seconds.expect("it is measured"),
+        pass.transfers.expect("they are counted")
+    );
+    check_record(&folder);
+
+    // It is recognised, and refused or programmed again.
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[1].contains("it was programmed before as serial number 0x03e8"), "{said:?}");
+    drop(line);
+    let plan = folder.plan(&format!("{PLAIN}\ndate = '2026-11-22'\npack-lot = 0x12\nseen = 'redo'"));
+    let line = Line::start(plan, &[], None).expect("a record");
+    let said = line.run(&clock, [(sim, "none".into()), (new_pack(&clock, 2, None), "none".into())]);
+    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8 (pack 3"), "{said:?}");
+    assert!(said[1].starts_with("PASS BAT0 serial 0x03e9 (pack 4"), "{said:?}");
+}
+
+#[test]
+fn a_station_that_loses_its_power_leaves_no_pack_without_an_outcome() {
+    let folder = Folder::new("count");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
+    assert!(said[0].starts_with("PASS"), "{said:?}");
+    let calls = line.power.done.load(Ordering::SeqCst);
+    let runs = if std::env::var_os("GAUGEFS_ALL_FAULTS").is_some() { calls } else { 25 };
+    let mut drawn = Drawn::new(7);
+    let (mut begun, mut again) = (0, 0);
+    for run in 1..=runs {
+        let cut = if runs == calls { run } else { drawn.below(calls) + 1 };
+        let at = format!("power lost at {cut} of {calls}");
+        let folder = Folder::new("cut");
+        let plan = folder.plan(PLAIN);
+        let (map, clock) = (Map::of(&plan), Arc::new(SimClock::new()));
+        let sim = new_pack(&clock, 1, None);
+        let before = sim.flash();
+        if let Ok(line) = Line::start(plan, &[], Some(cut)) {
+            let said = line.run(&clock, [(sim.clone(), "none".into())]);
+            assert!(said.iter().all(|line| !line.starts_with("PASS")), "{at}: {said:?}");
+        }
+        begun += u32::from(folder.file("line1.jsonl").exists() && !folder.lines().is_empty());
+        clock.sleep(Duration::from_secs(5));
+        let line = Line::start(folder.plan(PLAIN), &[], None).unwrap_or_else(|error| panic!("{at}: {error}"));
+        check_record(&folder);
+        // What was begun is not forgotten, and the pack can be programmed again.
+        let said = line.run(&clock, [(sim.clone(), "none".into())]);
+        check_record(&folder);
+        let last = folder.lines().pop().expect("a line");
+        let is_refused = last
+            .reason
+            .as_ref()
+            .is_some_and(|why| why.contains("gaugefs settle") || why.contains("it was programmed before"));
+        assert!(last.event == Event::Pass || is_refused, "{at}: {said:?}");
+        if last.event == Event::Pass {
+            again += 1;
+            map.check(&sim, &before, last.serial.as_deref().expect("a number"), &at);
+        }
+    }
+    // A row of benches/run.
+    println!(
+        "| power of a station lost at its system calls and transfers | {runs} runs, {begun} packs begun, each with an \
+         outcome on record; {again} passed afterwards | |"
+    );
+    assert!(begun > runs as u32 / 4 && again > runs as u32 / 2, "{begun} begun, {again} passed");
+}
+
+/// A pack that is not touched.
+fn refused(folder: &Folder, line: &Line, clock: &Arc<SimClock>, sim: &Sim, fault: &str) -> String {
+    let flash = sim.flash();
+    let begun = folder.lines().iter().filter(|line| line.event == Event::Begun).count();
+    let said = line.run(clock, [(sim.clone(), fault.into())]).pop().expect("an outcome");
+    assert!(said.starts_with("FAIL") && said.contains("nothing was changed"), "{said}");
+    assert!(sim.flash() == flash, "{said}");
+    assert_eq!(folder.lines().iter().filter(|line| line.event == Event::Begun).count(), begun, "{said}");
+    said
+}
+
+#[test]
+fn the_comparison_finds_every_bit() {
+    let folder = Folder::new("bits");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    line.run(&clock, [(sim.clone(), "none".into())]);
+    let mut gauge = Direct::new(
+        line.station.plan.image.chip,
+        Box::new(sim.bus()),
+        clock.clone(),
+        Settings::default(),
+        Startup::default(),
+    );
+    gauge.open().expect("it answers");
+    let good = Flash::read(&mut gauge).expect("the default key");
+    super::target::check(&line.station.plan.image, &good, &[]).expect("it has passed");
+    for entry in line.station.plan.image.entries.iter().step_by(7) {
+        let area = entry.subclass.id;
+        let at = usize::from(entry.parameter.offset) + entry.parameter.kind.size() - 1;
+        let bytes = entry.bytes().expect("it fits");
+        let last = bytes[bytes.len() - 1];
+        sim.set_flash(area.into(), at, &[last ^ 1]);
+        let now = Flash::read(&mut gauge).expect("the default key");
+        let error = super::target::check(&line.station.plan.image, &now, &[]).expect_err("one bit");
+        assert!(error.to_string().contains("when read back"), "{error}");
+        let error = now.check_same(&good, &[]).expect_err("one bit");
+        assert!(error.to_string().starts_with(entry.parameter.name), "{error}");
+        sim.set_flash(area.into(), at, &[last]);
+    }
+}
+
+#[test]
+fn a_new_board_is_brought_up_and_calibrated() {
+    let folder = Folder::new("new");
+    let image = format!("chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n");
+    fs::write(folder.file("golden.toml"), image).expect("a file");
+    let plan = folder.plan(&format!(
+        "{PLAIN}\ncells = 7\ndivider = 33000\npack-voltage = 26985\nboard-offset = true\ntemperature = 25"
+    ));
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(plan, &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    for (knob, text) in
+        [("cells", "7"), ("board_divider", "33000"), ("board_offset_ma", "6"), ("temperature_error", "30")]
+    {
+        sim.set(knob, text).expect("a knob");
+    }
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS"), "{said:?}");
+    let pass = folder.lines().pop().expect("a line");
+    assert_eq!(pass.calibration.len(), 3, "{:?}", pass.calibration);
+    assert!(pass.calibration[0].contains("limit"), "{:?}", pass.calibration);
+    assert!(pass.calibration[2].contains("the error was"), "{:?}", pass.calibration);
+    let new = |name: &str| {
+        pass.changes.iter().find(|change| change.name.ends_with(name)).map(|change| &*change.new)
+    };
+    assert_eq!(new("/ext-temp-offset"), Some("-30"));
+    assert_eq!(new("/cell-terminate-voltage"), Some("3100"));
+    assert_eq!((sim.get("seal").as_deref(), sim.get("mode").as_deref()), (Some("sealed"), Some("normal")));
+
+    // Without a load, a gain is not calibrated.
+    drop(line);
+    let line = Line::start(folder.plan(&format!("{PLAIN}\ncurrent = -2000")), &[], None).expect("a record");
+    let said = line.run(&clock, [(new_pack(&clock, 2, None), "none".into())]);
+    assert!(said[0].contains("switch on the current of -2000 mA"), "{said:?}");
+    assert!(line.said.all().contains(&"? BAT0: switch on the current of -2000 mA".to_string()));
+}
+
+#[test]
+fn an_image_that_contradicts_the_station_is_refused() {
+    let folder = Folder::new("contradicts");
+    let refuse = |lines: &str| folder.try_plan(lines).err().map_or(String::new(), |error| error.to_string());
+    assert!(
+        refuse("cells = 7\ndivider = 33000").contains("the image has 1"),
+        "{}",
+        refuse("cells = 7\ndivider = 33000")
+    );
+    for (lines, says) in [
+        ("serial-parameter = 'it-cfg/nothing'\nserial = 'counter'", "has no parameter it-cfg/nothing"),
+        ("serial = 'counter'\nfirst-serial = 70000", "first-serial"),
+        (
+            "serial = 'counter'\nfirst-serial = 7\nlast-serial = 6",
+            "line 6: last-serial: it is below first-serial",
+        ),
+        ("serial = 'list'", "line 4: serial: set serial-list too"),
+        ("serial = 'lst'", "line 4: serial:"),
+        ("sreial = 'list'", "line 4: sreial: unknown key; did you mean `serial`?"),
+        ("date = 'tomorrow'", "line 4: date: expected today or YYYY-MM-DD"),
+        ("exclude = ['all']", "line 4: exclude: `all` is none of: calibration, serial,"),
+        ("pack-lot = 70000", "pack-lot"),
+        ("divider = 33000", "line 4: divider: set cells too"),
+        ("first-serial = 3", "line 4: first-serial: only with serial"),
+        ("packs = 0", "line 4: packs: at least 1"),
+        ("new-key-file = 'missing'", "missing"),
+        ("[[gauge]]\nsim = 'bq27441-g1'", "line1.toml"),
+        ("[defaults]\npoll = 3", "line 5: poll: has no meaning at a station"),
+        ("[mount]\nprivate = true", "line 4: mount: unknown key"),
+    ] {
+        let error = refuse(lines);
+        assert!(error.contains(says) || says == "line1.toml" && !error.is_empty(), "{lines}: {error}");
+    }
+    assert_eq!(refuse(""), "");
+    // RAM is lost with the power.
+    let text = fs::read_to_string(folder.file("line1.toml")).expect("a file").replace(CHIP, "bq27441-g1");
+    fs::write(folder.file("line1.toml"), text).expect("a file");
+    fs::write(folder.file("golden.toml"), "chip = \"bq27441-g1\"\n[state]\ntaper-rate = 90\n")
+        .expect("a file");
+    let setup = StationSetup::read(&folder.file("line1.toml")).expect("a station");
+    let error = Plan::read(&folder.file("golden.toml"), setup).err().expect("RAM").to_string();
+    assert!(error.contains("--restore"), "{error}");
+}
+
+/// A rack on which the pack is exchanged while somebody scans its number.
+struct Exchange(Sim, Arc<Mutex<Option<Sim>>>);
+
+impl Scanner for Exchange {
+    fn line(&mut self, _: &str) -> Option<String> {
+        *self.1.lock().expect("nobody panics") = Some(self.0.clone());
+        Some("7".into())
+    }
+}
+
+/// A bus to the pack that was put in its place, or else to the first one.
+struct Exchanged(SimBus, Arc<Mutex<Option<Sim>>>);
+
+impl Bus for Exchanged {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        match &*self.1.lock().expect("nobody panics") {
+            Some(sim) => sim.bus().transfer(write, read),
+            None => self.0.transfer(write, read),
+        }
+    }
+}
+
+struct OnBus(Arc<SimClock>, Sim, Arc<Mutex<Option<Sim>>>, u32);
+
+impl Slot for OnBus {
+    fn clock(&self) -> Arc<dyn Clock> {
+        self.0.clone()
+    }
+
+    fn bus(&mut self) -> Box<dyn Bus> {
+        Box::new(Exchanged(self.1.bus(), self.2.clone()))
+    }
+
+    fn is_there(&mut self) -> Option<bool> {
+        (self.3 == 0).then_some(true)
+    }
+
+    fn done(&mut self) {
+        self.3 = 1;
+    }
+}
+
+/// Images of real packs have 0 in bits that the manual reserves and prints as 1.
+#[test]
+fn reserved_bits_stay_as_the_pack_has_them_if_the_file_says_so() {
+    let folder = Folder::new("reserved");
+    let image = golden().replace("pack-configuration-b = 0xff", "pack-configuration-b = 0xaf");
+    fs::write(folder.file("golden.toml"), &image).expect("a file");
+    let clock = Arc::new(SimClock::new());
+    let sim = new_pack(&clock, 1, None);
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    assert!(refused(&folder, &line, &clock, &sim, "none").contains("Pack Configuration B"));
+    drop(line);
+    let plan =
+        folder.plan("serial = 'counter'\nexclude = ['serial', 'calibration', 'learned', 'undocumented']");
+    let line = Line::start(plan, &[], None).expect("a record");
+    let said = line.run(&clock, [(sim, "none".into())]);
+    assert!(said[0].starts_with("PASS"), "{said:?}");
+    let pass = folder.lines().pop().expect("a line");
+    assert!(pass.changes.iter().any(|change| change.name == "it-cfg/cell-terminate-voltage"));
+    assert!(pass.changes.iter().all(|change| change.name != "registers/pack-configuration-b"));
+}
+
+#[test]
+fn a_pack_that_is_exchanged_while_its_number_is_scanned_is_not_touched() {
+    let folder = Folder::new("exchanged");
+    let plan = folder.plan(&PLAIN.replace("'counter'\nfirst-serial = 1000", "'input'"));
+    let clock = Arc::new(SimClock::new());
+    let (one, other) = (new_pack(&clock, 1, None), new_pack(&clock, 2, None));
+    other.set_flash(48, 11, &[0x12, 0x34]);
+    clock.sleep(Duration::from_secs(3));
+    let now = Arc::new(Mutex::new(None));
+    let mut line = Line::start(plan, &[], None).expect("a record");
+    line.station.serials = serial::Serials::Input(Mutex::new(Box::new(Exchange(other.clone(), now.clone()))));
+    let flash = [one.flash(), other.flash()];
+    line.station.run(&line.bench, &mut OnBus(clock, one.clone(), now, 0));
+    let last = folder.lines().pop().expect("a line");
+    let reason = last.reason.expect("a reason");
+    assert!(last.event == Event::Fail && reason.contains("nothing was changed"), "{reason}");
+    assert!([one.flash(), other.flash()] == flash && folder.lines().len() == 1);
+}
+
+#[test]
+fn a_scanned_number_is_asked_for_until_it_is_right() {
+    let folder = Folder::new("scan");
+    let plan = folder.plan(&PLAIN.replace("'counter'\nfirst-serial = 1000", "'input'"));
+    let clock = Arc::new(SimClock::new());
+    let typed = ["", "70000", "serial", "7", "7", " 0x0008 "];
+    let line = Line::start(plan, &typed, None).expect("a record");
+    let packs: Vec<_> = (0..2).map(|seed| (new_pack(&clock, seed, None), "none".to_string())).collect();
+    let said = line.run(&clock, packs);
+    assert!(
+        said[0].starts_with("PASS BAT0 serial 0x0007") && said[1].starts_with("PASS BAT0 serial 0x0008"),
+        "{said:?}"
+    );
+    let said = refused(&folder, &line, &clock, &new_pack(&clock, 3, None), "none");
+    assert!(said.contains("the input has ended"), "{said}");
+    check_record(&folder);
+}
+
+#[test]
+fn a_list_is_given_once_and_has_no_number_twice() {
+    let folder = Folder::new("list");
+    let lines = PLAIN.replace("'counter'\nfirst-serial = 1000", "'list'\nserial-list = 'serials.txt'");
+    fs::write(folder.file("serials.txt"), "0x0101 # first\n\n258\n0x0102\n").expect("a file");
+    let error = folder.try_plan(&lines).err().expect("one is there twice").to_string();
+    assert!(error.contains("serials.txt: line 4") && error.contains("also in line 3"), "{error}");
+    fs::write(folder.file("serials.txt"), "0x0101 # first\n\n258\n").expect("a file");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+    // The number of a pack that fails is not given again.
+    let packs = [
+        (new_pack(&clock, 1, None), "silence 300 900000".to_string()),
+        (new_pack(&clock, 2, None), "none".into()),
+    ];
+    let said = line.run(&clock, packs);
+    assert!(said[0].starts_with("FAIL BAT0 serial 0x0101"), "{said:?}");
+    drop(line);
+    let line =
+        Line::start(folder.plan(&format!("{lines}\nunsettled = 'discard'")), &[], None).expect("a record");
+    let said = line.run(&clock, [(new_pack(&clock, 3, None), "none".into())]);
+    let last = folder.lines().pop().expect("a line");
+    assert!(
+        said.len() == 1 && last.serial.as_deref() == Some("0x0102") || said[0].contains("all serial numbers"),
+        "{said:?}"
+    );
+    let said = refused(&folder, &line, &clock, &new_pack(&clock, 4, None), "none");
+    assert!(said.contains("all serial numbers were given"), "{said}");
+    check_record(&folder);
+}
+
+#[test]
+fn without_room_for_the_record_nothing_is_touched() {
+    let folder = Folder::new("full");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    line.power.disk_is_full.store(true, Ordering::SeqCst);
+    let flash = sim.flash();
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("FAIL") && said[0].contains("nothing was changed"), "{said:?}");
+    assert!(sim.flash() == flash && folder.lines().is_empty());
+    line.power.disk_is_full.store(false, Ordering::SeqCst);
+    let said = line.run(&clock, [(sim, "none".into())]);
+    assert!(said[1].starts_with("PASS"), "{said:?}");
+}
+
+#[test]
+fn a_wrong_part_and_another_chemistry_are_refused() {
+    let folder = Folder::new("wrong");
+    let clock = Arc::new(SimClock::new());
+    let mut plan = folder.plan(PLAIN);
+    plan.image.chemistry_sum = Some(0x1234);
+    let line = Line::start(plan, &[], None).expect("a record");
+    for (part, says) in
+        [("bq27441-g1", "BAT0"), ("bq34z100-r2", "this is a bq34z100-R2"), (CHIP, "another chemistry")]
+    {
+        let sim = Sim::new(part, &Options::default(), clock.clone()).expect("it is simulated");
+        let said = refused(&folder, &line, &clock, &sim, "none");
+        assert!(said.contains(says), "{part}: {said}");
+    }
+}
+
+#[test]
+fn a_pack_that_is_pulled_out_fails_and_the_next_waits_for_a_decision() {
+    let clock = Arc::new(SimClock::new());
+    // While it is written.
+    let pull = |at: u32| {
+        let folder = Folder::new("pulled");
+        let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+        let pack = new_pack(&clock, 1, None);
+        let said = line.run(&clock, [(pack.clone(), format!("silence {at} 60000"))]);
+        said[0].contains("contents unknown").then_some((folder, line, pack, said))
+    };
+    let (folder, line, pulled, said) = (150..400).step_by(10).find_map(pull).expect("a write");
+    assert!(
+        said[0].starts_with("FAIL BAT0 serial 0x03e8") && said[0].contains("its journal is "),
+        "{said:?}"
+    );
+    // A pack whose values the interrupted write does not explain.
+    let other = new_pack(&clock, 2, None);
+    other.set_flash(48, 11, &[0x12, 0x34]);
+    let said = refused(&folder, &line, &clock, &other, "none");
+    assert!(said.contains("gaugefs settle") && said.contains("unsettled"), "{said}");
+    drop(line);
+    let plan = folder.plan(&format!("{PLAIN}\nunsettled = 'discard'"));
+    let map = Map::of(&plan);
+    let line = Line::start(plan, &[], None).expect("a record");
+    clock.sleep(Duration::from_secs(100));
+    let (new, before) = (new_pack(&clock, 3, None), new_pack(&clock, 3, None).flash());
+    let packs = [other, new.clone(), pulled].map(|sim| (sim, "none".to_string()));
+    let said = line.run(&clock, packs);
+    assert!(said.len() == 3 && said.iter().all(|line| line.starts_with("PASS")), "{said:?}");
+    let lines = folder.lines();
+    let passed: Vec<_> = lines.iter().filter(|line| line.event == Event::Pass).collect();
+    map.check(&new, &before, passed[1].serial.as_deref().expect("a number"), "the next pack");
+    let images = fs::read_dir(folder.file("line1.images")).expect("a folder");
+    let kept = images.flatten().filter(|file| file.path().extension().is_some_and(|end| end == "journal"));
+    assert_eq!(kept.count(), 1);
+    check_record(&folder);
+}
+
+#[test]
+fn keys_are_changed_and_are_nowhere_in_the_record() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new("keys");
+    let keys = folder.file("new.keys");
+    fs::write(&keys, "unseal = 8d3e b7c5\nfull_access = 6fa1 92d4\n").expect("a file");
+    fs::set_permissions(&keys, fs::Permissions::from_mode(0o600)).expect("its mode");
+    let lines = format!("{PLAIN}\nnew-key-file = 'new.keys'");
+    let plan = folder.plan(&lines);
+    let (map, clock) = (Map::of(&plan), Arc::new(SimClock::new()));
+    let line = Line::start(plan, &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    let before = sim.flash();
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS"), "{said:?}");
+    map.check(&sim, &before, "0x03e8", "new keys");
+    let chip = line.station.plan.image.chip;
+    let mut gauge =
+        Direct::new(chip, Box::new(sim.bus()), clock.clone(), Settings::default(), Startup::default());
+    gauge.open().expect("it answers");
+    assert!(Flash::read(&mut gauge).is_err(), "the default key is gone");
+    for file in fs::read_dir(folder.file("line1.images")).expect("a folder").flatten().map(|file| file.path())
+    {
+        let text = fs::read_to_string(&file).expect("text").to_lowercase();
+        assert!(!text.contains("8d3e") && !text.contains("92d4"), "{}", file.display());
+    }
+    let text = fs::read_to_string(folder.file("line1.jsonl")).expect("a record").to_lowercase();
+    assert!(!text.contains("8d3e b7c5") && !text.contains("6fa1 92d4") && !text.contains("8d3eb7c5"));
+
+    // It is recognised with its new keys.
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[1].contains("it was programmed before as serial number 0x03e8"), "{said:?}");
+    drop(line);
+    let line = Line::start(folder.plan(&format!("{lines}\nseen = 'redo'")), &[], None).expect("a record");
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8"), "{said:?}");
+    assert_eq!(sim.get("seal").as_deref(), Some("sealed"));
+}
+
+/// Gauges come from the factory open, and an interrupted pack may be open, too.
+#[test]
+fn a_pack_that_is_found_open_is_sealed_at_the_end() {
+    let folder = Folder::new("open");
+    let plan = folder.plan(PLAIN);
+    let (map, clock) = (Map::of(&plan), Arc::new(SimClock::new()));
+    let line = Line::start(plan, &[], None).expect("a record");
+    for (number, seal) in [Seal::Unsealed, Seal::FullAccess].into_iter().enumerate() {
+        let sim = new_pack(&clock, 1, None);
+        clock.sleep(Duration::from_secs(3));
+        let chip = line.station.plan.image.chip;
+        let mut gauge =
+            Direct::new(chip, Box::new(sim.bus()), clock.clone(), Settings::default(), Startup::default());
+        gauge.open().expect("it answers");
+        gauge.ask(|done| Request::Seal(seal, done)).expect("the default keys");
+        let before = sim.flash();
+        let said = line.run(&clock, [(sim.clone(), "none".into())]);
+        assert!(said[number].starts_with("PASS"), "{said:?}");
+        map.check(&sim, &before, folder.lines()[2 * number].serial.as_deref().expect("a number"), "open");
+    }
+}
+
+#[test]
+fn the_manual_has_every_key_of_a_station() {
+    let manual = include_str!("../../docs/PRODUCTION.md").split_once("\n## A station\n").expect("a section").1;
+    let command = <StationOptions as clap::Args>::augment_args(clap::Command::new("station"));
+    let keys: Vec<String> =
+        command.get_arguments().map(|key| key.get_id().as_str().replace('_', "-")).collect();
+    assert!(keys.len() > 25);
+    let table = manual.lines().filter(|line| line.starts_with("| `"));
+    let listed: BTreeSet<&str> = table
+        .flat_map(|line| line.split('|').nth(1))
+        .flat_map(|cell| cell.split('`').skip(1).step_by(2))
+        .collect();
+    assert_eq!(listed, keys.iter().map(String::as_str).collect());
+    // The example is accepted.
+    let example =
+        manual.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+    let folder = Folder::new("manual");
+    fs::write(folder.file("line1.toml"), example).expect("a file");
+    let setup = StationSetup::read(&folder.file("line1.toml")).expect("a station");
+    assert_eq!((setup.gauges.len(), setup.station.first_serial), (2, Some(1000)));
+}

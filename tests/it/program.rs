@@ -1,0 +1,138 @@
+//! `gaugefs program`: a station with simulated packs that are kept in files. The tests of its rules and faults are in
+//! `src/program/tests.rs`.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Duration;
+
+use ti_gauge::chip::Chip;
+use ti_gauge::image::Image;
+
+use crate::cli::{CHIP, Folder, command, gaugefs, within};
+
+/// An image of two values, and a station of two benches.
+fn station(folder: &Folder, lines: &str) -> [String; 2] {
+    let (image, station) = (folder.file("golden.toml"), folder.file("line1.toml"));
+    let text = format!(
+        "chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n[data]\ndevice-name = \"PACK\"\n"
+    );
+    let name = Chip::by_name(CHIP).and_then(|chip| chip.subclass(48).map(|row| chip.class_dir(row)));
+    fs::write(&image, text.replace("[data]", &format!("[{}]", name.expect("a class")))).expect("a file");
+    let text = format!("[station]\nserial = 'counter'\nstate-dir = 'state'\n{lines}\n[defaults]\n");
+    let gauge =
+        |name: &str| format!("[[gauge]]\nname = '{name}'\nsim = '{CHIP}'\nsim-state = '{name}-%.flash'\n");
+    fs::write(&station, text + &gauge("LEFT") + &gauge("RIGHT")).expect("a file");
+    [image, station]
+}
+
+fn run(files: &[String; 2], more: &[&str]) -> Vec<String> {
+    let [image, station] = files;
+    let arguments = ["program", "--image", image, "--station", station];
+    arguments.iter().chain(more).map(ToString::to_string).collect()
+}
+
+fn lines(folder: &Folder) -> Vec<serde_json::Value> {
+    let text = fs::read_to_string(folder.file("line1.jsonl")).unwrap_or_default();
+    // The last one may not be complete.
+    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+#[test]
+fn a_station_is_checked_without_touching_anything() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let arguments = run(&files, &["--check"]);
+    let shown = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).done();
+    assert!(
+        shown.starts_with("image golden.toml for a bq34z100-G1: 2 values of each pack, SHA-256 "),
+        "{shown}"
+    );
+    assert!(shown.contains("\nLEFT: simulated gauge kept in ") && shown.contains("\nRIGHT: "), "{shown}");
+    assert!(
+        !Path::new(&folder.file("line1.jsonl")).exists() && !Path::new(&folder.file("LEFT-1.flash")).exists()
+    );
+    let files = station(&folder, "sael = true");
+    let arguments = run(&files, &["--check"]);
+    gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+        .failed(&["line1.toml: line 4: sael: unknown key; did you mean `seal`?"]);
+}
+
+#[test]
+fn packs_on_two_buses_are_programmed_and_recognised() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let run = |code| {
+        let arguments = run(&files, &["--count", "2"]);
+        let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        assert_eq!(ran.code, Some(code), "{}{}", ran.out, ran.err);
+        ran.out
+    };
+    let said = run(0);
+    assert_eq!(said.lines().filter(|line| line.starts_with("PASS ")).count(), 2, "{said}");
+    assert!(said.contains("serial 0x0001") && said.contains("serial 0x0002"), "{said}");
+    let found = lines(&folder);
+    assert_eq!(found.len(), 4);
+    for line in found.iter().filter(|line| line["event"] == "pass") {
+        assert!(line["changes"].as_array().is_some_and(|list| list.len() >= 2), "{line}");
+        let after = folder.file("line1.images") + "/" + line["after"].as_str().expect("an image");
+        let image = Image::open(Path::new(&after), None).expect("an image");
+        let serial =
+            image.entries.iter().find(|entry| entry.parameter.name == "Serial Number").expect("it has one");
+        assert_eq!(serial.text(), line["serial"].as_str().expect("a number"));
+    }
+    // The same files are the same packs.
+    let said = run(1);
+    assert_eq!(said.matches("it was programmed before as serial number 0x000").count(), 2, "{said}");
+}
+
+/// Killed in the middle, as by a loss of power.
+#[test]
+fn a_station_that_was_killed_records_the_failure_when_it_starts_again() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let arguments = run(&files, &["--count", "2"]);
+    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("gaugefs runs");
+    let begun = || lines(&folder).iter().filter(|line| line["event"] == "begun").count() == 2;
+    within(Duration::from_secs(60), "both packs are begun", begun);
+    child.kill().and_then(|()| child.wait()).expect("it is killed");
+    let ended = lines(&folder).iter().filter(|line| line["event"] != "begun").count();
+    let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let found = lines(&folder);
+    for begun in found.iter().filter(|line| line["event"] == "begun") {
+        let ends = found.iter().filter(|line| line["number"] == begun["number"] && line["event"] != "begun");
+        assert_eq!(ends.count(), 1, "{begun}");
+    }
+    assert_eq!(ran.out.matches("the station was stopped while it programmed this pack").count(), 2 - ended);
+    // The packs pass now, with new numbers.
+    assert!(ended > 0 || ran.out.contains("PASS LEFT serial 0x000"), "{}{}", ran.out, ran.err);
+    assert!(!ran.out.contains("PASS LEFT serial 0x0001") && !ran.out.contains("PASS RIGHT serial 0x0001"));
+}
+
+#[test]
+fn serial_numbers_are_read_from_standard_input() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let text = fs::read_to_string(&files[1]).expect("the station").replace("'counter'", "'input'");
+    fs::write(&files[1], text).expect("a file");
+    let arguments = run(&files, &["--once"]);
+    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("gaugefs runs");
+    child.stdin.take().expect("a pipe").write_all(b"\n0x4711\n").expect("it reads");
+    let output = child.wait_with_output().expect("it ends");
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success() && out.starts_with("PASS ") && out.contains(" serial 0x4711 "),
+        "{out}{err}"
+    );
+    assert!(err.contains(": scan the serial number\n") && err.contains("the line is empty; scan"), "{err}");
+}
