@@ -351,7 +351,8 @@ fn the_names_that_a_shell_completes_are_those_that_set_takes() {
     assert_eq!(complete("get", "it-cfg/cell-termi").done(), "it-cfg/cell-terminate-voltage\n");
     fs::write(&script, gaugefs(&["completions", "fish"]).done()).expect("a file");
     let mut fish = std::process::Command::new("fish");
-    let ask = r#"set PATH $argv[3] $PATH; source $argv[1]; complete -C "gaugefs set '$argv[2]' it-cfg/cell-termi""#;
+    let ask =
+        r#"set PATH $argv[3] $PATH; source $argv[1]; complete -C "gaugefs set '$argv[2]' it-cfg/cell-termi""#;
     let program = Path::new(env!("CARGO_BIN_EXE_gaugefs")).parent().expect("a folder");
     fish.args(["--no-config", "-c", ask, &script, &gauge.path()]).arg(program);
     match fish.output() {
