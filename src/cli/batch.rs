@@ -34,7 +34,7 @@ pub(super) struct Report {
     part: Option<String>,
     serial: Option<String>,
     outcome: &'static str,
-    /// Old and new values, in the order of the table.
+    /// Old and new values.
     #[serde(skip_serializing_if = "Option::is_none")]
     changes: Option<Vec<Row>>,
     /// The values that were asked for.

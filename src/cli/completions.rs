@@ -70,7 +70,7 @@ _gaugefs_names() {
     local -a names
     if [[ -n $gauge && $PREFIX != [/.]* ]]; then
         names=(${(f)"$(gaugefs names -- $gauge 2>/dev/null)"})
-        if [[ ${words[1]} == set ]]; then
+        if [[ $curcontext == *-command-set:* ]]; then
             compadd -S = -- $names
         else
             compadd -- $names
