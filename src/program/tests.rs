@@ -960,7 +960,8 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
 
 #[test]
 fn the_manual_has_every_key_of_a_station() {
-    let manual = include_str!("../../docs/PRODUCTION.md").split_once("\n## A station\n").expect("a section").1;
+    let manual =
+        include_str!("../../docs/PRODUCTION.md").split_once("\n## A station\n").expect("a section").1;
     let command = <StationOptions as clap::Args>::augment_args(clap::Command::new("station"));
     let keys: Vec<String> =
         command.get_arguments().map(|key| key.get_id().as_str().replace('_', "-")).collect();
