@@ -235,7 +235,7 @@ impl Plan {
     pub(crate) fn describe(&self) -> String {
         let Self { setup, image, .. } = self;
         let mut text = format!(
-            "image {} for a {}: {} values of each pack, SHA-256 {}\nrecord {}, images in {}\n",
+            "image {} for a {}, values: {}, SHA-256 {}\nrecord {}, images in {}\n",
             self.image_name,
             image.chip.model,
             image.entries.len(),

@@ -66,6 +66,11 @@ impl Direct {
         self.owner.gauge.key(name)
     }
 
+    /// The manual's key, unless it must not be tried.
+    pub(crate) fn default_key(&self, name: Name) -> Option<Secret> {
+        self.owner.gauge.default_key(name)
+    }
+
     /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
     /// whether only a person can decide it.
     pub(crate) fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {

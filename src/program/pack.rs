@@ -433,28 +433,42 @@ impl Task<'_> {
         let Some(new) = &self.bench.new_keys else { return Ok(()) };
         for name in Name::ALL {
             let Some(key) = new.secret(name) else { continue };
-            if self.has_new_keys {
-                // It was opened with the first one. The others have to be proven, too.
-                match name {
-                    Name::Unseal => {}
-                    Name::FullAccess => self.gauge.ask(|done| Request::Seal(Seal::FullAccess, done))?,
-                    Name::Authentication => {
-                        let why = "whether a pack that was programmed before has the new one is not known; check it with \
-                                   gaugefs auth";
-                        return Err(refuse("authentication key", why.into()));
-                    }
-                }
+            // What is not changed has to be proven.
+            let may_have = self.has_new_keys || self.gauge.key(name).as_ref() == Some(&key);
+            if may_have && self.has_key(name)? {
                 continue;
             }
-            let old = self.gauge.key(name).ok_or_else(|| {
+            let old = match self.has_new_keys {
+                true => self.bench.keys.secret(name).or_else(|| self.gauge.default_key(name)),
+                false => self.gauge.key(name),
+            };
+            let old = old.ok_or_else(|| {
                 refuse("keys", format!("the present {} key is not known; add it to key-file", name.as_str()))
             })?;
-            if old != key {
-                let change = KeyChange { name, old, new: key };
-                self.gauge.ask(|done| Request::ChangeKey(change, done))?;
-            }
+            let change = KeyChange { name, old, new: key };
+            self.gauge.ask(|done| Request::ChangeKey(change, done))?;
         }
         Ok(())
+    }
+
+    /// Whether a pack has the new key, which is sent to it.
+    fn has_key(&mut self, name: Name) -> Result<bool> {
+        match name {
+            Name::Unseal => Ok(true),
+            // A station may have been stopped between the two.
+            Name::FullAccess => match self.gauge.ask(|done| Request::Seal(Seal::FullAccess, done)) {
+                Ok(()) => Ok(true),
+                Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
+                    self.gauge.ask(|done| Request::Seal(Seal::Sealed, done)).map(|()| false)
+                }
+                Err(error) => Err(error),
+            },
+            Name::Authentication => {
+                let why = "whether a pack that was programmed before has the new one is not known; check it with gaugefs \
+                           auth";
+                Err(refuse("authentication key", why.into()))
+            }
+        }
     }
 
     fn seal(&mut self) -> Result<()> {

@@ -85,8 +85,7 @@ fn golden() -> String {
     let clock = Arc::new(SimClock::new());
     let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("it is simulated");
     clock.sleep(Duration::from_secs(2));
-    let mut gauge = Direct::new(chip, Box::new(sim.bus()), clock, Settings::default(), Startup::default());
-    gauge.open().expect("it answers");
+    let mut gauge = opened(&sim, &clock, Settings::default());
     let mut image = Flash::read(&mut gauge).expect("the default key").image();
     for (place, text) in OTHERS {
         let (id, offset) = place.split_once('/').expect("a place");
@@ -97,6 +96,14 @@ fn golden() -> String {
     }
     // In the table's order.
     Image::parse(&toml::write(&image), None).map(|image| toml::write(&image)).expect("an image")
+}
+
+/// A pack's gauge, asked past any station.
+fn opened(sim: &Sim, clock: &Arc<SimClock>, settings: Settings) -> Direct {
+    let chip = Chip::by_name(CHIP).expect("it has a table");
+    let mut gauge = Direct::new(chip, Box::new(sim.bus()), clock.clone(), settings, Startup::default());
+    gauge.open().expect("it answers");
+    gauge
 }
 
 /// The power of the station's computer: after that many calls and transfers nothing that it does has an effect.
@@ -589,14 +596,7 @@ fn the_comparison_finds_every_bit() {
     let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
     let sim = new_pack(&clock, 1, None);
     line.run(&clock, [(sim.clone(), "none".into())]);
-    let mut gauge = Direct::new(
-        line.station.plan.image.chip,
-        Box::new(sim.bus()),
-        clock.clone(),
-        Settings::default(),
-        Startup::default(),
-    );
-    gauge.open().expect("it answers");
+    let mut gauge = opened(&sim, &clock, Settings::default());
     let good = Flash::read(&mut gauge).expect("the default key");
     super::target::check(&line.station.plan.image, &good, &[]).expect("it has passed");
     for entry in line.station.plan.image.entries.iter().step_by(7) {
@@ -913,10 +913,7 @@ fn keys_are_changed_and_are_nowhere_in_the_record() {
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
     assert!(said[0].starts_with("PASS"), "{said:?}");
     map.check(&sim, &before, "0x03e8", "new keys");
-    let chip = line.station.plan.image.chip;
-    let mut gauge =
-        Direct::new(chip, Box::new(sim.bus()), clock.clone(), Settings::default(), Startup::default());
-    gauge.open().expect("it answers");
+    let mut gauge = opened(&sim, &clock, Settings::default());
     assert!(Flash::read(&mut gauge).is_err(), "the default key is gone");
     for file in fs::read_dir(folder.file("line1.images")).expect("a folder").flatten().map(|file| file.path())
     {
@@ -946,10 +943,7 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
     for (number, seal) in [Seal::Unsealed, Seal::FullAccess].into_iter().enumerate() {
         let sim = new_pack(&clock, 1, None);
         clock.sleep(Duration::from_secs(3));
-        let chip = line.station.plan.image.chip;
-        let mut gauge =
-            Direct::new(chip, Box::new(sim.bus()), clock.clone(), Settings::default(), Startup::default());
-        gauge.open().expect("it answers");
+        let mut gauge = opened(&sim, &clock, Settings::default());
         gauge.ask(|done| Request::Seal(seal, done)).expect("the default keys");
         let before = sim.flash();
         let said = line.run(&clock, [(sim.clone(), "none".into())]);
@@ -979,4 +973,39 @@ fn the_manual_has_every_key_of_a_station() {
     fs::write(folder.file("line1.toml"), example).expect("a file");
     let setup = StationSetup::read(&folder.file("line1.toml")).expect("a station");
     assert_eq!((setup.gauges.len(), setup.station.first_serial), (2, Some(1000)));
+}
+
+/// A station that was stopped between two keys leaves one of them.
+#[test]
+fn keys_of_which_one_was_changed_before_are_completed() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new("some-keys");
+    let lines = format!("{PLAIN}\nnew-key-file = 'new.keys'\nseen = 'redo'");
+    let clock = Arc::new(SimClock::new());
+    let sim = new_pack(&clock, 1, None);
+    let mut keys = String::new();
+    for key in ["unseal = 8d3e b7c5\n", "full_access = 6fa1 92d4\n", ""] {
+        keys += key;
+        fs::write(folder.file("new.keys"), &keys).expect("a file");
+        fs::set_permissions(folder.file("new.keys"), fs::Permissions::from_mode(0o600)).expect("its mode");
+        let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+        let said = line.run(&clock, [(sim.clone(), "none".into())]);
+        assert!(said[0].starts_with("PASS BAT0 serial 0x03e8"), "{said:?}");
+        assert_eq!(sim.get("seal").as_deref(), Some("sealed"));
+    }
+    let new = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
+    let settings = Settings { keys: new, ..Settings::default() };
+    let mut gauge = opened(&sim, &clock, settings);
+    gauge.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("both keys are new");
+
+    // Nobody knows the key that another pack has.
+    let line = Line::start(folder.plan(&format!("{lines}\nname = 'other'")), &[], None).expect("a record");
+    let other = new_pack(&clock, 2, None);
+    clock.sleep(Duration::from_secs(3));
+    let mut gauge = opened(&other, &clock, Settings::default());
+    let change = b"full-access ffff ffff 1234 5678";
+    let change = ti_gauge::keys::KeyChange::parse(change).expect("two keys");
+    gauge.ask(|done| Request::ChangeKey(change, done)).expect("the default keys");
+    let said = line.run(&clock, [(other, "none".into())]);
+    assert!(said[0].starts_with("FAIL") && said[0].contains("full-access key"), "{said:?}");
 }

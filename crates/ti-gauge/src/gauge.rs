@@ -695,13 +695,17 @@ impl Gauge {
 
     /// The key to send: the configured one, or the manual's default if that is allowed.
     pub fn key(&self, name: Name) -> Option<Secret> {
+        self.keys.secret(name).or_else(|| self.default_key(name))
+    }
+
+    /// The manual's default key, if that is allowed.
+    pub fn default_key(&self, name: Name) -> Option<Secret> {
         let default = match name {
             Name::Unseal => Some(self.chip.security.default_unseal),
             Name::FullAccess => Some(DEFAULT_FULL_ACCESS),
             Name::Authentication => None,
         };
-        let default = default.filter(|_| !self.keys.no_default).map(Secret::from);
-        self.keys.secret(name).or(default)
+        default.filter(|_| !self.keys.no_default).map(Secret::from)
     }
 
     /// Sets the key that the gauge has now.
