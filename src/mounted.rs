@@ -81,12 +81,9 @@ const STANDARD_INPUT: &str = "-";
 
 /// The folder of a mounted gauge: the path itself, or that of the only gauge below a mount point.
 pub(crate) fn gauge(path: &Path) -> Result<PathBuf> {
-    let name = || path.display().to_string();
     match fs::metadata(path.join(EVERY)).err().and_then(|error| error.raw_os_error()).map(Errno::from_raw) {
         None => return Ok(path.to_path_buf()),
-        Some(errno @ (Errno::ENOTCONN | Errno::ECONNABORTED)) => {
-            return Err(Error::host(name(), errno, died(shown(path))));
-        }
+        Some(Errno::ENOTCONN | Errno::ECONNABORTED) => return Err(not_a_gauge(path)),
         Some(_) => {}
     }
     match &gauges(path)[..] {
@@ -96,7 +93,7 @@ pub(crate) fn gauge(path: &Path) -> Result<PathBuf> {
         several => {
             let names: Vec<_> = several.iter().map(|gauge| shown(gauge)).collect();
             let why = format!("{} gauges are mounted there; name one: {}", names.len(), names.join(", "));
-            Err(Error::new(name(), Cause::Invalid(why)))
+            Err(Error::new(path.display().to_string(), Cause::Invalid(why)))
         }
     }
 }
