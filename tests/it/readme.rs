@@ -130,7 +130,14 @@ fn exit_codes_are_those_of_the_commands() {
 /// Each row of "How good is it" is one that `benches/run` prints.
 #[test]
 fn each_figure_has_a_measurement() {
-    let sources = ["benches/run", "benches/attributes.rs", "benches/bus.rs", "benches/gauges.rs"];
+    // The tests of a station print rows of their own.
+    let sources = [
+        "benches/run",
+        "benches/attributes.rs",
+        "benches/bus.rs",
+        "benches/gauges.rs",
+        "src/program/tests.rs",
+    ];
     let sources = sources.map(|path| fs::read_to_string(root().join(path)).expect("a measurement"));
     // Text that a line of source breaks.
     let sources: Vec<String> = sources

@@ -140,7 +140,7 @@ fn set_refuses_what_is_wrong_and_then_writes_nothing() {
     gaugefs(&["get", &gauge.path(), "cell-terminate-volts"])
         .failed(&["did you mean it-cfg/cell-terminate-voltage?"]);
     gaugefs(&["get", &gauge.path(), "codes/sealed-to-unsealed"]).failed(&["keys are never read"]);
-    gaugefs(&["get", "/etc", NAME]).failed(&["model_name", "not a mounted gauge's folder"]);
+    gaugefs(&["get", "/etc", NAME]).failed(&["/etc: not a mounted gauge"]);
 }
 
 /// A part of the message of the daemon, which decides what only it knows.

@@ -167,7 +167,7 @@ fn a_line_names_its_parameter_by_place_or_by_name() {
         ("it-cfg/cell-terminate-voltag 1", Errno::ENOENT, "did you mean 80/53 (Cell Terminate Voltage)?"),
         ("cell-terminate-volt 1", Errno::ENOENT, "did you mean 80/53 (Cell Terminate Voltage)?"),
         ("codes/sealed-to-unsealed 1", Errno::EPERM, "keys cannot be changed"),
-        ("it-cfg/cell-terminate-voltage 3.1V", Errno::EINVAL, "whole number"),
+        ("it-cfg/cell-terminate-voltage 3.1V", Errno::EINVAL, "write the number in mV: 3100"),
         ("it-cfg/cell-terminate-voltage", Errno::EINVAL, "whole number"),
         ("nonsense 1", Errno::EINVAL, "CLASS/NAME VALUE"),
     ] {

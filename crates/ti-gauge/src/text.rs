@@ -5,6 +5,7 @@ use std::fmt::Write;
 use crate::chip::{Parameter, Range};
 use crate::codec;
 use crate::error::{Cause, Error, Result};
+use crate::unit;
 use crate::value::{Type, Value};
 
 /// The text of a value, without a newline: integers in decimal, `H` types in hexadecimal of their full
@@ -162,56 +163,20 @@ fn wanted(parameter: &Parameter, range: Option<&Range>, text: &str) -> String {
         _ => ("whole number", None),
     };
     let limits = limits.map_or("a number".into(), |(min, max)| format!("{min} to {max}"));
-    let unit = if quantity(unit).is_some() { format!(", in {unit}") } else { String::new() };
+    let unit = if unit::is_known(unit) { format!(", in {unit}") } else { String::new() };
     let notations = if what == "number" { "" } else { ", as decimal, 0x or 0b" };
     format!("the value is not a {what}; write {limits}{unit}{notations}")
-}
-
-/// Symbols of units, with what they measure and their size.
-const UNITS: [(&str, &str, f64); 16] = [
-    ("V", "voltage", 1.0),
-    ("mV", "voltage", 1e-3),
-    ("A", "current", 1.0),
-    ("mA", "current", 1e-3),
-    ("Ah", "charge", 1.0),
-    ("mAh", "charge", 1e-3),
-    ("W", "power", 1.0),
-    ("mW", "power", 1e-3),
-    ("Wh", "energy", 1.0),
-    ("mWh", "energy", 1e-3),
-    ("s", "time", 1.0),
-    ("min", "time", 60.0),
-    ("h", "time", 3600.0),
-    ("°C", "temperature", 1.0),
-    ("%", "share", 1.0),
-    ("mΩ", "resistance", 1e-3),
-];
-
-/// What a unit measures, and its size; the unit of a parameter may be a fraction such as `0.1°C`, and that of a cell.
-fn quantity(unit: &str) -> Option<(&'static str, f64)> {
-    let symbol = unit.trim_start_matches(|letter: char| letter.is_ascii_digit() || letter == '.');
-    let fraction = &unit[..unit.len() - symbol.len()];
-    let fraction = if fraction.is_empty() { 1.0 } else { fraction.parse().ok()? };
-    let symbol = symbol.strip_suffix("/cell").unwrap_or(symbol);
-    let (_, what, size) = UNITS.iter().find(|(known, ..)| *known == symbol)?;
-    Some((what, size * fraction))
 }
 
 /// The number that a value with a unit stands for, in the unit of the parameter, if it may have that value. This is all
 /// that a message repeats of what was written: other text may be a key.
 fn without_unit(parameter: &Parameter, range: Option<&Range>, text: &str) -> Option<String> {
-    let end = text.find(|letter: char| !(letter.is_ascii_digit() || "+-.".contains(letter)))?;
-    let (number, symbol) = text.split_at(end);
     // `367A` may be the half of a key, and `367 A` is not.
-    if symbol == "A" && !number.contains('.') {
+    if text.strip_suffix('A').is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit())) {
         return None;
     }
-    let (what, size) = quantity(symbol.trim())?;
-    let (own, step) = quantity(parameter.unit)?;
-    let value = number.parse::<f64>().ok().filter(|_| what == own)? * size / step;
-    // What is left of the division, which is not exact.
-    let value = ((value * 1e6).round() / 1e6).to_string();
-    parse_in(parameter, range, value.as_bytes()).is_ok().then_some(value)
+    let number = unit::in_own(parameter, text)?;
+    parse_in(parameter, range, number.as_bytes()).is_ok().then_some(number)
 }
 
 /// `None` for text that is not a number, `Some(None)` for a number too large for any type.

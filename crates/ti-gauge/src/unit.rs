@@ -129,31 +129,50 @@ pub fn parse(parameter: &Parameter, text: &str) -> Result<Value> {
             "not a number that can be stored; write a whole number, or one with {units}"
         )));
     };
+    let spaced = text[number.len()..].starts_with(' ');
+    let value = convert(parameter, (num, den), unit, spaced).map_err(invalid)?;
+    text::parse(parameter, value.as_bytes())
+}
+
+/// Whether it is a unit, and not only a name such as `hex`.
+pub(crate) fn is_known(unit: &str) -> bool {
+    Unit::of(unit).is_some()
+}
+
+/// A number with a unit as the number in the parameter's own unit, if it can be stored so.
+pub(crate) fn in_own(parameter: &Parameter, text: &str) -> Option<String> {
+    let (number, unit) = split(text);
+    let number_of = decimal(number).filter(|_| !unit.is_empty())?;
+    convert(parameter, number_of, unit, text[number.len()..].starts_with(' ')).ok()
+}
+
+/// A number with a unit in the parameter's own unit, or why there is none. `spaced` is whether there is a space between.
+fn convert(
+    parameter: &Parameter,
+    (num, den): (i128, i128),
+    unit: &str,
+    spaced: bool,
+) -> Result<String, String> {
     let own = parameter.unit;
-    let (num, den) = if unit == own && text[number.len()..].starts_with(' ') {
+    let (num, den) = if unit == own && spaced {
         // As the table prints it; its own number is a part of it.
         (num, den)
     } else {
         let Some(stored) = Unit::of(own) else {
-            return Err(invalid(match own {
+            return Err(match own {
                 "" | "Num" | "hex" | "Hex" | "flags" => "it has no unit; write the number alone".into(),
                 own => format!("write the number in {own}, without the unit"),
-            }));
+            });
         };
         let written = Unit::of(unit).filter(|_| split(unit).0.is_empty());
         let Some(written) = written.filter(|written| written.base == stored.base) else {
-            return Err(invalid(format!(
-                "another unit; it is stored in {own}, and accepts {}",
-                accepted(parameter)
-            )));
+            let accepted = accepted(parameter);
+            return Err(format!("another unit; it is stored in {own}, and accepts {accepted}"));
         };
         (num * written.num * stored.den, den * written.den * stored.num)
     };
-    let Some(value) = digits(parameter.kind, num, den) else {
-        let why = format!("it is stored in steps of {}, and this is none", step(own));
-        return Err(invalid(format!("{why}; it is not rounded")));
-    };
-    text::parse(parameter, value.as_bytes())
+    let why = || format!("it is stored in steps of {}, and this is none; it is not rounded", step(own));
+    digits(parameter.kind, num, den).ok_or_else(why)
 }
 
 /// A step of what is stored, in words: `1 mV`, `0.1°C`.
