@@ -69,7 +69,7 @@ fn set_writes_names_and_units_in_one_transaction() {
         "serial-number=42",
     ];
     let told = "configuration-data/manufacture-date: 0 -> 2026-11-22\n\
-                configuration-data/serial-number: 0x0001 -> 0x002a hex\n";
+                configuration-data/serial-number: 0x0001 -> 0x002a\n";
     let dry = gauge.set(&[&words[..], &["--dry-run"]].concat()).differs();
     assert!(told.lines().all(|line| dry.contains(line)), "{dry}");
     assert_eq!(read(&gauge.at, "BAT0/df/80/53"), "3000", "a dry run writes nothing");
@@ -93,7 +93,7 @@ fn set_writes_names_and_units_in_one_transaction() {
         shown,
         format!(
             "{NAME}: 3100 mV\nconfiguration-data/manufacture-date: 2026-11-22\n\
-             configuration-data/serial-number: 0x002a hex\n"
+             configuration-data/serial-number: 0x002a\n"
         )
     );
     let all = gaugefs(&["get", &gauge.path()]).done();
@@ -265,7 +265,7 @@ fn an_image_from_standard_input_goes_to_every_gauge_with_what_is_set() {
         format!(
             "{gauge} serial 0x0001: {NAME}: 3000 -> 3100 mV\n\
              {gauge} serial 0x0001: configuration-data/manufacture-date: 0 -> 2026-11-22\n\
-             {gauge} serial 0x0001: configuration-data/serial-number: 0x0001 -> 0x002a hex\n"
+             {gauge} serial 0x0001: configuration-data/serial-number: 0x0001 -> 0x002a\n"
         )
     };
     let (code, out, err) = import(&[&set[..], &["--dry-run"]].concat());

@@ -210,10 +210,11 @@ pub fn show(parameter: &Parameter, value: &Value) -> String {
     date.unwrap_or_else(|| text::render(parameter.kind, value))
 }
 
-/// The unit to be printed after what [`show`] returns, with a space before it. A date has none.
+/// The unit to be printed after what [`show`] returns, with a space before it. A date has none, and of the tables' words some
+/// are only names.
 pub fn suffix(parameter: &Parameter) -> String {
     match parameter.unit {
-        date::UNIT | "" => String::new(),
+        date::UNIT | "" | "hex" | "Hex" | "flags" | "Num" => String::new(),
         unit => format!(" {unit}"),
     }
 }
