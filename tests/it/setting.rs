@@ -101,7 +101,7 @@ fn set_writes_names_and_units_in_one_transaction() {
     // What get shows, set takes.
     for line in all.lines() {
         let (name, value) = line.split_once(": ").expect("a name");
-        if value.is_empty() || value.ends_with(" hex") || value.ends_with(" flags") {
+        if value.is_empty() {
             continue;
         }
         let same = gauge.set(&["--dry-run", &format!("{name}={value}")]);
