@@ -18,8 +18,9 @@ use report::Report;
 const NUMBERS: &[usize] = &[1, 64];
 const SETTLE: Duration = Duration::from_secs(4);
 const WINDOW: Duration = Duration::from_secs(12);
-/// Resident memory of a daemon with one gauge, at most.
-const MEMORY_MIB: f64 = 6.0;
+/// Resident memory of a daemon with one gauge, at most: all of it, most of which is the program, and its own.
+const MEMORY_MIB: f64 = 8.0;
+const OWN_MIB: f64 = 2.0;
 /// Between polls that are so far apart, the daemon has nothing to do.
 const LONG: &str = "600";
 
@@ -29,6 +30,7 @@ struct Used {
     cpu_ms: f64,
     switches: u64,
     rss_kib: u64,
+    own_kib: u64,
     threads: u64,
 }
 
@@ -57,6 +59,7 @@ impl Used {
             cpu_ms: tasks.iter().map(ran).sum::<f64>() / 1e6,
             switches: tasks.iter().map(switched).sum(),
             rss_kib: field(&status, "VmRSS:"),
+            own_kib: field(&status, "RssAnon:"),
             threads: field(&status, "Threads:"),
         }
     }
@@ -143,18 +146,21 @@ fn one(report: &mut Report) {
     let before = used();
     std::thread::sleep(WINDOW);
     let after = used();
-    let (mib, wakeups) = (after.rss_kib as f64 / 1024.0, after.switches - before.switches);
+    let (mib, own) = (after.rss_kib as f64 / 1024.0, after.own_kib as f64 / 1024.0);
+    let wakeups = after.switches - before.switches;
     println!(
-        "one gauge, {files} files read: {mib:.1} MiB resident, {wakeups} wake-ups in {WINDOW:?} between polls"
+        "one gauge, {files} files read: {mib:.1} MiB resident, {own:.1} MiB of them its own, {wakeups} wake-ups in \
+         {WINDOW:?} between polls"
     );
     report.row(
         "resident memory of the daemon, everything in its tree read",
-        &format!("{mib:.1} MiB"),
-        &format!("the limit: {MEMORY_MIB} MiB"),
+        &format!("{mib:.1} MiB, {own:.1} MiB of them its own"),
+        &format!("the limits: {MEMORY_MIB} and {OWN_MIB} MiB"),
     );
     report.row("wake-ups of the daemon between polls", &wakeups.to_string(), "");
     report.promise(files > 200, || format!("only {files} files of the tree could be read"));
     report.promise(mib <= MEMORY_MIB, || format!("{mib:.1} MiB resident; the limit is {MEMORY_MIB}"));
+    report.promise(own <= OWN_MIB, || format!("{own:.1} MiB of its own; the limit is {OWN_MIB}"));
     report.promise(wakeups == 0, || format!("{wakeups} wake-ups between polls, not 0"));
 }
 
