@@ -10,7 +10,7 @@ use nix::unistd::{Pid, geteuid};
 
 use super::cli::{CHIP, Ran, command, gaugefs};
 
-/// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 2 s, and
+/// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 5 s, and
 /// the machine may be busy.
 const LIMIT: Duration = Duration::from_secs(60);
 
