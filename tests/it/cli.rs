@@ -469,7 +469,7 @@ fn an_import_excludes_groups_and_is_all_or_nothing() {
          [configuration-data]\nserial-number = 7\n",
     );
     let before = all_of(&gauge);
-    let all = "configuration-data/serial-number: 0x0001 -> 0x0007 hex\n\
+    let all = "configuration-data/serial-number: 0x0001 -> 0x0007\n\
                it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n";
     let some = gaugefs(&["import", &gauge, &file, "--dry-run", "--exclude", "calibration"]).differs();
     assert_eq!(some, all);
@@ -589,11 +589,11 @@ fn groups_can_be_excluded_from_a_comparison() {
     fs::write(format!("{gauge}/df/48/4"), "0x0007\n").expect("a write");
     assert_eq!(
         gaugefs(&["diff", &file, &gauge]).differs(),
-        "configuration-data/serial-number: 0x0001 -> 0x0007 hex\n"
+        "configuration-data/serial-number: 0x0001 -> 0x0007\n"
     );
     assert_eq!(
         gaugefs(&["import", "--dry-run", &gauge, &file]).differs(),
-        "configuration-data/serial-number: 0x0007 -> 0x0001 hex\n"
+        "configuration-data/serial-number: 0x0007 -> 0x0001\n"
     );
     for command in [
         &["diff", "--exclude", "serial", &file, &gauge][..],
