@@ -179,7 +179,7 @@ impl Plan {
         }
         let date = station.date().map_err(of_key)?;
         let date_row = date.map(|_| own_row(chip, "date", "Manufacture Date")).transpose()?;
-        if date_row.is_some_and(|(_, row)| !row.unit.starts_with("Day+Mo*32+(Yr-1980)*512")) {
+        if date_row.is_some_and(|(_, row)| !row.is_date()) {
             return Err(invalid("date", format!("how a {} stores it is not known", chip.model)));
         }
         for row in [station.serial.and(serial_row), date_row].into_iter().flatten() {

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use super::{GaugeOptions, file, make_absolute};
 use crate::error::Result;
 use ti_gauge::image::Group;
-use ti_gauge::text;
+use ti_gauge::{date, text};
 
 // No documentation on the struct, as in `config`. It derives Args for the names of its keys only.
 
@@ -126,8 +126,8 @@ pub(crate) enum Unsettled {
 pub(crate) enum Date {
     /// The day on which the pack is programmed.
     Today,
-    /// That day.
-    Day(jiff::civil::Date),
+    /// That day, as data flash has it.
+    Day(i64),
 }
 
 /// A key that makes no sense, and why.
@@ -192,7 +192,10 @@ impl StationOptions {
     pub(crate) fn date(&self) -> Result<Option<Date>, Refused> {
         let date = |text: &String| match text.as_str() {
             "today" => Ok(Date::Today),
-            text => text.parse().map(Date::Day).map_err(|_| ("date", "expected today or YYYY-MM-DD".into())),
+            text => {
+                let refused = || ("date", "expected today or YYYY-MM-DD, from 1980 on".to_string());
+                date::parse(text).map(Date::Day).ok_or_else(refused)
+            }
         };
         self.date.as_ref().map(date).transpose()
     }

@@ -11,6 +11,7 @@ use jiff::tz::TimeZone;
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Chip, Role};
 use ti_gauge::dataflash::{Change, Decision};
+use ti_gauge::date;
 use ti_gauge::image::{Group, Image, toml};
 use ti_gauge::journal;
 use ti_gauge::keys::{KeyChange, Name};
@@ -318,7 +319,7 @@ impl Task<'_> {
             }
         }
         if let (Some(row), Some(date)) = (station.plan.date_row, station.plan.date) {
-            asked.set(row.0, row.1, Value::Int(day(date)));
+            asked.set(row.0, row.1, Value::Int(day(date)?));
         }
         // What cannot be written is refused before anything is.
         target::changes(&asked, before, self.bench.allow_unproven())?;
@@ -542,11 +543,14 @@ fn taken_by(serial: &str, pack: u64) -> String {
     format!("{serial} is the serial number of pack number {pack} of the record")
 }
 
-/// A date as data flash has it: day + month * 32 + (year - 1980) * 512.
-fn day(date: Date) -> i64 {
-    let date = match date {
-        Date::Today => Timestamp::now().to_zoned(TimeZone::UTC).date(),
-        Date::Day(date) => date,
-    };
-    i64::from(date.day()) + i64::from(date.month()) * 32 + (i64::from(date.year()) - 1980) * 512
+/// A date as data flash has it.
+fn day(date: Date) -> Result<i64> {
+    match date {
+        Date::Day(stored) => Ok(stored),
+        Date::Today => {
+            let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
+            let why = || refuse("date", "this machine's clock shows a year that cannot be stored".into());
+            date::parse(&today.to_string()).ok_or_else(why)
+        }
+    }
 }
