@@ -118,18 +118,26 @@ pub(crate) fn is_gauge(path: &Path) -> bool {
 pub(crate) struct Source {
     /// What to call it in messages.
     pub(crate) name: String,
-    bytes: Vec<u8>,
+    pub(crate) bytes: Vec<u8>,
 }
 
 impl Source {
     /// Reads a file, or standard input where the path is `-`.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let (name, bytes) = if path == Path::new(STANDARD_INPUT) {
-            let mut bytes = Vec::new();
-            ("standard input".to_string(), io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes))
-        } else {
-            (path.display().to_string(), fs::read(path))
-        };
+        if path != Path::new(STANDARD_INPUT) {
+            return Self::read_file(path);
+        }
+        let mut bytes = Vec::new();
+        let read = io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes);
+        Self::of("standard input".into(), read)
+    }
+
+    /// Reads a file, whatever its name.
+    pub(crate) fn read_file(path: &Path) -> Result<Self> {
+        Self::of(path.display().to_string(), fs::read(path))
+    }
+
+    fn of(name: String, bytes: io::Result<Vec<u8>>) -> Result<Self> {
         let bytes = bytes.map_err(|error| Error::io(&name, "cannot be read", &error))?;
         Ok(Self { name, bytes })
     }

@@ -24,6 +24,7 @@ use crate::config::{Date, GaugeOptions, StationSetup};
 use crate::daemon::{self, Source, gauges, journal_dir};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
+use crate::mounted;
 use crate::owner::Settings;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
@@ -121,18 +122,11 @@ impl Plan {
     /// Reads and checks both.
     pub(crate) fn read(image_path: &Path, setup: StationSetup) -> Result<Self> {
         let name = image_path.display().to_string();
-        let sum = || {
-            let bytes = std::fs::read(image_path);
-            let bytes = bytes.map_err(|error| Error::io(&name, "cannot be read", &error))?;
-            Ok::<_, Error>(text::hex(&Sha256::digest(&bytes)))
-        };
-        let image_sum = sum()?;
+        let source = mounted::Source::read_file(image_path)?;
+        let image_sum = text::hex(&Sha256::digest(&source.bytes));
         let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
-        let mut image = crate::mounted::open(image_path, chip, setup.station.data_flash)?;
+        let mut image = source.image(chip, setup.station.data_flash)?;
         let refuse = |why: String| Err(Error::new(&name, Cause::Invalid(why)));
-        if sum()? != image_sum {
-            return refuse("somebody is writing it; try again".into());
-        }
         image.exclude(&setup.station.groups().map_err(of_key)?);
         if let Some(left) = image.left_out.first() {
             return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
