@@ -8,6 +8,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::Deserialize;
+use strsim::levenshtein;
 use ti_gauge::text;
 
 use crate::fs::{Attribute, file_names};
@@ -314,22 +315,8 @@ fn unknown(name: &str) -> String {
 
 /// The name that was probably meant.
 fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
-    let (wrong, name) = names.map(|name| (distance(word, name), name)).min()?;
+    let (wrong, name) = names.map(|name| (levenshtein(word, name), name)).min()?;
     (wrong <= 1 + word.len() / 4).then(|| name.to_string())
-}
-
-/// How many letters have to be added, removed or replaced to make one word of the other.
-fn distance(one: &str, other: &str) -> usize {
-    let mut row: Vec<usize> = (0..=other.len()).collect();
-    for (at, letter) in one.bytes().enumerate() {
-        let mut before = std::mem::replace(&mut row[0], at + 1);
-        for (column, wanted) in other.bytes().enumerate() {
-            let replaced = before + usize::from(letter != wanted);
-            before = row[column + 1];
-            row[column + 1] = replaced.min(before + 1).min(row[column] + 1);
-        }
-    }
-    row[other.len()]
 }
 
 #[cfg(test)]
