@@ -75,7 +75,7 @@ impl Report {
             name: change.name.clone(),
             old: Some(change.old.shown()),
             new: change.new.shown(),
-            unit: if unit::suffix(change.new.parameter).is_empty() { "" } else { change.new.parameter.unit },
+            unit: unit::shown(change.new.parameter),
         });
         let bytes = raw.iter().map(|change| Row {
             name: change.new.name(),

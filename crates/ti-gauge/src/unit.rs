@@ -210,11 +210,18 @@ pub fn show(parameter: &Parameter, value: &Value) -> String {
     date.unwrap_or_else(|| text::render(parameter.kind, value))
 }
 
-/// The unit to be printed after what [`show`] returns, with a space before it. A date has none, and of the tables' words some
-/// are only names.
-pub fn suffix(parameter: &Parameter) -> String {
+/// The unit of what [`show`] returns; empty for a date, and for words of the tables that are only names.
+pub fn shown(parameter: &Parameter) -> &'static str {
     match parameter.unit {
-        date::UNIT | "" | "hex" | "Hex" | "flags" | "Num" => String::new(),
+        date::UNIT | "hex" | "Hex" | "flags" | "Num" => "",
+        unit => unit,
+    }
+}
+
+/// The same to be printed behind it, with a space before it.
+pub fn suffix(parameter: &Parameter) -> String {
+    match shown(parameter) {
+        "" => String::new(),
         unit => format!(" {unit}"),
     }
 }
