@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::{Args, ValueHint};
 
 use super::batch::{Batch, FAILED, Report, Value};
-use super::{assignment, batch};
+use super::{assignment, trouble};
 use crate::error::Result;
 use crate::mounted;
 use ti_gauge::chip::Row;
@@ -38,10 +38,7 @@ impl Get {
     pub(super) fn run(self) -> Result<ExitCode> {
         let (gauges, names) = match assignment::split(self.words) {
             Ok(split) => split,
-            Err(error) => {
-                eprintln!("gaugefs: {error}");
-                return Ok(batch::TROUBLE.into());
-            }
+            Err(error) => return trouble(Err(error)),
         };
         Ok(self.batch.run(&gauges, FAILED, |gauge, report| get(gauge, &names, report)))
     }
@@ -59,10 +56,9 @@ fn get(gauge: &Path, names: &[String], report: &mut Report) -> Result<u8> {
     report.identify(gauge);
     let mut values = Vec::new();
     for entry in &image.entries {
-        let suffix = unit::suffix(entry.parameter);
         let (name, value) = (image.name(entry), entry.shown());
-        report.say(format!("{name}: {value}{suffix}"));
-        values.push(Value { name, value, unit: if suffix.is_empty() { "" } else { entry.parameter.unit } });
+        report.say(format!("{name}: {value}{}", unit::suffix(entry.parameter)));
+        values.push(Value { name, value, unit: unit::shown(entry.parameter) });
     }
     report.values = Some(values);
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::counted;
+use super::{counted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
 use crate::mounted::{self, Source};
@@ -97,11 +97,8 @@ impl Import {
     pub(super) fn run(self) -> Result<ExitCode> {
         let failure = if self.dry_run { TROUBLE } else { FAILED };
         let source = match Source::read(&self.file) {
-            Ok(source) => source,
-            Err(error) => {
-                eprintln!("gaugefs: {error}");
-                return Ok(failure.into());
-            }
+            Err(error) if self.dry_run => return trouble(Err(error)),
+            read => read?,
         };
         Ok(self.batch.run(&self.gauges, failure, |gauge, report| self.import(gauge, &source, report)))
     }

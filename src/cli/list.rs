@@ -11,6 +11,7 @@ use super::{align, print, print_json};
 use crate::daemon::look::{self, Found, Listed};
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result, shown};
+use crate::mounted;
 
 const LIST: &str = "\
 What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
@@ -69,10 +70,12 @@ impl List {
 
 /// Why a mount has not shown all of its gauges.
 fn trouble(mount: &Path, found: &Found) -> Option<String> {
-    let umount = format!("remove the mount with: gaugefs umount {}", shown(mount));
     match found {
-        Found { dead: Some(true), .. } => Some(format!("its daemon has died; {umount}")),
-        Found { late: true, .. } => Some(format!("its daemon does not answer; {umount}")),
+        Found { dead: Some(true), .. } => Some(mounted::died(shown(mount))),
+        Found { late: true, .. } => {
+            let mount = shown(mount);
+            Some(format!("its daemon does not answer; remove the mount with: gaugefs umount {mount}"))
+        }
         // Another user's, which this one may not enter.
         Found { gauges, .. } if gauges.is_empty() => Some("it cannot be read by this user".into()),
         _ => None,

@@ -8,6 +8,7 @@ use clap::{Args, ValueHint};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
+use super::trouble;
 use crate::error::{Cause, Error, Result};
 use crate::mounted;
 use ti_gauge::chip::Row;
@@ -50,10 +51,7 @@ impl Set {
         let (gauges, rest) =
             match assignment::split(words).and_then(|(gauges, rest)| Ok((gauges, parsed(&rest)?))) {
                 Ok(split) => split,
-                Err(error) => {
-                    eprintln!("gaugefs: {error}");
-                    return Ok(TROUBLE.into());
-                }
+                Err(error) => return trouble(Err(error)),
             };
         Ok(batch.run(&gauges, failure, |gauge, report| set(gauge, &rest, dry_run, report)))
     }
