@@ -8,7 +8,7 @@ use clap::Args;
 use super::print;
 use crate::daemon::look;
 use crate::error::Result;
-use ti_gauge::chip::{CHIPS, Kind};
+use ti_gauge::chip::{Chip, Kind};
 
 /// Print the names of a mounted gauge's parameters; the completions run it
 #[derive(Args, Debug)]
@@ -22,7 +22,7 @@ impl Names {
     pub(super) fn run(self) -> Result<ExitCode> {
         let listed = look::gauges(&[self.gauge])?;
         let part = listed.first().and_then(|(_, found)| found.gauges.first()?.part.clone());
-        let chip = part.and_then(|part| CHIPS.iter().find(|chip| chip.model == part));
+        let chip = part.and_then(|part| Chip::by_model(&part));
         let rows = chip.into_iter().flat_map(|chip| chip.rows().map(move |row| (chip, row)));
         let rows = rows.filter(|(_, (subclass, _))| subclass.kind != Kind::Security);
         print(&rows.map(|(chip, row)| chip.name_of(row) + "\n").collect::<String>());

@@ -12,7 +12,7 @@ use ti_gauge::learning::{Bits, Cycle, Learns, Limits, Reading, State};
 /// The chip that a sample is from.
 pub(super) fn chip(sample: &Sample) -> Option<&'static Chip> {
     let model = sample.attribute("model_name")?;
-    Chip::all().find(|chip| chip.model == model)
+    Chip::by_model(model)
 }
 
 /// A cycle of the part that a sample is from; `None` if no learning cycle of it is known.
@@ -59,7 +59,7 @@ pub(super) fn clock(seconds: f64) -> String {
 /// Reads the thresholds of a gauge from data flash; those that cannot be read are the manual's.
 pub(super) fn limits(gauge: &Path, model: &str) -> Limits {
     let mut limits = Limits::default();
-    let Some(chip) = Chip::all().find(|chip| chip.model == model) else { return limits };
+    let Some(chip) = Chip::by_model(model) else { return limits };
     let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
     for (class, row) in rows.filter(|(_, row)| !row.unproven) {
         let target = match (row.name, row.unit) {

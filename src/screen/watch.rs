@@ -16,7 +16,7 @@ use super::sample::Sample;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use crate::mounted;
-use ti_gauge::chip::{CHIPS, Parameter, Subclass, kebab_case};
+use ti_gauge::chip::{Chip, Parameter, Subclass, kebab_case};
 use ti_gauge::learning::Limits;
 
 /// TI's name for the subclass with the values that a gauge has learned.
@@ -224,7 +224,7 @@ fn refusal(gauge: &Path, error: &io::Error) -> String {
 /// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
 /// Parameters whose address is uncertain are left out.
 pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, PathBuf)> {
-    let Some(chip) = CHIPS.iter().find(|chip| chip.model == model) else { return Vec::new() };
+    let Some(chip) = Chip::by_model(model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
     let rows = states.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
     rows.filter(|(_, row)| row.learned && !row.unproven)
@@ -284,7 +284,7 @@ mod tests {
         assert_eq!(names("bq34110"), ["Learned Full Charge Capacity"]);
         assert!(names("unheard-of").is_empty());
         // All are in one subclass, so that one unsealing is enough.
-        for chip in CHIPS {
+        for chip in ti_gauge::chip::CHIPS {
             let rows = learned_parameters(chip.model);
             assert!(rows.iter().all(|(subclass, ..)| std::ptr::eq(*subclass, rows[0].0)), "{}", chip.name);
         }

@@ -724,6 +724,11 @@ impl Chip {
         found.or_else(|| kernel::by_driver_name(name))
     }
 
+    /// Finds a chip by TI's name for it, as `model_name` shows it: `bq34z100-G1`.
+    pub fn by_model(model: &str) -> Option<&'static Chip> {
+        Self::all().find(|chip| chip.model == model)
+    }
+
     /// Whether a table describes more than its standard commands. Without one nothing is ever written to the
     /// gauge, not even a subcommand: there may be another register at the address of Control().
     pub fn has_table(&self) -> bool {

@@ -181,7 +181,7 @@ impl Gauge {
 
     fn chip(&self) -> Option<&'static Chip> {
         let model = self.text("model_name")?;
-        Chip::all().find(|chip| chip.model == model)
+        Chip::by_model(model)
     }
 
     /// Whether a bit of CONTROL_STATUS is set; `None` if the part does not have it.

@@ -468,7 +468,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
 
 /// Registers that no attribute shows, with units.
 fn registers<'a>(model: &str, sample: &'a Sample) -> impl Iterator<Item = (String, String)> + 'a {
-    let table = Chip::all().find(|chip| chip.model == model).map_or(&[][..], |chip| chip.registers);
+    let table = Chip::by_model(model).map_or(&[][..], |chip| chip.registers);
     sample.registers.iter().filter_map(move |(name, value)| {
         let row = table.iter().find(|row| snake_case(row.name) == *name);
         let shown = row.is_some_and(|row| row.role.is_some());
