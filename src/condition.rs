@@ -278,7 +278,7 @@ fn measured(name: &str, value: &str) -> Result<f64, String> {
     if name.starts_with("time_to_") {
         let found = TIMES.iter().find(|(known, _)| *known == unit);
         return match (digits.parse::<f64>(), found) {
-            (Ok(number), Some((_, seconds))) => Ok(number * seconds),
+            (Ok(number), Some((_, seconds))) if (number * seconds).is_finite() => Ok(number * seconds),
             _ => refuse(" of s, min or h"),
         };
     }
@@ -292,7 +292,7 @@ fn measured(name: &str, value: &str) -> Result<f64, String> {
     // Written as an exponent, the decimal is exact.
     let number = prefix.and_then(|(_, scale)| {
         digits.parse::<f64>().ok()?;
-        format!("{digits}e{}", exponent + scale).parse().ok()
+        format!("{digits}e{}", exponent + scale).parse().ok().filter(|number: &f64| number.is_finite())
     });
     match number {
         Some(number) => Ok(number),
@@ -438,6 +438,12 @@ mod tests {
         ] {
             let refused = text.parse::<Condition>().expect_err(text);
             assert!(refused.contains(words), "{text}: {refused}");
+        }
+        // Larger than any number: it would always be true.
+        for name in ["voltage_now", "time_to_empty_now"] {
+            let unit = if name == "voltage_now" { "V" } else { "h" };
+            let refused = format!("{name}<1{:0<320}{unit}", "").parse::<Condition>().expect_err(name);
+            assert!(refused.contains("is not a number"), "{refused}");
         }
     }
 }
