@@ -17,6 +17,8 @@ use crate::error::{Cause, Error, Result};
 const TORN: &str = "#torn";
 /// Room on disk for the outcomes of packs that are begun.
 const ROOM: u64 = 256 * 1024;
+/// The largest number of a pack: the last whole number that every reader of JSON has exactly.
+const MOST: u64 = (1 << 53) - 1;
 
 /// What a line is about.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
@@ -102,6 +104,15 @@ pub(super) struct Record {
     broken: bool,
 }
 
+/// A line of the record, or why it is none.
+fn parse(line: &str) -> Result<Entry, String> {
+    let entry: Entry = serde_json::from_str(line).map_err(|error| error.to_string())?;
+    if entry.number > MOST {
+        return Err(format!("number: above {MOST}"));
+    }
+    Ok(entry)
+}
+
 impl Record {
     /// Opens the record, or begins it. A last line that was cut short is marked as such.
     pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self> {
@@ -134,7 +145,7 @@ impl Record {
             if line == TORN || lines.get(at + 1).is_some_and(|next| next.trim_end() == TORN) {
                 continue;
             }
-            match serde_json::from_str(line) {
+            match parse(line) {
                 Ok(entry) if !is_last || text.ends_with('\n') => record.note(&entry),
                 // It was never on disk as a whole, so what it announces was not begun, or is not over.
                 _ if is_last => {
@@ -306,9 +317,15 @@ mod tests {
         let mut record = Record::open(&Host, &path).expect("a record");
         record.append(&entry(Event::Begun, 1, "1")).expect("room");
         let text = fs::read_to_string(&path).expect("the record");
-        fs::write(&path, format!("{text}nonsense\n{text}")).expect("a file");
-        let error = Record::open(&Host, &path).expect_err("nonsense").to_string();
-        assert!(error.contains("line 2: not a line of a station's record"), "{error}");
+        let large = text.replace("\"number\":1", &format!("\"number\":{}", u64::MAX));
+        for (line, why) in [("nonsense\n", "expected"), (&large, "number: above")] {
+            fs::write(&path, format!("{text}{line}{text}")).expect("a file");
+            let error = Record::open(&Host, &path).expect_err("it is none").to_string();
+            assert!(
+                error.contains("line 2: not a line of a station's record") && error.contains(why),
+                "{error}"
+            );
+        }
         fs::remove_file(path).expect("it is there");
     }
 }
