@@ -63,6 +63,49 @@ pub(crate) fn configuration(input: &[u8]) {
     }
 }
 
+/// A station's file: `gaugefs program --check`.
+pub(crate) fn station(input: &[u8]) {
+    const IMAGE: &str = "chip = \"bq34z100-g1\"\n[it-cfg]\ncell-terminate-voltage = 3100\n";
+    let accepts = |content: &[u8]| {
+        let (image, station) =
+            (Scratch::new("image.toml", IMAGE.as_bytes()), Scratch::new("station.toml", content));
+        let mut check = arguments(["program", "--check", "--image"]);
+        check.extend([image.path().into(), "--station".into(), station.path().into()]);
+        let code = run(&check);
+        assert!(code < 2, "a station's file is not misuse");
+        code == 0
+    };
+    if accepts(input) {
+        assert!(accepts(&[input, b"\n# a comment\n"].concat()));
+        assert!(!accepts(&[input, b"\n[unknown]\n"].concat()));
+    }
+}
+
+/// A condition: `gaugefs wait`, which finds no gauge. What is accepted stays so with another one behind it.
+pub(crate) fn condition(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else { return };
+    if text.contains('\0') {
+        return;
+    }
+    let accepts = |text: &str| {
+        let mut wait = arguments(["wait", "--timeout", "0", "--", NOWHERE]);
+        wait.push(text.into());
+        run(&wait) == 1
+    };
+    let is_missing = text.trim() == "missing";
+    let accepted = accepts(text);
+    assert!(accepted || !is_missing);
+    assert_eq!(accepts(&format!("{text} && capacity<20")), accepted && !is_missing, "{text}");
+    assert_eq!(accepts(&format!("capacity<20&&{text}")), accepted && !is_missing, "{text}");
+    if let Some(number) = text.strip_prefix("capacity<") {
+        let number = number.trim();
+        let plain =
+            !number.is_empty() && number.len() < 10 && number.bytes().all(|byte| byte.is_ascii_digit());
+        assert!(accepted || !plain, "{text}");
+        assert!(!accepted || number.bytes().any(|byte| byte.is_ascii_digit()), "{text} has no number");
+    }
+}
+
 /// A history: `gaugefs plot`.
 pub(crate) fn csv(input: &[u8]) {
     let (history, svg) = (Scratch::new("history.csv", input), Scratch::new("plot.svg", b""));

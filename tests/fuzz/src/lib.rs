@@ -13,6 +13,7 @@ mod disk;
 mod image;
 mod journal;
 mod keys;
+mod name;
 mod replay;
 mod script;
 mod transaction;
@@ -35,11 +36,14 @@ pub const TARGETS: &[Target] = &[
     Target { name: "image-ggcsv", run: image::ggcsv, slice: 2000 },
     Target { name: "image-flashstream", run: image::flashstream, slice: 2000 },
     Target { name: "value", run: value::run, slice: 2000 },
+    Target { name: "name", run: name::run, slice: 1000 },
     Target { name: "transaction", run: transaction::run, slice: 2000 },
     Target { name: "keys", run: keys::run, slice: 2000 },
     Target { name: "journal", run: journal::run, slice: 500 },
     Target { name: "replay", run: replay::run, slice: 2000 },
     Target { name: "configuration", run: command::configuration, slice: 300 },
+    Target { name: "station", run: command::station, slice: 300 },
+    Target { name: "condition", run: command::condition, slice: 500 },
     Target { name: "csv", run: command::csv, slice: 300 },
     Target { name: "command-line", run: command::options, slice: 300 },
     Target { name: "bus", run: bus::run, slice: 500 },

@@ -38,6 +38,10 @@ const TOKENS: &[&str] = &[
     "cell-terminate-voltage",
     "mV",
     "V",
+    "&&",
+    "<",
+    "==",
+    " has ",
     "2026-11-22",
     "0xffff",
     "0b1",
@@ -224,11 +228,14 @@ targets! {
     image_ggcsv "image-ggcsv"
     image_flashstream "image-flashstream"
     value "value"
+    name "name"
     transaction "transaction"
     keys "keys"
     journal "journal"
     replay "replay"
     configuration "configuration"
+    station "station"
+    condition "condition"
     csv "csv"
     command_line "command-line"
     bus "bus"
