@@ -14,3 +14,37 @@ need() {
     echo "SKIPPED in part: $command is missing; to run all tests: sudo apt-get install $*"
     return 1
 }
+
+# once FOLDER COMMAND...: has the command make a folder, whose name it gets as its last argument, unless it is there
+# already. A second process waits for the first.
+once() {
+    local folder=$1
+    shift
+    mkdir -p "$(dirname "$folder")"
+    (
+        flock 9
+        [ ! -d "$folder" ] || exit 0
+        rm -rf "$folder.new"
+        "$@" "$folder.new" 9>&- && mv "$folder.new" "$folder"
+    ) 9>"$folder.lock"
+}
+
+# The release of this machine's Debian.
+release() { (. /etc/os-release && echo "${VERSION_CODENAME:-stable}"); }
+
+# debian FOLDER PACKAGE,...: a small Debian of that release with these packages. It is kept.
+debian() { once "$1" make_debian "$2"; }
+make_debian() {
+    debootstrap --variant=minbase --include="$1" "$(release)" "$2" >"$2.log" 2>&1 || { tail -n 3 "$2.log"; return 1; }
+}
+
+# cargo_deb TARGET: makes sure that cargo-deb is there, built below the target folder. It is kept.
+cargo_deb() {
+    ! command -v cargo-deb >/dev/null || return 0
+    once "$1/cargo-deb" make_cargo_deb
+    export PATH=$PATH:$1/cargo-deb/bin
+}
+make_cargo_deb() {
+    cargo install --quiet --locked --debug --config profile.dev.debug=0 --root "$1" --target-dir "$1/build" cargo-deb &&
+        rm -r "$1/build"
+}
