@@ -11,7 +11,6 @@
 //! | `--actual -2000` | `cli::calibrating` |
 //! | what `--check` prints of the example | `config::the_example_mounts_as_it_is_shipped` |
 //! | 3000 -> 3100 mV of diff and import | `cli::diff_shows_what_a_gauge_has_changed` |
-//! | the time of the first build | `time cargo build --release --bin gaugefs`, user and system, measured by hand |
 
 use std::collections::BTreeSet;
 use std::fs;
