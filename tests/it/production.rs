@@ -97,7 +97,7 @@ impl Bench {
     /// The command line as it is run here.
     fn here(&self, line: &str) -> String {
         let bus = if line.starts_with("gaugefs mount ") {
-            format!("--sim {CHIP} --state-dir state --sim-state flash")
+            format!("--sim {CHIP} --poll 0.5 --state-dir state --sim-state flash")
         } else if line.starts_with("gaugefs doctor") {
             String::new()
         } else {

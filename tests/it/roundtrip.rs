@@ -9,7 +9,7 @@ use ti_gauge::value::Value;
 
 use crate::cli::{Folder, Ran, can_mount, gaugefs};
 
-/// The format, and which end of its range every value has that may have it. In turn, so that each import has much to write.
+/// The format, and which end of its range every value has that may have it.
 const TURNS: [(&str, End); 3] = [("flashstream", End::Most), ("gg.csv", End::Least), ("toml", End::Most)];
 
 #[derive(Clone, Copy, Debug)]
@@ -95,7 +95,7 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
         return;
     }
     assert_eq!(CHIPS.len(), 11);
-    let check = |chip: &'static Chip| {
+    let check = |chip: &'static Chip, format, end| {
         let folder = Folder::new();
         let mounts = ["m", "n"].map(|name| folder.file(name));
         for at in &mounts {
@@ -104,13 +104,16 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
             fs::write(format!("{at}/BAT0/sim/speed"), "0").expect("a knob");
         }
         let [from, to] = [0, 1].map(|index| format!("{}/BAT0", mounts[index]));
-        for (format, end) in TURNS {
-            let written = turn(chip, &folder, [&from, &to], format, end);
-            assert!(written > 20, "{} {format}: {written} values", chip.name);
-        }
+        let written = turn(chip, &folder, [&from, &to], format, end);
+        assert!(written > 20, "{} {format}: {written} values", chip.name);
         for at in &mounts {
             gaugefs(&["umount", at]).done();
         }
     };
-    std::thread::scope(|scope| CHIPS.iter().for_each(|chip| drop(scope.spawn(move || check(chip)))));
+    // Each waits for its gauges.
+    std::thread::scope(|scope| {
+        for (chip, (format, end)) in CHIPS.iter().flat_map(|chip| TURNS.map(|turn| (chip, turn))) {
+            scope.spawn(move || check(chip, format, end));
+        }
+    });
 }
