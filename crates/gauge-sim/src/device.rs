@@ -205,6 +205,12 @@ impl Device {
         if !(counted || timed) || rows.is_empty() || self.now < self.ready_at || !wire.gauges() {
             return;
         }
+        // At its own time, not when it is asked: its pauses come to whoever tries again.
+        let now = self.now;
+        if timed {
+            let due = (now - self.rewritten_at).as_nanos() / rewrite.as_nanos() * rewrite.as_nanos();
+            self.now = self.rewritten_at + Duration::from_nanos(due as u64);
+        }
         self.rewritten_at = self.now;
         self.rewrites += 1;
         let (area, offset, length) = rows[self.rewrites % rows.len()];
@@ -213,6 +219,10 @@ impl Device {
             *last = last.wrapping_add(1);
         }
         self.keep(wire, vec![Kept::new(area, offset, &bytes)]);
+        self.now = now;
+        if now >= self.busy_until {
+            self.pending.clear();
+        }
     }
 
     /// Lets the battery's time pass. Measurements are made once a second of the gauge's time; `settle` makes

@@ -249,7 +249,8 @@ impl Envelope {
         new.drop_keys = u32::from(lost == 2);
         // The gauge rewrites learned values, lifetime data and offsets at any moment (SLUSBZ5D 7.3).
         match random.roll(4) {
-            0 => new.rewrite = ms(&mut random, 300..=5000),
+            // A gauge that did nothing else would be none, so it answers for at least as long as it programs.
+            0 => new.rewrite = ms(&mut random, 300..=5000).max(2 * (timing.commit + 16 * timing.word)),
             1 => new.rewrite_every = random.within(50..=500) as u32,
             _ => {}
         }
