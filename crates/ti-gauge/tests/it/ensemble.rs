@@ -231,16 +231,10 @@ impl Run {
         };
         if found != Seal::Sealed {
             let mut host = run.boot(Fault::None);
-            // A key may be lost once.
-            let mut opened = Ok(());
-            // A command may be lost once.
-            for _ in 0..3 {
+            let opened = run.patiently(|| {
                 host.gauge.forget_refusal();
-                opened = host.dataflash.go_to(&mut host.gauge, found, Duration::ZERO);
-                if opened.is_ok() {
-                    break;
-                }
-            }
+                host.dataflash.go_to(&mut host.gauge, found, Duration::ZERO)
+            });
             if let Err(error) = opened {
                 panic!("setting out: {error}, gauge {}", run.sim.envelope());
             }
@@ -263,10 +257,23 @@ impl Run {
         Booted { gauge, dataflash, transfers, armed }
     }
 
+    /// Tries again as an owner does: a gauge may lose one command, and answers little while it programs rows of its own.
+    fn patiently(&self, mut work: impl FnMut() -> Result<()>) -> Result<()> {
+        let mut outcome = work();
+        for _ in 0..4 {
+            if outcome.is_ok() {
+                break;
+            }
+            self.clock.sleep(Duration::from_secs(1));
+            outcome = work();
+        }
+        outcome
+    }
+
     /// Reads all of data flash, as the program does before the first write: its blocks are known from then on.
     fn back_up(&self, host: &mut Booted) -> Result<()> {
         let all: Vec<_> = readable(self.chip).collect();
-        host.dataflash.read(&mut host.gauge, &all, Duration::ZERO).map(|_| ())
+        self.patiently(|| host.dataflash.read(&mut host.gauge, &all, Duration::ZERO).map(|_| ()))
     }
 
     /// The access itself.
