@@ -13,6 +13,8 @@ use crate::gauge::{Gauge, Seal, Statistics};
 /// which a gauge may answer with the old content, or not at all.
 const VERIFIES: u32 = 8;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
+/// As long as these looks take: by then a commit is over, also one that waits for a row of the gauge's own.
+pub(super) const COMMITTED: Duration = VERIFY_INTERVAL.saturating_mul(VERIFIES);
 /// Commits of a block before giving up.
 pub(super) const STORES: u32 = 3;
 

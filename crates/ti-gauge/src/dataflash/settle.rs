@@ -9,7 +9,7 @@
 use std::time::Duration;
 
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
-use super::io::{reload, store, verify_written};
+use super::io::{COMMITTED, reload, store, verify_written};
 use super::pack::{Match, compare};
 use super::preflight::read_word;
 use super::schemes::sequence;
@@ -377,8 +377,10 @@ fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
     Err(refused)
 }
 
-/// The blocks of a plan as the gauge has them now.
+/// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
+/// what was there before it: whoever has sent it is gone.
 fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+    gauge.wait(COMMITTED);
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {
         let place = block.place();

@@ -227,6 +227,38 @@ fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
     );
 }
 
+/// A host that is back at once meets a commit that is still at work, during which the gauge answers with what was there
+/// before.
+#[test]
+fn regression_a_commit_at_work_was_taken_for_the_old_values() {
+    let mut runs = 0;
+    for case in
+        CASES.iter().filter(|case| Chip::by_name(case.chip).is_some_and(|chip| chip.volatile.is_none()))
+    {
+        let model = case.model();
+        let folder = Folder::new("at-once");
+        let write = |cut| {
+            let rig = case.rig();
+            rig.sim.set("commit_ms", "218").expect("a knob");
+            rig.sim.set("commit_busy", "old").expect("a knob");
+            let changes = case.changes(&rig);
+            let (said, transfers) =
+                host(&rig, &folder, cut, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO));
+            (rig, said, transfers)
+        };
+        let (_, said, transfers) = write(None);
+        said.expect("no cut").expect("no fault");
+        for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+            let at = format!("{}, cut at {number} of {transfers}, after it: {after}", case.name());
+            let (mut rig, _, _) = write(Some((number, after)));
+            restart(&rig, &folder, None);
+            check(case, &mut rig, &folder, &model, &at);
+            runs += 1;
+        }
+    }
+    assert!(runs > 300, "{runs} runs");
+}
+
 /// The journal of a write that cannot be settled yet is kept.
 #[test]
 fn regression_a_journal_is_kept_until_settling_succeeds() {
