@@ -562,11 +562,13 @@ fn program(
         let why = format!("{error}; the gauge has lost its power, and its data memory with it");
         return Err(Error::new("", Cause::StateUnknown(why)));
     }
-    let mut back = session.restore(gauge, dirty[..touched].iter().chain(neighbours), finished);
+    let (written, waiting) = dirty.split_at(touched.min(dirty.len()));
+    let back = session.restore(gauge, written.iter().chain(neighbours), finished);
+    let mut back = back.and_then(|()| session.restore_erased(gauge, waiting));
     if back.is_ok() && finished && !sequence(gauge).always_finishes() {
         // The gauge may work with the new values.
         back = session.finish(gauge).and_then(|()| {
-            let olds = dirty[..touched].iter().map(|block| Dirty { new: block.old, ..block.clone() });
+            let olds = dirty.iter().map(|block| Dirty { new: block.old, ..block.clone() });
             olds.into_iter().try_for_each(|block| verify_written(gauge, &block))
         });
     }

@@ -191,6 +191,18 @@ impl Session {
         outcome.map_err(|error| error.at(Step::Restore))
     }
 
+    /// Restores those of the blocks that it was not the turn of yet, but that a loss of power has disturbed, as the rows
+    /// next to the one that was programmed. Any other change of theirs is not of this write.
+    pub(super) fn restore_erased(&mut self, gauge: &mut Gauge, waiting: &[Dirty]) -> Result<()> {
+        for block in waiting {
+            let present = sequence(gauge).load(gauge, block.place)?;
+            if block.is_erased(&present) {
+                self.restore(gauge, [block].into_iter(), false)?;
+            }
+        }
+        Ok(())
+    }
+
     fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
         let present = sequence(gauge).load(gauge, block.place)?;
         let wanted = restored(block, &present, finished);

@@ -400,6 +400,16 @@ fn any_fault_on_any_gauge_of_the_envelope_leaves_old_or_new() {
     assert!(failures.is_empty(), "{} of {total} failed:\n{}", failures.len(), failures.join("\n"));
 }
 
+/// Runs that have found something: a commit that was at work when the host was back, and a row that a loss of power had
+/// disturbed before it was its turn.
+#[test]
+fn regression_drawn_gauges_that_were_left_in_between() {
+    let moves: BTreeMap<&str, Vec<bool>> = CHIPS.iter().map(|chip| (chip.name, moving(chip))).collect();
+    for seed in [10683, 294261, 294680, 575131] {
+        run(seed, &moves).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+    }
+}
+
 /// One run. Returns what it has covered, or what is wrong.
 fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<String>, String> {
     let random = &mut Random(seed);
@@ -477,9 +487,10 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
         Some(Err(error)) => format!("outcome: {}", cause(error)),
     });
     told.extend(rows(&drawn));
-    // A command with a wrong bit is another command, which may change a byte of RAM.
+    // A command with a wrong bit is another command, which may change a byte of RAM, or be a RESET, after which RAM is
+    // as ROM has it.
     let is_flip = matches!(&fault, Fault::Sim(text) if text.starts_with("flip"));
-    let strays = |flash: &[u8], wanted: &[u8]| volatile && is_flip && differing(flash, wanted).len() == 1;
+    let strays = |flash: &[u8], wanted: &[u8]| volatile && is_flip && differing(flash, wanted).len() <= 2;
     let check = |flash: &[u8], wanted: &[u8]| {
         volatile && was_cut || flash == wanted || is_key || strays(flash, wanted)
     };
