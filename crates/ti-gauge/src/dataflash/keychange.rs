@@ -22,7 +22,7 @@ use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal, Statistics};
+use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal, Statistics};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
@@ -576,11 +576,19 @@ impl Task<'_> {
     fn close(self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
         let limit = gauge.clock.now() + START;
-        let mut closed = gauge.go_to(self.found);
+        let restore = |gauge: &mut Gauge| match self.found {
+            // CONTROL_STATUS may still show the state before the last key.
+            Seal::Sealed if outcome.is_err() => {
+                gauge.wait(SEAL_LAG);
+                gauge.close()
+            }
+            found => gauge.go_to(found),
+        };
+        let mut closed = restore(gauge);
         while closed.is_err() && gauge.may_try_until(limit) {
             gauge.wait(POLL_INTERVAL);
             gauge.forget_refusal();
-            closed = gauge.go_to(self.found);
+            closed = restore(gauge);
         }
         let found = self.found.as_str();
         match (outcome, closed) {
