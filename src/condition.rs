@@ -315,8 +315,11 @@ fn unknown(name: &str) -> String {
 
 /// The name that was probably meant.
 fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
+    let tolerated = 1 + word.len() / 4;
+    // At least as many letters are wrong as are too many, and there may be very many.
+    let names = names.filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
     let (wrong, name) = names.map(|name| (levenshtein(word, name), name)).min()?;
-    (wrong <= 1 + word.len() / 4).then(|| name.to_string())
+    (wrong <= tolerated).then(|| name.to_string())
 }
 
 #[cfg(test)]

@@ -50,6 +50,7 @@ fn inputs(target: &Target) -> Vec<Vec<u8>> {
             lines("; gaugefs chip bq34z100-g1\nW: AA 3E 30 00", |_| " 00".into()),
         ],
         "value" => vec![lines("", |_| "9".into()), lines("0.", |_| "1".into())],
+        "name" => vec![lines("it-cfg/", |_| "a".into()), lines("", |number| format!("a{number}/"))],
         "transaction" => {
             let mut raw = lines("", |number| format!("raw 200/{} {:02x}\n", number % 8192, number % 256));
             let mut one = lines("", |number| format!("80/53 {}\n", 2500 + number % 1000));
@@ -86,6 +87,15 @@ fn inputs(target: &Target) -> Vec<Vec<u8>> {
         "configuration" => vec![
             lines("", |number| format!("[[gauge]]\nsim = \"bq34z100-g1\"\nname = \"B{number}\"\n")),
             lines("[mount]\n", |number| format!("k{number} = 1\n")),
+        ],
+        "station" => vec![
+            lines("[station]\n", |number| format!("k{number} = 1\n")),
+            lines("", |number| format!("[[gauge]]\nsim = \"bq34z100-g1\"\nname = \"B{number}\"\n")),
+        ],
+        "condition" => vec![
+            lines("capacity<20", |_| "&&capacity<20".into()),
+            lines("capacity", |_| "y".into()),
+            lines("capacity<", |_| "9".into()),
         ],
         "csv" => {
             let head = "time (UTC),gauge,voltage (V)\n";

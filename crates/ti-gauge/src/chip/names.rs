@@ -68,7 +68,10 @@ impl Chip {
             return near.min_by_key(|(_, row)| row.offset.abs_diff(at));
         }
         let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
-        let alone = self.rows().map(|row| (strsim::jaro_winkler(&kebab_case(row.1.name), &own), row));
+        // A text of more than four times the length is never that much alike, and may be very long.
+        let names = self.rows().map(|row| (kebab_case(row.1.name), row));
+        let names = names.filter(|(name, _)| own.len() <= 4 * name.len());
+        let alone = names.map(|(name, row)| (strsim::jaro_winkler(&name, &own), row));
         let rows = alone.filter(|(alone, _)| *alone >= ALIKE).map(|(alone, row)| {
             // The class decides between parameters of the same name.
             let with_class = if class.is_empty() { 0.0 } else { strsim::jaro(&self.name_of(row), &whole) };
