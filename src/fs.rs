@@ -482,29 +482,15 @@ impl Fs {
     /// Writes to a file. `offset` is where the data begins in the file. `done` is called with the outcome, either at
     /// once or from the thread that owns the gauge.
     pub fn write(&self, node: Node, offset: u64, data: &[u8], done: Done<()>) {
-        match self.refusal(node, offset, data) {
-            None => self.ask(node, |node| node.write(data, done)),
-            Some(why) => {
-                let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
-                let attempt = if self.is_stream(node) { Attempt::Stage } else { Attempt::Other };
-                match node {
-                    Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(attempt, error, done),
-                    _ => done(Err(error)),
-                }
-            }
-        }
-    }
-
-    /// Why data that may be a part of what somebody has written is refused.
-    fn refusal(&self, node: Node, offset: u64, data: &[u8]) -> Option<&'static str> {
         let is_cut = data.len() >= PAGE || (offset + data.len() as u64).is_multiple_of(PAGE as u64);
-        if self.is_stream(node) {
-            (!data.ends_with(b"\n"))
-                .then_some("the last line has no newline, so it may not be whole; end it with one")
-        } else {
-            is_cut.then_some(
-                "too long for a value, so it may not be whole; write the value alone, without padding",
-            )
+        if self.is_stream(node) || !is_cut {
+            return self.ask(node, |node| node.write(data, done));
+        }
+        let why = "too long for a value, so it may not be whole; write the value alone, without padding";
+        let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
+        match node {
+            Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(Attempt::Other, error, done),
+            _ => done(Err(error)),
         }
     }
 

@@ -288,7 +288,7 @@ impl Supply {
             stored: &stored,
         };
         let staged = self.transaction.write(&rules, handle.now(), data);
-        if staged.is_ok() {
+        if staged.is_ok() && !self.transaction.is_spoiled() {
             handle.succeeded(&Attempt::Stage);
         }
         match staged {

@@ -1,8 +1,9 @@
 //! `df/transaction`: lines that stage changes, and one commit that writes them all.
 //!
-//! Nothing is written to the gauge before the commit. A write(2) is staged whole or not at all: a line that
-//! is refused leaves the transaction as it was before that write. Everything here runs on the thread that answers
-//! readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
+//! Nothing is written to the gauge before the commit. A write(2) is staged whole or not at all. One that is refused
+//! stages nothing and spoils the transaction: a shell passes on each line as a write of its own and goes on after one
+//! that fails, so a commit that did not know of it would write the rest. Everything here runs on the thread that
+//! answers readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -33,7 +34,15 @@ pub(super) struct Rules<'a> {
 
 /// What a gauge's transaction is at.
 #[derive(Default)]
-pub(super) struct Transaction(Mutex<Option<Open>>);
+pub(super) struct Transaction(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    open: Option<Open>,
+    /// Why lines since the last `begin` or `abort` were refused; nothing is committed then. It outlives the transaction,
+    /// for whoever goes on after a commit that failed, or after a write that held the `begin` as well.
+    spoiled: Option<Error>,
+}
 
 struct Open {
     since: Duration,
@@ -129,21 +138,37 @@ struct Next {
     is_open: bool,
     /// The transaction that was open before has ended.
     is_new: bool,
+    /// A line that was refused earlier still counts.
+    is_spoiled: bool,
     commits: bool,
     added: Staged,
     /// Blocks that `added` has and the transaction did not have before.
     new_blocks: usize,
 }
 
+impl Next {
+    /// Drops all that was written before.
+    fn restart(&mut self, is_open: bool) {
+        *self = Self {
+            is_open,
+            is_new: true,
+            is_spoiled: false,
+            commits: false,
+            added: Staged::default(),
+            new_blocks: 0,
+        };
+    }
+}
+
 impl Transaction {
-    fn lock(&self) -> MutexGuard<'_, Option<Open>> {
+    fn lock(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What is staged; `None` while no transaction is open.
     pub(super) fn staged(&self, now: Duration) -> Option<Arc<Staged>> {
-        let mut open = self.lock();
-        let open = open.as_mut()?;
+        let mut state = self.lock();
+        let open = state.open.as_mut()?;
         if open.is_old(now) {
             open.staged = Arc::default();
             return None;
@@ -151,45 +176,92 @@ impl Transaction {
         Some(open.staged.clone())
     }
 
+    /// Whether a line was refused, so that nothing is committed until `begin` or `abort`.
+    pub(super) fn is_spoiled(&self) -> bool {
+        self.lock().spoiled.is_some()
+    }
+
     /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
     pub(super) fn write(&self, rules: &Rules<'_>, now: Duration, data: &[u8]) -> Result<Option<Vec<Change>>> {
-        let mut open = self.lock();
-        let was_old = open.as_ref().is_some_and(|open| open.is_old(now));
-        let before = open.as_ref().filter(|_| !was_old).map(|open| &*open.staged);
-        let next = read_lines(rules, before, was_old, data);
-        let next = next.map_err(|error| error.within("df/transaction"));
-        if was_old || next.as_ref().is_ok_and(|next| next.is_new) {
-            *open = None;
+        self.lock().write(rules, now, data).map_err(|error| error.within("df/transaction"))
+    }
+}
+
+impl State {
+    fn write(&mut self, rules: &Rules<'_>, now: Duration, data: &[u8]) -> Result<Option<Vec<Change>>> {
+        let was_old = self.open.as_ref().is_some_and(|open| open.is_old(now));
+        if was_old {
+            self.spoiled = None;
         }
-        let next = next?;
+        let before = self.open.as_ref().filter(|_| !was_old).map(|open| &*open.staged);
+        let was_open = before.is_some();
+        let mut next = Next {
+            is_open: was_open,
+            is_new: false,
+            is_spoiled: self.spoiled.is_some(),
+            commits: false,
+            added: Staged::default(),
+            new_blocks: 0,
+        };
+        let outcome = read_lines(&mut next, rules, before, was_old, data);
+        if was_old || outcome.is_ok() && next.is_new {
+            self.open = None;
+        }
+        if let Err(error) = outcome {
+            match begins(data) {
+                // One transaction is kept out by another, which goes on.
+                true if was_open && self.spoiled.is_none() => {}
+                true => self.spoiled = Some(error.clone()),
+                false if was_open => drop(self.spoiled.get_or_insert_with(|| error.clone())),
+                false => {}
+            }
+            return Err(error);
+        }
+        if !next.is_spoiled {
+            self.spoiled = None;
+        }
         if next.is_open || next.commits {
-            let now_open = open.get_or_insert_with(|| Open { since: now, staged: Arc::default() });
+            let now_open = self.open.get_or_insert_with(|| Open { since: now, staged: Arc::default() });
             // Copied only while somebody is reading it.
             Arc::make_mut(&mut now_open.staged).extend(next.added);
         }
         if !next.commits {
             return Ok(None);
         }
-        Ok(open.take().map(|open| open.staged.changes()))
+        let ended = self.open.take();
+        match &self.spoiled {
+            Some(error) => Err(error
+                .clone()
+                .within("nothing is committed after a refused line until `begin` or `abort`")),
+            None => Ok(ended.map(|open| open.staged.changes())),
+        }
     }
 }
 
+/// Whether the first line of a write(2) is `begin`.
+fn begins(data: &[u8]) -> bool {
+    let mut lines = data.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
+    lines.find(|line| !line.is_empty()) == Some(b"begin")
+}
+
 /// Checks the lines of one write(2), which continue the transaction `before`.
-fn read_lines(rules: &Rules<'_>, before: Option<&Staged>, was_old: bool, data: &[u8]) -> Result<Next> {
+fn read_lines(
+    next: &mut Next,
+    rules: &Rules<'_>,
+    before: Option<&Staged>,
+    was_old: bool,
+    data: &[u8],
+) -> Result<()> {
+    if !data.ends_with(b"\n") {
+        return Err(invalid("the last line has no newline, so it may not be whole; end it with one"));
+    }
     let text = std::str::from_utf8(data).map_err(|_| invalid("not text"))?;
-    let mut next = Next {
-        is_open: before.is_some(),
-        is_new: false,
-        commits: false,
-        added: Staged::default(),
-        new_blocks: 0,
-    };
     let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty());
     for (number, line) in lines {
-        let taken = take(&mut next, rules, before, was_old, line);
+        let taken = take(next, rules, before, was_old, line);
         taken.map_err(|error| error.within(&format!("line {number}")))?;
     }
-    Ok(next)
+    Ok(())
 }
 
 fn take(
@@ -204,16 +276,15 @@ fn take(
     }
     let none = |why: &str| Error::host("", Errno::ENODATA, why);
     match line {
-        "begin" if next.is_open => return Err(busy()),
-        "begin" => (next.is_open, next.is_new) = (true, true),
+        "begin" if next.is_open && !next.is_spoiled => return Err(busy()),
+        "begin" => next.restart(true),
+        "commit" if next.is_spoiled => (next.is_open, next.commits) = (false, true),
+        "abort" if next.is_spoiled => next.restart(false),
         _ if !next.is_open && was_old && !next.is_new => {
             return Err(none("it was open for 10 minutes and was dropped; nothing was written"));
         }
         _ if !next.is_open => return Err(none("no transaction is open; write `begin` first")),
-        "abort" => {
-            (next.is_open, next.is_new) = (false, true);
-            (next.added, next.new_blocks) = (Staged::default(), 0);
-        }
+        "abort" => next.restart(false),
         "commit" => (next.is_open, next.commits) = (false, true),
         line => {
             let (key, entry) = match line.strip_prefix("raw ") {
@@ -256,6 +327,9 @@ fn split(line: &str) -> (&str, &str) {
 
 /// The subclasses, by their indices in the table, that hold reserved bits which these lines are compared with.
 pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
+    if !data.ends_with(b"\n") {
+        return BTreeSet::new();
+    }
     let lines = std::str::from_utf8(data).unwrap_or_default().lines();
     let rows = lines.filter_map(|line| chip.find(split(line.trim()).0).ok());
     let reserved = rows.filter(|(_, parameter)| matches!(parameter.safe, Some(Safe::Keep(..))));

@@ -269,6 +269,8 @@ struct Model {
     low: bool,
     seal: BTreeSet<&'static str>,
     staged: Option<BTreeMap<usize, String>>,
+    /// Why a line of `df/transaction` was refused, since when nothing is committed.
+    spoiled: Option<Errno>,
     documented: Vec<Errno>,
     counts: BTreeMap<(String, String), u64>,
     recent: Vec<String>,
@@ -412,6 +414,7 @@ impl Model {
             low: false,
             seal: ["sealed"].into(),
             staged: None,
+            spoiled: None,
             documented: documented.map(|name| all[name]).collect(),
             counts: BTreeMap::new(),
             recent: Vec::new(),
@@ -930,15 +933,15 @@ impl Model {
     /// Lines for `df/transaction`.
     fn stage(&mut self, user: usize) {
         let mut lines = Vec::new();
-        let mut staged = self.staged.clone();
+        let (mut staged, mut spoiled) = (self.staged.clone(), self.spoiled);
         let mut expected = Expected::success();
         let mut commits = None;
         for _ in 0..=self.random.below(4) {
             let at = self.random.below(self.parameters.len() as u64) as usize;
             let is_open = staged.is_some();
             let (line, refused) = match self.random.below(8) {
-                0 | 1 if !is_open => {
-                    staged = Some(BTreeMap::new());
+                0 | 1 if !is_open || spoiled.is_some() => {
+                    (staged, spoiled) = (Some(BTreeMap::new()), None);
                     ("begin".to_string(), None)
                 }
                 0 => ("begin".to_string(), is_open.then_some(Errno::EBUSY)),
@@ -946,9 +949,15 @@ impl Model {
                     let was_open = staged.take().is_some();
                     ("abort".to_string(), (!was_open).then_some(Errno::ENODATA))
                 }
+                2 if spoiled.is_some() && self.random.one_in(2) => {
+                    (staged, spoiled) = (None, None);
+                    ("abort".to_string(), None)
+                }
                 2 => {
-                    commits = staged.take();
-                    ("commit".to_string(), commits.is_none().then_some(Errno::ENODATA))
+                    let ended = staged.take();
+                    let refused = ended.is_none() && spoiled.is_none();
+                    commits = (!refused).then(|| ended.filter(|_| spoiled.is_none()).unwrap_or_default());
+                    ("commit".to_string(), refused.then_some(Errno::ENODATA))
                 }
                 3 => {
                     let none = [
@@ -997,14 +1006,17 @@ impl Model {
             text.pop();
             expected = Expected::failure(&[Errno::EINVAL]);
         }
+        let is_refused = expected.fails;
         if self.opens(user, "df/transaction", Class::Transaction, OFlags::WRONLY).is_none() {
             return;
         }
         let changes: Vec<_> = commits.iter().flatten().map(|(at, value)| (*at, value.clone())).collect();
-        if !expected.fails && !changes.is_empty() && self.low {
+        if !is_refused && !changes.is_empty() && self.low {
             expected = Expected::failure(&[Errno::EAGAIN]);
         }
-        let is_staged = !expected.fails || expected.may == [Errno::EAGAIN];
+        if let Some(errno) = spoiled.filter(|_| !is_refused && commits.is_some()) {
+            expected = Expected::failure(&[errno]);
+        }
         let expected = if commits.is_some() { expected.perhaps(&self.failures()) } else { expected };
         let fd = self.open.pop().expect("it was opened").fd;
         let data = text.clone();
@@ -1012,10 +1024,17 @@ impl Model {
         let outcome = answer.map(drop);
         let what = format!("{:?} {text:?}", self.users[user].role);
         self.check("write", &what, answer, expected);
-        if is_staged {
+        if !is_refused {
             // The commit ends it, whatever comes of it.
-            self.staged = staged;
+            (self.staged, self.spoiled) = (staged, spoiled);
             self.outcome(&changes, outcome);
+        } else if lines[0] == "begin" {
+            // While a transaction is open that may be committed, it is of another one.
+            if self.staged.is_none() || self.spoiled.is_some() {
+                self.spoiled = outcome.err();
+            }
+        } else if self.staged.is_some() {
+            self.spoiled = self.spoiled.or(outcome.err());
         }
         if !self.disturbed && self.random.one_in(2) {
             self.opens(0, "df/transaction", Class::Transaction, OFlags::RDONLY)
@@ -1328,7 +1347,7 @@ impl Model {
         self.sim.set("fault", "none").expect("a knob");
         self.sim.set("power", "on").expect("a knob");
         self.sim.set("voltage_mv", "auto").expect("a knob");
-        (self.low, self.staged) = (false, None);
+        (self.low, self.staged, self.spoiled) = (false, None, None);
         let root = self.root.clone();
         for attempt in 0.. {
             self.clock.sleep(Duration::from_secs(2));

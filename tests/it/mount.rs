@@ -5,6 +5,7 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -991,6 +992,31 @@ fn a_transaction_can_be_sent_in_several_writes() {
     assert_eq!((mount.cat("df/80/53").as_str(), mount.cat("df/48/11").as_str()), ("3100", "2200"));
     assert_eq!(mount.cat("gauge/seal"), "sealed");
     assert_eq!(mount.echo("3200", "df/80/53"), Ok(()));
+}
+
+/// bash writes each line by itself, and goes on after one that is refused.
+#[test]
+fn regression_a_shell_does_not_commit_what_is_left_of_a_refused_transaction() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let lines = r"begin\n80/53 3111\n48/11 99999999\ncommit\n";
+    for script in [
+        format!("printf '{lines}' > df/transaction"),
+        "{ echo begin; echo 80/53 3111; echo 48/11 99999999; echo commit; } > df/transaction".into(),
+        "for line in begin '80/53 3111' '48/11 99999999' commit; do echo $line > df/transaction; done".into(),
+    ] {
+        let shell = Command::new("bash").args(["-c", &script]).current_dir(mount.path("")).output();
+        let output = shell.expect("bash runs");
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && told.contains("Numerical result out of range"),
+            "{script}: {told}"
+        );
+        let values = ["df/80/53", "df/48/11", "df/transaction"].map(|path| mount.cat(path));
+        assert_eq!(values, ["3000", "1000", "idle"], "{script}");
+        let reason = mount.cat("gauge/last_error");
+        assert!(reason.contains("nothing is committed after a refused line"), "{reason}");
+        assert!(reason.contains("Design Capacity"), "{reason}");
+    }
 }
 
 /// The kernel passes a long write(2) on in pieces. None of them counts as the whole.

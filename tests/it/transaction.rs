@@ -115,7 +115,8 @@ fn lines_are_checked_at_once() {
         assert_eq!(tree.stage(line), Err(Errno::ENODATA), "{line}");
     }
     assert_eq!(tree.stage("begin\n80/53 9999\n"), Err(Errno::ERANGE));
-    assert_eq!(tree.stage("commit\n"), Err(Errno::ENODATA), "nothing was begun");
+    assert_eq!(tree.stage("commit\n"), Err(Errno::ERANGE), "nothing was begun");
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
     assert_eq!(tree.stage("begin\n"), Ok(()));
     for (line, errno) in [
         ("begin", Errno::EBUSY),
@@ -135,7 +136,7 @@ fn lines_are_checked_at_once() {
     }
     for text in ["80/53 3100", "80/53 3100\n80/53 31", "abort", "commit", " "] {
         assert_eq!(tree.write("df/transaction", text), Err(Errno::EINVAL), "the last line may go on");
-        assert!(tree.handle.published().last_error.contains("end it with one"));
+        assert!(tree.handle.published().last_error.contains("df/transaction: the last line has no newline"));
         assert_eq!(tree.read("df/transaction").as_deref(), Ok(""), "{text}");
     }
     assert_eq!(tree.write("df/80/53", "3100"), Err(Errno::EBUSY));
@@ -279,7 +280,7 @@ fn reserved_bits_are_refused_when_they_are_staged() {
     assert_eq!(tree.stage("begin\n64/0 0x0121\n"), Ok(()));
     assert_eq!(tree.stage("64/0 0x1121\n"), Err(Errno::ERANGE), "one that is kept");
     assert_eq!(tree.stage("104/14 0\n"), Err(Errno::ERANGE), "a limit");
-    assert_eq!(tree.stage("commit"), Ok(()));
+    assert_eq!(tree.stage("begin\n64/0 0x0121\ncommit"), Ok(()));
     assert_eq!(tree.read("df/64/0").as_deref(), Ok("0x0121\n"));
     // What cannot be read is compared by the commit.
     let sealed = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
@@ -383,6 +384,91 @@ fn a_piece_of_a_write_is_no_value() {
     assert!(tree.sim.flash() == flash);
     assert_eq!(tree.write("df/48/11", &padded(4095, "2200")), Ok(()));
     assert_eq!(tree.read("df/48/11").as_deref(), Ok("2200\n"));
+}
+
+/// A shell writes each line by itself and goes on after one that was refused.
+#[test]
+fn regression_a_refused_line_spoils_the_transaction() {
+    for (refused, errno) in [
+        ("48/11 99999999\n", Errno::ERANGE),
+        ("80/54 1\n", Errno::ENOENT),
+        ("112/0 0x0\n", Errno::EPERM),
+        ("nonsense\n", Errno::EINVAL),
+        ("48/11 2200", Errno::EINVAL),
+        ("48/11 2200\n48/11 x\n", Errno::EINVAL),
+        ("commit\n48/11 2200\n", Errno::EINVAL),
+        ("abort\n48/11 2200\n", Errno::ENODATA),
+        ("\0\n", Errno::EINVAL),
+    ] {
+        let tree = tree("bq34z100-g1");
+        let flash = tree.sim.flash();
+        assert_eq!(tree.stage("begin\n80/53 3111"), Ok(()));
+        assert_eq!(tree.write("df/transaction", refused), Err(errno), "{refused:?}");
+        let reason = tree.handle.published().last_error.clone();
+        let reason = reason.split_once("df/transaction: ").expect("what failed").1;
+        // Another line changes nothing, whether it is refused or not; nor does a commit that fails.
+        assert_eq!(tree.stage("48/13 8000"), Ok(()));
+        assert_eq!(tree.stage("104/14 0"), Err(Errno::ERANGE));
+        assert_eq!(tree.stage("48/13 8000\ncommit"), Err(errno), "{refused:?}");
+        let told = tree.handle.published().last_error.clone();
+        let until = "df/transaction: nothing is committed after a refused line until `begin` or `abort`: ";
+        assert!(told.ends_with(&format!("{until}{reason}")), "{told}");
+        // It has ended: others may write. Whoever goes on is still told.
+        assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+        assert_eq!(tree.stage("commit"), Err(errno), "{refused:?}");
+        assert_eq!(tree.stage("48/13 8000"), Err(Errno::ENODATA));
+        assert_eq!(tree.stage("commit"), Err(errno), "{refused:?}");
+        assert!(tree.sim.flash() == flash, "{refused:?}");
+        assert_eq!(tree.count("flash_writes"), 0);
+        assert_eq!(tree.write("df/48/13", "8000"), Ok(()));
+        // `abort` and `begin` begin anew.
+        assert_eq!(tree.stage("abort"), Ok(()));
+        assert_eq!(tree.stage("commit"), Err(Errno::ENODATA));
+        assert_eq!(tree.stage("begin\n80/53 3111\ncommit"), Ok(()));
+        assert_eq!(tree.read("df/80/53").as_deref(), Ok("3111\n"));
+        assert_eq!(tree.read("df/48/11").as_deref(), Ok("1000\n"), "{refused:?}");
+    }
+}
+
+#[test]
+fn a_spoiled_transaction_is_begun_anew() {
+    let tree = tree("bq34z100-g1");
+    for again in ["begin", "abort\nbegin", "80/53 3112\nbegin", "48/13 8000\nabort\nbegin"] {
+        assert_eq!(tree.stage("begin\n48/13 8000"), Ok(()));
+        assert_eq!(tree.stage("48/11 99999999"), Err(Errno::ERANGE));
+        assert_eq!(tree.stage(again), Ok(()), "{again}");
+        assert_eq!(tree.read("df/transaction").as_deref(), Ok(""), "{again}");
+        assert_eq!(tree.stage("80/53 3111\ncommit"), Ok(()), "{again}");
+        assert_eq!(tree.read("df/80/53").as_deref(), Ok("3111\n"));
+        assert_eq!(tree.read("df/48/13").as_deref(), Ok("5400\n"), "{again}");
+    }
+    // So is one that was never begun, because its `begin` was refused with the rest of its write.
+    assert_eq!(tree.stage("begin\n80/54 1"), Err(Errno::ENOENT));
+    assert_eq!(tree.stage("commit"), Err(Errno::ENOENT));
+    assert_eq!(tree.stage("begin\n48/11 99999999"), Err(Errno::ERANGE));
+    assert_eq!(tree.stage("commit"), Err(Errno::ERANGE));
+    assert_eq!(tree.stage("begin\ncommit"), Ok(()));
+    // After ten minutes it is dropped like any other.
+    assert_eq!(tree.stage("begin\n80/53 3112"), Ok(()));
+    assert_eq!(tree.stage("48/11 99999999"), Err(Errno::ERANGE));
+    tree.clock.sleep(Duration::from_secs(601));
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODATA));
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODATA));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3111\n"));
+}
+
+/// Whoever waits for the end of a transaction with `begin` does no harm to it.
+#[test]
+fn a_second_begin_leaves_the_transaction_as_it_is() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.stage("begin\n80/53 3111"), Ok(()));
+    for other in ["begin", "begin", "begin\n48/11 2200\ncommit", "\n begin\nnonsense"] {
+        assert_eq!(tree.stage(other), Err(Errno::EBUSY), "{other}");
+    }
+    assert_eq!(tree.write("df/transaction", "begin"), Err(Errno::EINVAL));
+    assert_eq!(tree.stage("commit"), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3111\n"));
+    assert_eq!(tree.count("flash_writes"), 1);
 }
 
 /// A write is refused as a whole, wherever the kernel cuts it, or counts as a whole.
