@@ -243,6 +243,33 @@ impl Plan {
         text
     }
 
+    /// Refuses to begin a record where images of these gauges are: their record is missing, and with it the serial
+    /// numbers that were given.
+    fn check_images(&self) -> Result<()> {
+        let images = &self.setup.images;
+        let of_gauge = |name: &str| {
+            let Some((number, rest)) = name.split_once('-') else { return false };
+            let is_number = number.len() >= 6 && number.bytes().all(|byte| byte.is_ascii_digit());
+            is_number
+                && self
+                    .names
+                    .iter()
+                    .any(|gauge| rest.strip_prefix(&**gauge).is_some_and(|rest| rest.starts_with('-')))
+        };
+        let found = std::fs::read_dir(images).into_iter().flatten().flatten();
+        match found.map(|file| file.file_name().to_string_lossy().into_owned()).find(|name| of_gauge(name)) {
+            None => Ok(()),
+            Some(name) => {
+                let why = format!(
+                    "there is no record, but {name} in {} is of a pack that had one; put the record back, so that no \
+                     serial number is given twice, or move the images away",
+                    images.display()
+                );
+                Err(Error::new(self.setup.record.display().to_string(), Cause::Gone(why)))
+            }
+        }
+    }
+
     /// The gauges with their names.
     pub(crate) fn gauges(&self) -> impl Iterator<Item = (&str, &GaugeOptions)> {
         self.names.iter().map(String::as_str).zip(&self.setup.gauges)
@@ -327,6 +354,12 @@ impl Station {
         stops: Arc<AtomicBool>,
     ) -> Result<Self> {
         let record = Record::open(&*disk, &plan.setup.record)?;
+        if record.is_new() {
+            plan.check_images()?;
+        }
+        if let Some(date) = plan.date {
+            pack::day(date, &pack::today(), record.last())?;
+        }
         let serials = Serials::of(&plan.setup.station, plan.serial_row, scanner)?;
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
         // Buses often belong to root, and the person is somebody else.
@@ -360,8 +393,10 @@ impl Station {
             };
             let why =
                 format!("the station was stopped while it programmed this pack; {state}; program it again");
+            let why = text::printable(&why);
             let entry = Entry { event: Event::Fail, time: self.time(), reason: Some(why), ..entry };
             record.append(&entry)?;
+            self.failures.fetch_add(1, Ordering::SeqCst);
             self.screen.outcome(&line(&entry));
         }
         Ok(())
@@ -376,7 +411,7 @@ impl Station {
     }
 
     fn prompt(&self, bench: &str, what: &str) {
-        self.screen.prompt(&format!("{bench}: {what}"));
+        self.screen.prompt(&text::printable(&format!("{bench}: {what}")));
     }
 
     fn is_stopping(&self) -> bool {
@@ -413,12 +448,21 @@ impl Station {
     /// Records the outcome. A pack without its line has not passed.
     fn end(&self, mut entry: Entry) -> Entry {
         entry.time = self.time();
-        let appended = self.record().append(&entry);
-        if let Err(error) = appended {
+        // It is read back, and printed as one line.
+        entry.reason = entry.reason.map(|reason| text::printable(&reason));
+        let mut record = self.record();
+        if let Err(error) = record.append(&entry) {
             let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
             entry.event = Event::Fail;
-            entry.reason = Some(format!("{reason}{error}"));
+            entry.reason = Some(text::printable(&format!("{reason}{error}")));
+            if record.is_broken()
+                && let Err(error) = record.supersede(&entry)
+            {
+                let reason = entry.reason.take().unwrap_or_default();
+                entry.reason = Some(format!("{reason}; do not rely on the record for this pack: {error}"));
+            }
         }
+        drop(record);
         if entry.event != Event::Pass {
             self.failures.fetch_add(1, Ordering::SeqCst);
         }
@@ -443,6 +487,10 @@ impl Station {
     fn packs(&self, bench: &Bench, slot: &mut dyn Slot) {
         let mut what = "connect a pack";
         while !self.is_over() && self.wait(bench, slot, true, what) && self.take() {
+            if let Err(error) = self.record().check() {
+                self.failures.fetch_add(1, Ordering::SeqCst);
+                return self.prompt(&bench.name, &error.to_string());
+            }
             pack::program(self, bench, slot);
             slot.done();
             what = "connect the next pack";
@@ -491,14 +539,15 @@ impl Station {
 fn line(entry: &Entry) -> String {
     let serial = entry.serial.as_ref().map_or(String::new(), |serial| format!(" serial {serial}"));
     let number = entry.number;
-    match (&entry.event, &entry.reason) {
+    let line = match (&entry.event, &entry.reason) {
         (Event::Pass, _) => {
             let seconds = entry.seconds.unwrap_or_default();
             format!("PASS {}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
         }
         (_, reason) => {
             let reason = reason.as_deref().unwrap_or("unknown");
-            format!("FAIL {}{serial} (pack {number}): {}", entry.gauge, text::printable(reason))
+            format!("FAIL {}{serial} (pack {number}): {reason}", entry.gauge)
         }
-    }
+    };
+    text::printable(&line)
 }

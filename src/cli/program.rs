@@ -1,9 +1,7 @@
 //! `gaugefs program`: a station at which one pack after the other is connected.
 
-use std::fs::File;
 use std::io::BufRead;
-use std::os::unix::fs::OpenOptionsExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,8 +10,6 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
-use nix::errno::Errno;
-use nix::fcntl::{Flock, FlockArg};
 use nix::sys::signal::{SigSet, Signal};
 
 use super::print;
@@ -21,7 +17,6 @@ use crate::config::StationSetup;
 use crate::error::{Error, Result};
 use crate::program::{Place, Plan, Scanner, Screen, Station};
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_bus::regular;
 use ti_gauge::journal::{Disk, Host};
 
 const PROGRAM: &str = "\
@@ -32,10 +27,12 @@ asked for.
 
 The record has a line of JSON for each pack that is begun and one for its outcome, and each pack's
 complete image before and after is beside it. If something stops the station in the middle of a
-pack, its next start records that this pack has failed.
+pack, its next start records that this pack has failed. A record that is removed, replaced or
+changed while the station runs ends it: no serial number is given without the record.
 
 Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
-Exit code 0: all packs have passed, 1: one has not, or the station could not start.
+Exit code 0: all packs have passed, 1: one has not, also one that an earlier run has left unfinished,
+or the station could not start or go on.
 
 Examples:
   gaugefs program --image golden.gm.fs --station line1.toml --check
@@ -68,7 +65,6 @@ pub(super) struct Program {
 impl Program {
     pub(super) fn run(self) -> Result<ExitCode> {
         let setup = StationSetup::read(&self.station)?;
-        let record = setup.record.clone();
         let plan = Plan::read(&self.image, setup)?;
         if self.check {
             print(&plan.describe());
@@ -80,8 +76,6 @@ impl Program {
         let packs = if self.once { Some(1) } else { self.count };
         let disk: Arc<dyn Disk> = Arc::new(Host);
         let scanner = Box::new(Input::new(stops.clone()));
-        // Two stations would give the same serial numbers.
-        let _alone = lock(&record)?;
         let station = Station::start(plan, disk, Box::new(Terminal), scanner, packs, stops)?;
         station.close_unfinished(&places.iter().map(|place| &place.bench).collect::<Vec<_>>())?;
         thread::scope(|scope| {
@@ -92,19 +86,6 @@ impl Program {
         });
         Ok(if station.all_passed() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
-}
-
-/// Keeps other stations from using the same record.
-fn lock(record: &Path) -> Result<Flock<File>> {
-    let name = record.display().to_string();
-    let mut options = File::options();
-    options.append(true).create(true).mode(0o640);
-    let file =
-        regular::open(&options, record).map_err(|error| Error::io(&name, "cannot be opened", &error))?;
-    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
-        Errno::EWOULDBLOCK => Error::host(name, errno, "another station uses this record"),
-        errno => Error::io(name, "cannot be locked", &errno.into()),
-    })
 }
 
 /// The first signal ends the station when the present packs are done, the second one ends it at once.

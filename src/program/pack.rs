@@ -35,6 +35,8 @@ const LOAD_PATIENCE: Duration = Duration::from_secs(120);
 const LOAD_LOOK: Duration = Duration::from_secs(1);
 /// The largest current, in mA, that counts as none.
 const NO_LOAD_MA: f64 = 10.0;
+/// The year of the first gaugefs: no clock that is set shows an earlier day.
+const FIRST_DAY: &str = "2026-01-01";
 /// How much of a load may be missing.
 const LOAD_TOLERANCE: f64 = 0.25;
 
@@ -319,7 +321,7 @@ impl Task<'_> {
             }
         }
         if let (Some(row), Some(date)) = (station.plan.date_row, station.plan.date) {
-            asked.set(row.0, row.1, Value::Int(day(date)?));
+            asked.set(row.0, row.1, Value::Int(day(date, &today(), record.last())?));
         }
         // What cannot be written is refused before anything is.
         target::changes(&asked, before, self.bench.allow_unproven())?;
@@ -543,14 +545,50 @@ fn taken_by(serial: &str, pack: u64) -> String {
     format!("{serial} is the serial number of pack number {pack} of the record")
 }
 
-/// A date as data flash has it.
-fn day(date: Date) -> Result<i64> {
-    match date {
-        Date::Day(stored) => Ok(stored),
-        Date::Today => {
-            let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
-            let why = || refuse("date", "this machine's clock shows a year that cannot be stored".into());
-            date::parse(&today.to_string()).ok_or_else(why)
+/// Today's date in UTC, by this machine's clock.
+pub(super) fn today() -> String {
+    Timestamp::now().to_zoned(TimeZone::UTC).date().to_string()
+}
+
+/// A date as data flash has it. A clock that nobody has set shows a date before the first of gaugefs, or before the last
+/// line of the record, which begins with a date.
+pub(super) fn day(date: Date, today: &str, last: &str) -> Result<i64> {
+    if let Date::Day(stored) = date {
+        return Ok(stored);
+    }
+    let refuse = |why: String| {
+        Err(refuse(
+            "date",
+            format!(
+                "this machine's clock shows {today}, {why}; set it, or give the date in the station's file"
+            ),
+        ))
+    };
+    let last = last.get(..today.len()).unwrap_or_default();
+    match date::parse(today) {
+        _ if today < FIRST_DAY => refuse("so it is not set".into()),
+        _ if today < last => refuse(format!("and the last line of the record is of {last}")),
+        Some(stored) => Ok(stored),
+        None => refuse("which cannot be stored".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regression_packs_are_dated_by_a_clock_that_is_not_set() {
+        let day = |today: &str, last: &str| day(Date::Today, today, last).map_err(|error| error.to_string());
+        assert_eq!(day("2026-11-22", ""), Ok(46 << 9 | 11 << 5 | 22));
+        assert_eq!(day("2026-11-22", "2026-11-22T23:59:59Z"), day("2026-11-22", ""));
+        for today in ["1970-01-01", "1980-01-01", "2000-01-01", "2025-12-31", "-000001-01-01"] {
+            let error = day(today, "").expect_err("it is not set");
+            assert!(error.contains(today) && error.contains("it is not set"), "{error}");
         }
+        let error = day("2026-11-21", "2026-11-22T00:00:00Z").expect_err("it went back");
+        assert!(error.contains("the last line of the record is of 2026-11-22"), "{error}");
+        assert!(day("2108-01-01", "").expect_err("no such year").contains("cannot be stored"));
+        assert_eq!(super::day(Date::Day(7), "1970-01-01", "2026"), Ok(7));
     }
 }

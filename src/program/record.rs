@@ -2,14 +2,22 @@
 //!
 //! The first is on disk before the pack is changed, so a pack that is neither finished nor on record does not exist:
 //! a station that starts finds each pack that was begun and has no outcome, and records that it has failed. Serial
-//! numbers are given by the record as well, so none is given twice.
+//! numbers are given by the record as well, so none is given twice. That holds only while it is one file with one
+//! writer: it is locked, and before each pack and each line its name must still lead to the file that was locked, as
+//! long as this station has made it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::io::{self, ErrorKind};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use gauge_bus::regular;
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
 use serde::{Deserialize, Serialize};
 use ti_gauge::journal::{Disk, File};
+use ti_gauge::text;
 
 use crate::error::{Cause, Error, Result};
 
@@ -91,6 +99,8 @@ pub(super) struct Entry {
 pub(super) struct Record {
     path: PathBuf,
     file: Box<dyn File>,
+    /// The file that is locked.
+    held: Flock<fs::File>,
     length: u64,
     next: u64,
     /// The serial numbers of packs that were begun, in text form.
@@ -101,16 +111,38 @@ pub(super) struct Record {
     seen: BTreeMap<String, Entry>,
     /// Packs that were begun and have no outcome.
     open: BTreeMap<u64, Entry>,
+    /// The time of the last line.
+    last: String,
     broken: bool,
 }
 
-/// A line of the record, or why it is none.
-fn parse(line: &str) -> Result<Entry, String> {
-    let entry: Entry = serde_json::from_str(line).map_err(|error| error.to_string())?;
+/// Checks what a line of the record says.
+fn checked(entry: Entry) -> Result<Entry, String> {
     if entry.number > MOST {
         return Err(format!("number: above {MOST}"));
     }
+    // What is printed of it must not look like another line.
+    let Entry { time, gauge, serial, serial_before, .. } = &entry;
+    let fields = [("time", Some(time)), ("gauge", Some(gauge))];
+    let serials = [("serial", serial.as_ref()), ("serial_before", serial_before.as_ref())];
+    for (name, field) in fields.into_iter().chain(serials) {
+        if field.is_some_and(|field| text::printable(field) != *field) {
+            return Err(format!("{name}: it has characters that cannot be printed, or is too long"));
+        }
+    }
     Ok(entry)
+}
+
+/// Opens the record, or creates it, and keeps other stations from using it: two would give the same serial numbers.
+fn lock(path: &Path) -> Result<Flock<fs::File>> {
+    let name = path.display().to_string();
+    let mut options = fs::File::options();
+    options.read(true).append(true).create(true).mode(0o640);
+    let file = regular::open(&options, path).map_err(|error| Error::io(&name, "cannot be opened", &error))?;
+    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
+        Errno::EWOULDBLOCK => Error::host(name, errno, "another station uses this record"),
+        errno => Error::io(name, "cannot be locked", &errno.into()),
+    })
 }
 
 impl Record {
@@ -118,6 +150,7 @@ impl Record {
     pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let failed = |error| Error::io(&name, "the record cannot be used", &error);
+        let held = lock(path)?;
         let text = match disk.read(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 disk.create(path).and_then(|mut file| file.sync()).map_err(failed)?;
@@ -130,14 +163,18 @@ impl Record {
         let mut record = Self {
             path: path.to_path_buf(),
             file,
+            held,
             length: text.len() as u64,
             next: 1,
             given: BTreeSet::new(),
             passed: BTreeMap::new(),
             seen: BTreeMap::new(),
             open: BTreeMap::new(),
+            last: String::new(),
             broken: false,
         };
+        // Between the two calls it may have been replaced.
+        record.check()?;
         let lines: Vec<&str> = text.split_inclusive('\n').collect();
         for (at, line) in lines.iter().enumerate() {
             let is_last = at + 1 == lines.len();
@@ -145,14 +182,15 @@ impl Record {
             if line == TORN || lines.get(at + 1).is_some_and(|next| next.trim_end() == TORN) {
                 continue;
             }
-            match parse(line) {
-                Ok(entry) if !is_last || text.ends_with('\n') => record.note(&entry),
-                // It was never on disk as a whole, so what it announces was not begun, or is not over.
-                _ if is_last => {
-                    let end = if text.ends_with('\n') { "" } else { "\n" };
-                    record.write(&format!("{end}{TORN}\n")).map_err(failed)?;
-                }
-                Ok(_) => {}
+            let entry: Result<Entry, _> = serde_json::from_str(line);
+            // What was never on disk as a whole announces nothing that was begun, or is over.
+            if is_last && (entry.is_err() || !text.ends_with('\n')) {
+                let end = if text.ends_with('\n') { "" } else { "\n" };
+                record.write(&format!("{end}{TORN}\n")).map_err(failed)?;
+                continue;
+            }
+            match entry.map_err(|error| error.to_string()).and_then(checked) {
+                Ok(entry) => record.note(&entry),
                 Err(error) => {
                     let why = format!(
                         "not a line of a station's record: {error}; correct it, or move the file away"
@@ -166,6 +204,7 @@ impl Record {
 
     fn note(&mut self, entry: &Entry) {
         self.next = self.next.max(entry.number + 1);
+        self.last.clone_from(&entry.time);
         match entry.event {
             Event::Begun => drop(self.open.insert(entry.number, entry.clone())),
             Event::Pass | Event::Fail => drop(self.open.remove(&entry.number)),
@@ -183,28 +222,68 @@ impl Record {
 
     fn write(&mut self, text: &str) -> io::Result<()> {
         self.file.append(text.as_bytes())?;
+        self.file.sync()?;
         self.length += text.len() as u64;
-        self.file.sync()
+        Ok(())
+    }
+
+    /// Makes sure that the record is the file that was locked, under its name, and that nobody else has written to it:
+    /// a number that is given now would not be on record. After an error nothing more is recorded.
+    pub(super) fn check(&mut self) -> Result<()> {
+        let what = match (self.path.symlink_metadata(), self.held.metadata()) {
+            (Err(error), _) if error.kind() == ErrorKind::NotFound => "removed or renamed".to_string(),
+            (Err(error), _) | (_, Err(error)) => format!("made unreadable: {error}"),
+            (Ok(named), Ok(held)) if (named.dev(), named.ino()) != (held.dev(), held.ino()) => {
+                "replaced by another file".to_string()
+            }
+            (Ok(named), Ok(_)) if named.len() < self.length => "cut short".to_string(),
+            (Ok(named), Ok(_)) if named.len() > self.length => "written to by another program".to_string(),
+            _ => return Ok(()),
+        };
+        self.broken = true;
+        let why = format!(
+            "the record was {what} since the station has opened it; no pack is begun without it: put the right file \
+             back, and start the station again"
+        );
+        Err(Error::new(self.path.display().to_string(), Cause::Gone(why)))
     }
 
     /// Adds a line. On return it is on disk. Of a pack that is begun, there is room for the outcome, too.
     pub(super) fn append(&mut self, entry: &Entry) -> Result<()> {
         let name = self.path.display().to_string();
         if self.broken {
-            let why = "an earlier line could not be written; correct that, and start the station again";
+            let why = "an earlier line could not be written, or the record is not the same file any more; correct that, \
+                       and start the station again";
             return Err(Error::new(name, Cause::Busy(why.into())));
         }
-        let line = serde_json::to_string(entry).expect("keys are strings, so it cannot fail") + "\n";
+        self.check()?;
+        let line = to_line(entry);
         let room = if entry.event == Event::Begun { ROOM } else { 0 };
         if let Err(error) = self.file.reserve(self.length + line.len() as u64 + room) {
             return Err(Error::io(name, "there is no room for the record", &error));
         }
         if let Err(error) = self.write(&line) {
             self.broken = true;
+            // It may be in the file although it is not on disk. Whoever reads it must not believe it.
+            let _ = self.file.truncate(self.length);
             return Err(Error::io(name, "the record cannot be written", &error));
         }
         self.note(entry);
         Ok(())
+    }
+
+    /// Adds a line after one that could not be written, so that the file says what people were told. Returns why it
+    /// may not say so.
+    pub(super) fn supersede(&mut self, entry: &Entry) -> Result<()> {
+        let length = self.path.symlink_metadata().map(|named| named.len());
+        let is_same = length.is_ok_and(|length| length == self.length);
+        let failed = |error| Error::io(self.path.display().to_string(), "its outcome is not on disk", &error);
+        if !is_same {
+            // What is there, if anything, is not of this station.
+            return Err(failed(ErrorKind::NotFound.into()));
+        }
+        let written = self.file.append(to_line(entry).as_bytes()).and_then(|()| self.file.sync());
+        written.map_err(failed)
     }
 
     /// The number of the next pack.
@@ -244,10 +323,24 @@ impl Record {
         self.open.values().cloned().collect()
     }
 
+    /// The time of the last line; empty if there is none.
+    pub(super) fn last(&self) -> &str {
+        &self.last
+    }
+
+    /// Whether nothing was recorded yet.
+    pub(super) fn is_new(&self) -> bool {
+        self.length == 0
+    }
+
     /// Whether nothing more can be recorded.
     pub(super) fn is_broken(&self) -> bool {
         self.broken
     }
+}
+
+fn to_line(entry: &Entry) -> String {
+    serde_json::to_string(entry).expect("keys are strings, so it cannot fail") + "\n"
 }
 
 #[cfg(test)]
@@ -277,6 +370,7 @@ mod tests {
             record.append(&entry(event, number, serial)).expect("room");
         }
         record.append(&entry(Event::Fail, 3, "3")).expect("room");
+        drop(record);
         let mut again = open();
         assert_eq!(again.unfinished().iter().map(|entry| entry.number).collect::<Vec<_>>(), [2]);
         assert_eq!(again.number(), 4);
@@ -293,6 +387,7 @@ mod tests {
         record.append(&entry(Event::Begun, 1, "1")).expect("room");
         let whole = fs::read(&path).expect("the record").len();
         record.append(&entry(Event::Pass, 1, "1")).expect("room");
+        drop(record);
         let text = fs::read(&path).expect("the record");
         for length in whole..=text.len() {
             fs::write(&path, &text[..length]).expect("a file");
@@ -312,10 +407,22 @@ mod tests {
     }
 
     #[test]
+    fn one_station_at_a_time_has_a_record() {
+        let path = path("locked");
+        let record = Record::open(&Host, &path).expect("a record");
+        let error = Record::open(&Host, &path).expect_err("it is in use").to_string();
+        assert!(error.contains("another station uses this record"), "{error}");
+        drop(record);
+        Record::open(&Host, &path).expect("a record");
+        fs::remove_file(path).expect("it is there");
+    }
+
+    #[test]
     fn a_line_that_is_none_is_refused_with_its_number() {
         let path = path("strange");
         let mut record = Record::open(&Host, &path).expect("a record");
         record.append(&entry(Event::Begun, 1, "1")).expect("room");
+        drop(record);
         let text = fs::read_to_string(&path).expect("the record");
         let large = text.replace("\"number\":1", &format!("\"number\":{}", u64::MAX));
         for (line, why) in [("nonsense\n", "expected"), (&large, "number: above")] {

@@ -112,6 +112,9 @@ struct Power {
     done: AtomicU64,
     cut: Option<u64>,
     disk_is_full: AtomicBool,
+    /// How often the record cannot be synced after the line `pass`, once there is such a line.
+    unsynced: AtomicU64,
+    has_pass: AtomicBool,
 }
 
 impl Power {
@@ -187,6 +190,9 @@ impl File for Opened {
             let part = self.1.done.load(Ordering::SeqCst) as usize % bytes.len().max(1);
             let _ = self.0.append(&bytes[..part]);
         }
+        if bytes.windows(14).any(|part| part == b"\"event\":\"pass\"") {
+            self.1.has_pass.store(true, Ordering::SeqCst);
+        }
         self.1.call(|| self.0.append(bytes))
     }
 
@@ -198,7 +204,17 @@ impl File for Opened {
     }
 
     fn sync(&mut self) -> io::Result<()> {
+        let less = |left: u64| left.checked_sub(1);
+        if self.1.has_pass.load(Ordering::SeqCst)
+            && self.1.unsynced.fetch_update(Ordering::SeqCst, Ordering::SeqCst, less).is_ok()
+        {
+            return Err(io::Error::from_raw_os_error(nix::libc::EIO));
+        }
         self.1.call(|| Ok(()))
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.1.call(|| self.0.truncate(length))
     }
 }
 
@@ -1008,4 +1024,126 @@ fn keys_of_which_one_was_changed_before_are_completed() {
     gauge.ask(|done| Request::ChangeKey(change, done)).expect("the default keys");
     let said = line.run(&clock, [(other, "none".into())]);
     assert!(said[0].starts_with("FAIL") && said[0].contains("full-access key"), "{said:?}");
+}
+
+/// Whatever becomes of the record while the station waits: no number is given twice.
+#[test]
+fn regression_a_record_that_is_removed_between_packs_goes_unnoticed() {
+    type Change = fn(&Path);
+    let changes: [(&str, Change); 5] = [
+        ("removed", |path| fs::remove_file(path).expect("it is there")),
+        ("replaced", |path| {
+            let copy = path.with_extension("copy");
+            fs::copy(path, &copy).and_then(|_| fs::rename(&copy, path)).expect("a copy");
+        }),
+        ("emptied", |path| drop(fs::File::create(path).expect("a file"))),
+        ("continued", |path| {
+            let text = fs::read_to_string(path).expect("text");
+            fs::OpenOptions::new()
+                .append(true)
+                .open(path)
+                .and_then(|mut file| {
+                    use std::io::Write;
+                    file.write_all(text.as_bytes())
+                })
+                .expect("more of it");
+        }),
+        ("moved", |path| fs::rename(path, path.with_extension("old")).expect("it is there")),
+    ];
+    for (what, change) in changes {
+        let folder = Folder::new("removed");
+        let clock = Arc::new(SimClock::new());
+        let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+        let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
+        assert!(said[0].starts_with("PASS"), "{what}: {said:?}");
+        change(&folder.file("line1.jsonl"));
+        let sim = new_pack(&clock, 2, None);
+        let flash = sim.flash();
+        let said = line.run(&clock, [(sim.clone(), "none".into())]);
+        assert_eq!(said.len(), 1, "{what}: {said:?}");
+        assert!(sim.flash() == flash && !line.station.all_passed(), "{what}");
+        let why = line.said.all().pop().expect("a reason");
+        assert!(why.contains("line1.jsonl") && why.contains("record was"), "{what}: {why}");
+        drop(line);
+        // Its images show that there was one.
+        if !folder.file("line1.jsonl").exists() {
+            let error = Line::start(folder.plan(PLAIN), &[], None).err().expect("it is missing").to_string();
+            assert!(error.contains("images"), "{what}: {error}");
+        }
+    }
+}
+
+/// Nor while a pack is programmed.
+#[test]
+fn a_record_that_is_removed_while_a_pack_is_programmed_gives_no_number() {
+    let folder = Folder::new("removed-begin");
+    let plan = folder.plan(&PLAIN.replace("'counter'\nfirst-serial = 1000", "'input'"));
+    let clock = Arc::new(SimClock::new());
+    let mut line = Line::start(plan, &[], None).expect("a record");
+    struct Removing(PathBuf);
+    impl Scanner for Removing {
+        fn line(&mut self, _: &str) -> Option<String> {
+            fs::remove_file(&self.0).expect("it is there");
+            Some("7".into())
+        }
+    }
+    let scanner = Box::new(Removing(folder.file("line1.jsonl")));
+    line.station.serials = serial::Serials::Input(Mutex::new(scanner));
+    let sim = new_pack(&clock, 1, None);
+    let flash = sim.flash();
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    assert!(said[0].starts_with("FAIL") && said[0].contains("record was"), "{said:?}");
+    assert!(sim.flash() == flash && !line.station.all_passed());
+}
+
+#[test]
+fn regression_a_record_that_cannot_be_synced_says_pass_and_the_screen_says_fail() {
+    for times in [1, 2, u64::MAX] {
+        let folder = Folder::new("unsynced");
+        let clock = Arc::new(SimClock::new());
+        let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+        line.power.unsynced.store(times, Ordering::SeqCst);
+        let packs = [1, 2].map(|seed| (new_pack(&clock, seed, None), "none".to_string()));
+        let said = line.run(&clock, packs);
+        // It does not go on.
+        assert!(said.len() == 1 && said[0].starts_with("FAIL BAT0 serial 0x03e8"), "{times}: {said:?}");
+        assert!(said[0].contains("the record cannot be written"), "{times}: {said:?}");
+        assert!(folder.lines().iter().all(|line| line.event != Event::Pass), "{times}: {:?}", folder.lines());
+        assert!(!line.station.all_passed());
+        drop(line);
+        let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+        check_record(&folder);
+        let said = line.run(&clock, [(new_pack(&clock, 3, None), "none".into())]);
+        assert!(said.last().is_some_and(|line| line.starts_with("PASS BAT0 serial 0x03e9")), "{said:?}");
+    }
+}
+
+#[test]
+fn regression_a_field_of_the_record_forges_an_outcome() {
+    for (name, text) in [
+        ("gauge", "BAT0\nPASS BAT0 serial 0x0001 (pack 1, 9.0 s)\n"),
+        ("serial", "0x0001\u{2028}PASS BAT0"),
+        ("serial", "0x0001\r\x1b[1A"),
+        ("serial_before", "1\n2"),
+        ("time", "now\nPASS"),
+    ] {
+        let folder = Folder::new("forged");
+        let begun = Entry { event: Event::Begun, number: 1, gauge: "BAT0".into(), ..Entry::default() };
+        let mut line = serde_json::to_value(&begun).expect("JSON");
+        line[name] = text.into();
+        fs::write(folder.file("line1.jsonl"), format!("{line}\n")).expect("a file");
+        let error = Line::start(folder.plan(PLAIN), &[], None).err().expect("forged").to_string();
+        assert!(error.contains("line 1") && error.contains(name) && !error.contains('\n'), "{name}: {error}");
+    }
+}
+
+#[test]
+fn regression_an_unfinished_pack_of_an_earlier_run_is_no_failure() {
+    let folder = Folder::new("unfinished");
+    let begun = Entry { event: Event::Begun, number: 1, gauge: "BAT0".into(), ..Entry::default() };
+    let text = serde_json::to_string(&begun).expect("JSON") + "\n";
+    fs::write(folder.file("line1.jsonl"), text).expect("a file");
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    assert!(line.said.all()[0].contains("the station was stopped while it programmed this pack"));
+    assert!(!line.station.all_passed(), "it has not passed");
 }

@@ -38,6 +38,10 @@ pub trait File: Debug + Send {
     fn reserve(&mut self, length: u64) -> io::Result<()>;
     /// Returns once its content is on disk.
     fn sync(&mut self) -> io::Result<()>;
+    /// Removes what is beyond a length. Not every disk can do that.
+    fn truncate(&mut self, _: u64) -> io::Result<()> {
+        Err(ErrorKind::Unsupported.into())
+    }
 }
 
 /// Stores a file as a whole: it gets its name when its content is on disk. Reserves `room` more bytes to append.
@@ -155,5 +159,9 @@ impl File for fs::File {
 
     fn sync(&mut self) -> io::Result<()> {
         self.sync_all()
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.set_len(length)
     }
 }
