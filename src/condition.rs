@@ -1,7 +1,8 @@
 //! Conditions on the files of a gauge's folder, such as `capacity<20 && status==Discharging`.
 //!
 //! A condition is parsed strictly, and names are those that the tree can have: one that is misspelt would never come
-//! true. Whether it is true follows from the texts of one poll. A missing value makes no condition true.
+//! true. Nor would `voltage_now<3.9`, as the file is in microvolts: a number is written with the unit of what it is
+//! compared with. Whether it is true follows from the texts of one poll. A missing value makes no condition true.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,9 +10,9 @@ use std::str::FromStr;
 
 use serde::Deserialize;
 use strsim::levenshtein;
-use ti_gauge::text;
+use ti_gauge::{text, unit};
 
-use crate::fs::{Attribute, file_names};
+use crate::fs::{Attribute, named_files};
 
 /// What decides whether a gauge is missing, instead of its values.
 const MISSING: &str = "missing";
@@ -33,26 +34,6 @@ const WORDS: [(&str, &[&str]); 3] = [
         ],
     ),
 ];
-/// Units of attributes: the beginning of their names, the unit in which a number may be written, and the exponent of 10
-/// of that unit in the file's.
-const UNITS: [(&str, &str, i32); 12] = [
-    ("voltage_", "V", 6),
-    ("constant_charge_voltage", "V", 6),
-    ("current_", "A", 6),
-    ("constant_charge_current", "A", 6),
-    ("charge_", "Ah", 6),
-    ("energy_", "Wh", 6),
-    ("power_", "W", 6),
-    ("internal_resistance", "Ohm", 6),
-    ("temp", "C", 1),
-    ("capacity", "%", 0),
-    ("state_of_health", "%", 0),
-    ("gauge/age_ms", "s", 3),
-];
-const PREFIXES: [(&str, i32); 6] = [("", 0), ("m", -3), ("u", -6), ("µ", -6), ("μ", -6), ("k", 3)];
-/// Units of the attributes that are in seconds.
-const TIMES: [(&str, f64); 4] = [("s", 1.0), ("min", 60.0), ("h", 3600.0), ("d", 86400.0)];
-
 /// The files of a gauge's folder, by their names in it.
 pub(crate) type Texts = BTreeMap<String, String>;
 
@@ -181,8 +162,8 @@ impl Term {
             return Err(format!("`{}`: nothing to compare with", term.escape_debug()));
         }
         let with = match name.strip_prefix("gauge/") {
-            Some(file) => of_gauge(name, file, by, value)?,
-            None => of_attribute(name, by, value)?,
+            Some(file) => of_gauge((name, sign), file, by, value)?,
+            None => of_attribute((name, sign), by, value)?,
         };
         Ok(Self::Compare { name: name.into(), by, with })
     }
@@ -216,7 +197,7 @@ fn number(text: &str) -> Option<f64> {
     word.or_else(|| text.parse().ok().filter(|number: &f64| number.is_finite()))
 }
 
-fn of_attribute(name: &str, by: Operator, value: &str) -> Result<Operand, String> {
+fn of_attribute((name, sign): (&str, &str), by: Operator, value: &str) -> Result<Operand, String> {
     let attribute = Attribute::by_name(name).ok_or_else(|| unknown(name))?;
     if name == "present" {
         return Err("write `missing`: a gauge that is not present has no values to compare".into());
@@ -225,7 +206,8 @@ fn of_attribute(name: &str, by: Operator, value: &str) -> Result<Operand, String
         if by == Operator::Has {
             return Err(format!("{name} is a number; compare it with < <= > >= == or !="));
         }
-        return measured(name, value).map(|number| Operand::Number(number, value.into()));
+        let number = measured(name, sign, value, attribute.unit())?;
+        return Ok(Operand::Number(number, value.into()));
     }
     if !matches!(by, Operator::Equal | Operator::Unequal) {
         return Err(format!("{name} is a text; compare it with == or !="));
@@ -240,12 +222,10 @@ fn of_attribute(name: &str, by: Operator, value: &str) -> Result<Operand, String
     Ok(Operand::Text((*word).into()))
 }
 
-fn of_gauge(name: &str, file: &str, by: Operator, value: &str) -> Result<Operand, String> {
-    let files: Vec<_> = file_names().filter(|(known, _)| known == file).collect();
-    if files.is_empty() {
-        return Err(unknown(name));
-    }
-    let bits = || files.iter().flat_map(|(_, bits)| bits.iter().map(|bit| bit.name));
+fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -> Result<Operand, String> {
+    let files: Vec<_> = named_files().filter(|known| known.name == file).collect();
+    let Some(first) = files.first() else { return Err(unknown(name)) };
+    let bits = || files.iter().flat_map(|file| file.bits.iter().map(|bit| bit.name));
     if by == Operator::Has {
         if bits().next().is_none() {
             return Err(format!("{name} is not a word of flags; compare it with < <= > >= == or !="));
@@ -259,51 +239,50 @@ fn of_gauge(name: &str, file: &str, by: Operator, value: &str) -> Result<Operand
     if bits().next().is_some() {
         return Err(format!("{name} lists flags; write '{name} has FLAG'"));
     }
-    match measured(name, value) {
+    // Where parts differ in the unit of a register, a number is compared as it is.
+    let own = if files.iter().all(|file| file.unit == first.unit) { first.unit } else { "" };
+    let may_be_text = !unit::is_known(own) && matches!(by, Operator::Equal | Operator::Unequal);
+    match measured(name, sign, value, own) {
         Ok(number) => Ok(Operand::Number(number, value.into())),
-        Err(_) if matches!(by, Operator::Equal | Operator::Unequal) => Ok(Operand::Text(value.into())),
+        Err(_) if may_be_text => Ok(Operand::Text(value.into())),
         Err(why) => Err(why),
     }
 }
 
-/// A number in the unit of a file: without a unit as the file has it, or with a unit that fits.
-fn measured(name: &str, value: &str) -> Result<f64, String> {
-    if let Some(number) = number(value) {
+/// The number that a term compares with, in the unit of its file. A bare one is refused if the file has a unit: people
+/// mean another one. Percent are the exception.
+fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, String> {
+    let shown = value.escape_debug();
+    let (has_unit, bare) = (unit::is_known(own), number(value));
+    if let Some(number) = bare.filter(|_| !has_unit || own == "%") {
         return Ok(number);
     }
-    let refuse = |what: &str| Err(format!("{name}: `{}` is not a number{what}", value.escape_debug()));
-    let end = value.find(|letter: char| !letter.is_ascii_digit() && !"+-.".contains(letter));
-    let (digits, unit) = value.split_at(end.unwrap_or(value.len()));
-    let (digits, unit) = (digits.trim(), unit.trim().trim_start_matches('°'));
-    if name.starts_with("time_to_") {
-        let found = TIMES.iter().find(|(known, _)| *known == unit);
-        return match (digits.parse::<f64>(), found) {
-            (Ok(number), Some((_, seconds))) if (number * seconds).is_finite() => Ok(number * seconds),
-            _ => refuse(" of s, min or h"),
-        };
+    if let Some(number) = unit::measured(value, own) {
+        return Ok(number);
     }
-    let Some((_, base, exponent)) = UNITS.iter().find(|(of, ..)| name.starts_with(of)) else {
-        return refuse("");
-    };
-    let prefix =
-        unit.strip_suffix(base).and_then(|prefix| PREFIXES.iter().find(|(known, _)| *known == prefix));
-    // A percentage has no prefixes, and no thousandths.
-    let prefix = prefix.filter(|(prefix, _)| prefix.is_empty() || !matches!(*base, "%" | "C"));
-    // Written as an exponent, the decimal is exact.
-    let number = prefix.and_then(|(_, scale)| {
-        digits.parse::<f64>().ok()?;
-        format!("{digits}e{}", exponent + scale).parse().ok().filter(|number: &f64| number.is_finite())
-    });
-    match number {
-        Some(number) => Ok(number),
-        None if matches!(*base, "%" | "C") => refuse(&format!(" of {base}")),
-        None => refuse(&format!(" of {base} or m{base}")),
+    let units = unit::accepted_for(own);
+    match bare.and_then(|number| unit::likely(number, own)) {
+        Some(likely) => {
+            // A unit such as 0.1°C cannot be written behind a number.
+            let same = unit::measured(&likely, own)
+                .filter(|_| !own.starts_with(|first: char| first.is_ascii_digit()));
+            let same = same.map(|number| format!("{number}{own}")).filter(|same| *same != likely);
+            let same = same.map_or(String::new(), |same| {
+                format!("; in the unit of the file that is {name}{sign}{same}")
+            });
+            Err(format!(
+                "{name}: `{shown}` has no unit: write {name}{sign}{likely} if it means {likely}, or another number \
+                 with {units}{same}"
+            ))
+        }
+        None if has_unit => Err(format!("{name}: `{shown}` is not a number with {units}")),
+        None => Err(format!("{name}: `{shown}` is not a number")),
     }
 }
 
 fn unknown(name: &str) -> String {
     let attributes = Attribute::all().map(|attribute| attribute.name().to_string());
-    let names: Vec<_> = attributes.chain(file_names().map(|(file, _)| format!("gauge/{file}"))).collect();
+    let names: Vec<_> = attributes.chain(named_files().map(|file| format!("gauge/{}", file.name))).collect();
     let shown = name.escape_debug();
     match nearest(name, names.iter().map(String::as_str)) {
         Some(meant) => format!("no gauge has a file `{shown}`; did you mean {meant}?"),
@@ -324,6 +303,8 @@ fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<Strin
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn texts(rows: &[(&str, &str)]) -> Texts {
@@ -350,27 +331,89 @@ mod tests {
             "capacity <= 19 %",
             "voltage_now==3.1V",
             "voltage_now == 3100 mV",
-            "voltage_now<=3100000",
+            "voltage_now<=3100000uV",
             "current_now==-0.5A",
             "current_now < -499mA",
             "current_now==-500000uA",
             "charge_now>1799mAh",
             "temp<-5.4°C",
             "temp==-5.5 C",
-            "temp==-55",
+            "temp!=0C",
             "time_to_empty_now<=10min",
             "gauge/age_ms>1.4s",
-            "gauge/registers/voltage==3100",
+            "gauge/registers/voltage==3.1V",
+            "gauge/registers/voltage==3100mV",
             "gauge/chem_id==0x0107",
             "gauge/chem_id==263",
-            "gauge/poll_interval<1",
-            "capacity<20 && voltage_now>3V && temp!=0",
+            "gauge/poll_interval<1s",
+            "capacity<20 && voltage_now>3V && temp!=0C",
         ] {
             assert!(holds(text), "{text}");
         }
-        for text in ["capacity<19", "voltage_now>3.1V", "capacity<20 && voltage_now<3V", "temp>0", "missing"]
+        for text in ["capacity<19", "voltage_now>3.1V", "capacity<20 && voltage_now<3V", "temp>0C", "missing"]
         {
             assert!(!holds(text), "{text}");
+        }
+    }
+
+    #[test]
+    fn regression_a_bare_number_of_a_quantity_is_refused_with_the_unit_that_was_probably_meant() {
+        for (text, likely) in [
+            ("voltage_now<3.9", "write voltage_now<3.9V if it means 3.9V"),
+            ("voltage_now<3.9", "in the unit of the file that is voltage_now<3900000uV"),
+            ("voltage_now<3900", "write voltage_now<3900mV"),
+            ("voltage_now<=3900000", "write voltage_now<=3900000uV"),
+            ("voltage_now<0x100", "write voltage_now<256mV"),
+            ("voltage_now<3.9e6", "write voltage_now<3900000uV"),
+            ("temp>45", "write temp>45C if it means 45C, or another number with degC"),
+            ("temp>450", "write temp>45C"),
+            ("temp>0", "write temp>0C"),
+            ("current_now<-2", "write current_now<-2A"),
+            ("current_avg!=-500", "write current_avg!=-500mA"),
+            ("charge_now>2200", "write charge_now>2200mAh"),
+            ("energy_now<7.4", "write energy_now<7.4Wh"),
+            ("power_avg>5", "write power_avg>5W"),
+            ("internal_resistance>0.2", "write internal_resistance>0.2ohm"),
+            ("time_to_empty_now<600", "write time_to_empty_now<600s"),
+            ("gauge/age_ms>60", "write gauge/age_ms>60s"),
+            ("gauge/age_ms>60000", "write gauge/age_ms>60000ms"),
+            ("gauge/poll_interval==30", "write gauge/poll_interval==30s"),
+            ("gauge/registers/voltage<3.9", "write gauge/registers/voltage<3.9V"),
+            ("gauge/registers/internal_temperature>300", "write gauge/registers/internal_temperature>300K"),
+            ("gauge/registers/average_time_to_empty<10", "write gauge/registers/average_time_to_empty<10min"),
+        ] {
+            let refused = text.parse::<Condition>().expect_err(text);
+            assert!(refused.contains("has no unit: ") && refused.contains(likely), "{text}: {refused}");
+        }
+        let compared = |text: &str| match &*text.parse::<Condition>().expect(text).terms {
+            [Term::Compare { with: Operand::Number(number, _), .. }] => *number,
+            other => panic!("{text}: {other:?}"),
+        };
+        // Every suggestion is a condition, for every file that has a unit.
+        let attributes = Attribute::all().map(|one| (one.name().to_string(), one.unit()));
+        let files = named_files().map(|file| (format!("gauge/{}", file.name), file.unit));
+        let with_unit = attributes.chain(files).filter(|(_, own)| unit::is_known(own) && *own != "%");
+        let mut count = 0;
+        for name in with_unit.map(|(name, _)| name).collect::<BTreeSet<_>>() {
+            for number in ["-7", "450", "3900000"] {
+                let text = format!("{name}<{number}");
+                let Err(refused) = text.parse::<Condition>() else {
+                    // Parts differ in its unit.
+                    assert!(name.starts_with("gauge/registers/"), "{text}");
+                    continue;
+                };
+                let (_, told) = refused.split_once(": write ").expect(&refused);
+                let (likely, rest) = told.split_once(" if ").expect(&refused);
+                let meant = compared(likely);
+                if let Some((_, same)) = rest.split_once("that is ") {
+                    assert_eq!(compared(same), meant, "{refused}");
+                }
+                count += 1;
+            }
+        }
+        assert!(count > 100, "{count}");
+        for text in ["capacity<20", "cycle_count>300", "gauge/statistics/polls>5", "state_of_health<80"] {
+            text.parse::<Condition>().expect(text);
         }
     }
 
@@ -423,12 +466,14 @@ mod tests {
             ("zzz<3", "no gauge has a file `zzz`"),
             ("status==full up", "it is one of: Charging"),
             ("status<3", "is a text; compare it with == or !="),
-            ("capacity==Full", "`Full` is not a number of %"),
-            ("capacity<20V", "not a number of %"),
+            ("capacity==Full", "`Full` is not a number with %"),
+            ("capacity<20V", "not a number with %"),
             ("capacity has 3", "is a number"),
-            ("voltage_now<3.1A", "`3.1A` is not a number of V or mV"),
+            ("voltage_now<3.1A", "`3.1A` is not a number with uV, mV or V"),
             ("voltage_now<3.1.1V", "is not a number"),
-            ("time_to_empty_now<3V", "not a number of s, min or h"),
+            ("voltage_now<3.1V/cell", "is not a number"),
+            ("gauge/age_ms==old", "is not a number with s, min or h"),
+            ("time_to_empty_now<3V", "not a number with s, min or h"),
             ("cycle_count>3x", "`3x` is not a number"),
             ("gauge/seal<sealed", "is not a number"),
             ("capacity", "no comparison"),

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Arg, Args, Command};
 use serde::Deserialize;
 
 use super::{from_toml, values};
@@ -26,11 +26,11 @@ pub(crate) struct AlertOptions {
     #[serde(default, rename = "for", deserialize_with = "from_toml::hold")]
     pub(crate) hold: Option<Duration>,
     /// Program to run when the alert is raised, with its arguments up to a `;`; no shell
-    #[arg(long, value_name = "CMD", num_args = 1.., allow_hyphen_values = true, value_terminator = ";")]
+    #[arg(long, value_name = "CMD", num_args = 1.., allow_hyphen_values = true, value_terminator = ";", value_parser = word_of_program)]
     #[serde(default)]
     pub(crate) exec: Vec<String>,
     /// Program to run when it is cleared
-    #[arg(long, value_name = "CMD", num_args = 1.., allow_hyphen_values = true, value_terminator = ";")]
+    #[arg(long, value_name = "CMD", num_args = 1.., allow_hyphen_values = true, value_terminator = ";", value_parser = word_of_program)]
     #[serde(default)]
     pub(crate) exec_clear: Vec<String>,
     /// Name of the alert in messages [default: its condition]
@@ -41,6 +41,21 @@ pub(crate) struct AlertOptions {
     #[arg(skip)]
     #[serde(default, deserialize_with = "from_toml::name")]
     pub(crate) gauge: Option<String>,
+}
+
+/// A word of a program's command line. It takes all that follows, so an option of gaugefs's own in there was most likely
+/// meant for gaugefs: the program would run without the delay that somebody has asked for.
+fn word_of_program(word: &str) -> Result<String, String> {
+    let name = word.strip_prefix("--").map(|option| option.split('=').next().unwrap_or_default());
+    let options = AlertOptions::augment_args(Command::new(""));
+    let mut own = options.get_arguments().filter_map(Arg::get_long).chain(["config"]);
+    match name.filter(|name| own.any(|own| own == *name)) {
+        None => Ok(word.into()),
+        Some(name) => Err(format!(
+            "--{name} is an option of `gaugefs watch`; end CMD with `;` (in a shell, \\;) or put --{name} before it. If it \
+             is meant for CMD, write sh -c 'CMD --{name} ...'"
+        )),
+    }
 }
 
 impl AlertOptions {

@@ -24,8 +24,9 @@ const WATCH: &str = "\
 An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
 when the condition of --clear is true. Without --clear that is when the first condition is false; a
 value that is missing clears nothing. Each change is printed as a line, and the program of --exec or
---exec-clear is run for it: without a shell, unless CMD is sh -c '...'; never two at a time for one
-alert of one gauge; and with these variables in its environment:
+--exec-clear is run for it: without a shell, unless CMD is sh -c '...', and never two at a time for
+one alert of one gauge. What follows CMD belongs to it, up to a `;`; an option of `gaugefs watch` is
+refused there: write it before --exec, or behind the `;`. The environment of the program has:
 
   GAUGEFS_EVENT       raised or cleared
   GAUGEFS_ALERT       name of the alert

@@ -14,9 +14,10 @@ use crate::error::{Error, Result};
 
 const WAIT: &str = "\
 CONDITION compares files of the gauge's folder with < <= > >= == or !=, joined by &&: capacity<20,
-voltage_now<3.1V, 'temp>45C && status==Charging', gauge/statistics/failed_polls>0. A number has the
-unit of the file, or one of its own. 'gauge/flags has FC' asks for a flag. A missing value makes no
-comparison true; the condition `missing` is true while the gauge does not answer.
+voltage_now<3.1V, 'temp>45C && status==Charging', gauge/statistics/failed_polls>0. A number has its
+unit (V, mA, mAh, C, s, min ...), except for percent and counts. 'gauge/flags has FC' asks for a
+flag. A missing value makes no comparison true; the condition `missing` is true while the gauge does
+not answer.
 
 The files are read after each poll of the mount, which causes no bus traffic.
 

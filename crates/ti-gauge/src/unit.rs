@@ -1,7 +1,8 @@
 //! Values as people write and read them: numbers with a unit, and dates. What `df` files hold is [`text`]'s: numbers in the
 //! unit of the table.
 //!
-//! A unit is converted exactly or refused: no value is ever rounded.
+//! A value that is stored is converted exactly or refused, never rounded. One that is only compared or measured against
+//! may be any number.
 
 use crate::chip::Parameter;
 use crate::date;
@@ -18,7 +19,7 @@ struct Unit {
 }
 
 /// Names of units: their base unit, and how many of it they are.
-const SYMBOLS: [(&str, &str, i128); 14] = [
+const SYMBOLS: [(&str, &str, i128); 17] = [
     ("V", "V", 1),
     ("A", "A", 1),
     ("Ah", "Ah", 1),
@@ -26,19 +27,29 @@ const SYMBOLS: [(&str, &str, i128); 14] = [
     ("Wh", "Wh", 1),
     ("Ω", "Ω", 1),
     ("ohm", "Ω", 1),
+    ("Ohm", "Ω", 1),
     ("s", "s", 1),
     ("min", "s", 60),
     ("h", "s", 3600),
+    ("d", "s", 86400),
     ("%", "%", 1),
     ("°C", "°C", 1),
     ("degC", "°C", 1),
+    ("C", "°C", 1),
     ("K", "K", 1),
 ];
 /// The base units that have the prefixes below.
 const PREFIXED: [&str; 7] = ["V", "A", "Ah", "W", "Wh", "Ω", "s"];
-/// Prefixes, and what they divide by. The micro sign is a character of its own beside the Greek letter.
-const PREFIXES: [(&str, i128); 6] =
-    [("", 1), ("m", 1_000), ("u", 1_000_000), ("µ", 1_000_000), ("μ", 1_000_000), ("n", 1_000_000_000)];
+/// Prefixes, and what they multiply and divide by. The micro sign is a character of its own beside the Greek letter.
+const PREFIXES: [(&str, i128, i128); 7] = [
+    ("", 1, 1),
+    ("k", 1_000, 1),
+    ("m", 1, 1_000),
+    ("u", 1, 1_000_000),
+    ("µ", 1, 1_000_000),
+    ("μ", 1, 1_000_000),
+    ("n", 1, 1_000_000_000),
+];
 /// What a quantity may be counted for. `mV/cell` is no `mV`: a pack's voltage is another one.
 const PER: [&str; 2] = ["/cell", "/day"];
 /// Longest number with a unit, in digits. It keeps all products within 128 bits.
@@ -54,9 +65,9 @@ impl Unit {
         let name = unit.strip_suffix(per)?;
         let (symbol, size) = SYMBOLS.iter().find_map(|&(symbol, base, size)| {
             let prefix = name.strip_suffix(symbol)?;
-            let &(_, divisor) = PREFIXES.iter().find(|(known, _)| *known == prefix)?;
+            let &(_, times, divisor) = PREFIXES.iter().find(|(known, ..)| *known == prefix)?;
             let may_have = prefix.is_empty() || PREFIXED.contains(&base) && size == 1;
-            may_have.then_some((base, (size, divisor)))
+            may_have.then_some((base, (size * times, divisor)))
         })?;
         Some(Self { num: num * size.0, den: den * size.1, base: format!("{symbol}{per}") })
     }
@@ -87,8 +98,13 @@ pub fn accepted(parameter: &Parameter) -> String {
     if parameter.is_date() {
         return "a date such as 2026-11-22".into();
     }
-    let Some(Unit { base, .. }) = Unit::of(parameter.unit) else { return String::new() };
-    let small = ["n", "u"].into_iter().filter(|prefix| parameter.unit.contains(prefix));
+    accepted_for(parameter.unit)
+}
+
+/// The units that [`measured`] accepts for a value in `unit`, in words; empty if that is only a name.
+pub fn accepted_for(unit: &str) -> String {
+    let Some(Unit { base, .. }) = Unit::of(unit) else { return String::new() };
+    let small = ["n", "u"].into_iter().filter(|prefix| unit.contains(prefix));
     match base.split('/').next().unwrap_or_default() {
         "s" => "s, min or h".into(),
         "%" | "K" => base,
@@ -135,8 +151,61 @@ pub fn parse(parameter: &Parameter, text: &str) -> Result<Value> {
 }
 
 /// Whether it is a unit, and not only a name such as `hex`.
-pub(crate) fn is_known(unit: &str) -> bool {
+pub fn is_known(unit: &str) -> bool {
     Unit::of(unit).is_some()
+}
+
+/// A number with a unit, such as `3.1V`, as a number of `unit`s, such as `uV`. `None` without a unit, and with one of
+/// another quantity.
+pub fn measured(text: &str, unit: &str) -> Option<f64> {
+    let (number, written) = split(text.trim());
+    let (num, den) = decimal(number)?;
+    let (written, unit) = (Unit::of(written).filter(|_| split(written).0.is_empty())?, Unit::of(unit)?);
+    if written.base != unit.base {
+        return None;
+    }
+    // Within 128 bits: a number has 18 digits, and no unit is farther from another one than these products.
+    let num = num.checked_mul(written.num)?.checked_mul(unit.den)?;
+    let den = den.checked_mul(written.den)?.checked_mul(unit.num)?;
+    let common = greatest_divisor(num.unsigned_abs(), den.unsigned_abs()).max(1) as i128;
+    Some((num / common) as f64 / (den / common) as f64)
+}
+
+fn greatest_divisor(a: u128, b: u128) -> u128 {
+    if b == 0 { a } else { greatest_divisor(b, a % b) }
+}
+
+/// What somebody who has left out the unit has probably meant, with its unit, where a value is in `unit`s: `3.9` of a voltage in `uV` is
+/// `3.9V`, and `3900` is `3900mV`. `None` if `unit` is only a name.
+pub fn likely(number: f64, unit: &str) -> Option<String> {
+    /// Beyond these, people write a smaller unit.
+    const LARGE: [(f64, &str); 2] = [(100.0, ""), (100_000.0, "m")];
+    let Unit { num, den, base } = Unit::of(unit)?;
+    let size = number.abs();
+    let own = || format!("{}{base}", number * num as f64 / den as f64);
+    let (symbol, per) = base.split_at(base.find('/').unwrap_or(base.len()));
+    Some(match symbol {
+        "°C" if size <= 150.0 => format!("{number}{}", word_of(symbol)),
+        "°C" => format!("{}{}", number * num as f64 / den as f64, word_of(symbol)),
+        "K" if size < 1000.0 => format!("{number}K"),
+        "s" if den > 1 && size >= 1000.0 => format!("{number}ms"),
+        "s" if num % 60 == 0 => format!("{number}min"),
+        "s" => format!("{number}s"),
+        symbol if PREFIXED.contains(&symbol) => {
+            let prefix = LARGE.iter().find(|(large, _)| size < *large).map_or("u", |(_, prefix)| prefix);
+            format!("{number}{prefix}{}{per}", word_of(symbol))
+        }
+        _ => own(),
+    })
+}
+
+/// A symbol as it can be typed on any keyboard.
+fn word_of(symbol: &str) -> &str {
+    match symbol {
+        "Ω" => "ohm",
+        "°C" => "C",
+        symbol => symbol,
+    }
 }
 
 /// A number with a unit as the number in the parameter's own unit, if it can be stored so.
@@ -318,6 +387,36 @@ mod tests {
         ] {
             let error = stored(unit, text).expect_err(text).to_string();
             assert!(error.starts_with("Value: ") && error.contains(says), "{text} in {unit}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_number_with_a_unit_is_measured_in_another_one() {
+        for (text, unit, number) in [
+            ("3.1V", "uV", 3_100_000.0),
+            ("-0.5 A", "uA", -500_000.0),
+            ("1.5kWh", "uWh", 1.5e9),
+            ("-5.5C", "0.1°C", -55.0),
+            ("3.14159V", "mV", 3141.59),
+            ("2d", "s", 172_800.0),
+            ("1.5s", "ms", 1500.0),
+            ("318.15K", "0.1K", 3181.5),
+            ("20min", "5min", 4.0),
+            ("999999999999999999d", "ns", 999_999_999_999_999_999.0 * 86400.0 * 1e9),
+        ] {
+            assert_eq!(measured(text, unit), Some(number), "{text} in {unit}");
+        }
+        for (text, unit) in [
+            ("3.1", "uV"),
+            ("3.1A", "uV"),
+            ("3.1V/cell", "uV"),
+            ("V", "uV"),
+            ("3.1 1V", "uV"),
+            ("5Num", "Num"),
+            ("25C", "0.1K"),
+            ("9999999999999999999V", "uV"),
+        ] {
+            assert_eq!(measured(text, unit), None, "{text} in {unit}");
         }
     }
 

@@ -247,6 +247,47 @@ fn a_program_that_fails_or_is_slow_stops_no_alert_and_runs_once_at_a_time() {
 }
 
 #[test]
+fn regression_an_option_behind_the_program_of_an_alert_is_refused() {
+    let misused = |words: &[&str], says: &str| {
+        let ran = gaugefs(&[&["watch", "/no/such/mount", "capacity<20"], words].concat());
+        assert!(ran.code == Some(2) && ran.err.contains(says), "{words:?}: {:?} {}", ran.code, ran.err);
+    };
+    for option in ["--for", "--clear", "--name", "--exec", "--exec-clear", "--config"] {
+        let says = format!("{option} is an option of `gaugefs watch`; end CMD with `;`");
+        misused(&["--exec", "true", option, "60"], &says);
+        misused(&["--exec", "true", "x", &format!("{option}=60")], &says);
+        misused(&["--exec-clear", "true", option, "60"], &says);
+    }
+    misused(&["--exec", "--for", "60"], "--for is an option");
+    // What is refused there is accepted before and behind the command.
+    for words in [
+        &["--for", "60", "--exec", "true", "-x", "--force", "--fork=1"][..],
+        &["--exec", "true", ";", "--for", "60"],
+        &["--exec", "true", "-v", ";", "--exec-clear", "sh", "-c", "true --for 3", ";", "--name", "n"],
+    ] {
+        let ran = gaugefs(&[&["watch", "/no/such/mount", "capacity<20"], words].concat());
+        assert!(ran.code == Some(1) && ran.err.contains("not mounted"), "{words:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn regression_a_number_without_its_unit_is_refused_on_the_command_line_and_in_a_file() {
+    for command in ["wait", "watch"] {
+        let ran = gaugefs(&[command, "/no/such/mount", "voltage_now<3.9"]);
+        assert!(ran.code == Some(2) && ran.err.contains("write voltage_now<3.9V"), "{}", ran.err);
+    }
+    let ran = gaugefs(&["watch", "/no/such/mount", "temp>45C", "--clear", "temp<40"]);
+    assert!(ran.code == Some(2) && ran.err.contains("write temp<40C"), "{}", ran.err);
+    let folder = Folder::new();
+    let file = folder.file("gauges.toml");
+    for key in ["when = \"temp>45\"", "when = \"missing\"\nclear = \"temp>45\""] {
+        fs::write(&file, format!("[mount]\nmountpoint = \"m\"\n[[alert]]\n{key}\n")).expect("a file");
+        gaugefs(&["watch", "--config", &file]).failed(&["gauges.toml: line", "write temp>45C"]);
+        gaugefs(&["mount", "--config", &file, "--check"]).failed(&["write temp>45C"]);
+    }
+}
+
+#[test]
 fn alerts_of_a_file_are_checked_before_anything_runs() {
     let folder = Folder::new();
     let file = folder.file("gauges.toml");
