@@ -54,6 +54,10 @@ use poll::Schedule;
 pub use report::{Origin, Report};
 pub use request::{Done, Request};
 
+/// Longest wait for a request. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
+/// fell due then is done at most this long after the host is awake.
+const NAP: Duration = Duration::from_secs(30);
+
 /// How a gauge is run.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -247,8 +251,10 @@ impl Owner {
         loop {
             let poll = self.schedule.due(self.shared.published().interval);
             let due = self.debt.due().map_or(poll, |debt| debt.min(poll));
-            match requests.recv_timeout(due.saturating_sub(self.gauge.clock.now())) {
+            let left = due.saturating_sub(self.gauge.clock.now());
+            match requests.recv_timeout(left.min(NAP)) {
                 Ok((submitted, request)) => self.answer(submitted, request),
+                Err(RecvTimeoutError::Timeout) if self.gauge.clock.now() < due => {}
                 Err(RecvTimeoutError::Timeout) if due < poll => {
                     let _ = self.survive(Attempt::Settle, Self::pay);
                 }
@@ -297,6 +303,7 @@ impl Owner {
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
             published.snapshot = None;
+            published.presence += 1;
             (published.digest, published.control) = (None, None);
             (published.owed, published.settling) = ("".into(), "".into());
         });

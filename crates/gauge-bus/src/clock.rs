@@ -4,7 +4,9 @@
 //! bus adds the duration of its transfers. This is the only place that calls `thread::sleep`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
 
 /// Monotonic time since a fixed start, and a way to wait.
 pub trait Clock: Send + Sync {
@@ -17,15 +19,22 @@ pub trait Clock: Send + Sync {
     fn spend(&self, _time: Duration) {}
 }
 
-/// The machine's monotonic clock.
+/// The machine's monotonic clock. It goes on while the machine is asleep, in which time a pack may be exchanged, and
+/// values grow old; a sleep on it does not end earlier for that.
 #[derive(Debug)]
-pub struct RealClock(Instant);
+pub struct RealClock(Duration);
 
 impl RealClock {
     /// A clock that starts now.
     pub fn new() -> Self {
-        Self(Instant::now())
+        Self(since_boot())
     }
+}
+
+/// Time since the machine was started. `Instant` leaves out the time asleep.
+fn since_boot() -> Duration {
+    let time = clock_gettime(ClockId::Boottime);
+    Duration::new(time.tv_sec.unsigned_abs(), u32::try_from(time.tv_nsec).unwrap_or(0))
 }
 
 impl Default for RealClock {
@@ -36,7 +45,7 @@ impl Default for RealClock {
 
 impl Clock for RealClock {
     fn now(&self) -> Duration {
-        self.0.elapsed()
+        since_boot().saturating_sub(self.0)
     }
 
     fn sleep(&self, time: Duration) {
@@ -67,5 +76,26 @@ impl Clock for SimClock {
     fn spend(&self, time: Duration) {
         let nanos = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
         self.0.fetch_add(nanos, Ordering::SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The kernel's own figure counts the time asleep; no test can put the machine to sleep.
+    #[test]
+    fn regression_the_clock_counts_the_time_asleep() {
+        let uptime = || {
+            let text = std::fs::read_to_string("/proc/uptime").expect("Linux has it");
+            let seconds: f64 = text.split(' ').next().and_then(|first| first.parse().ok()).expect("seconds");
+            Duration::from_secs_f64(seconds)
+        };
+        // Hundredths of a second are rounded.
+        let (before, now, after) = (uptime(), since_boot(), uptime() + Duration::from_millis(20));
+        assert!(before <= now && now <= after, "{before:?}, {now:?}, {after:?}");
+        let clock = RealClock::new();
+        clock.sleep(Duration::from_millis(2));
+        assert!(clock.now() >= Duration::from_millis(2));
     }
 }
