@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use super::supply::Supply;
-use super::transaction::{self, Staged};
+use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Attempt, Done, Request};
@@ -287,7 +287,7 @@ impl Supply {
             allow_unproven: handle.allows_unproven(),
             stored: &stored,
         };
-        let staged = self.transaction.write(&rules, handle.now(), data);
+        let staged = self.transaction.write(&rules, self.moment(), data);
         if staged.is_ok() && !self.transaction.is_spoiled() {
             handle.succeeded(&Attempt::Stage);
         }
@@ -300,7 +300,11 @@ impl Supply {
 
     /// The changes of the open transaction.
     fn staged(&self) -> Option<Arc<Staged>> {
-        self.transaction.staged(self.handle.now())
+        self.transaction.staged(self.moment())
+    }
+
+    fn moment(&self) -> Moment {
+        Moment { now: self.handle.now(), presence: self.handle.published().presence }
     }
 
     /// The subclasses that hold staged changes and have to be read to show the old values.

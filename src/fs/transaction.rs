@@ -18,7 +18,8 @@ use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::text;
 
-/// A transaction that is open for longer than this is dropped.
+/// A transaction that is open for longer than this is dropped. So is one whose gauge has gone away since, or is another
+/// one: its values were meant for the gauge that was there.
 const PATIENCE: Duration = Duration::from_secs(600);
 /// Most blocks with undocumented bytes that a transaction can have, 128 KiB: more than any gauge stores, and little
 /// enough for the daemon. The chip's table limits the number of parameters.
@@ -44,15 +45,33 @@ struct State {
     spoiled: Option<Error>,
 }
 
+/// When something is asked of a transaction.
+#[derive(Clone, Copy)]
+pub(super) struct Moment {
+    pub(super) now: Duration,
+    /// See [`Published::presence`](crate::owner::Published::presence).
+    pub(super) presence: u64,
+}
+
 struct Open {
-    since: Duration,
+    since: Moment,
     /// Shared with those who are reading it.
     staged: Arc<Staged>,
 }
 
+/// Why a transaction was dropped.
+#[derive(Clone, Copy)]
+enum Dropped {
+    Old,
+    Left,
+}
+
 impl Open {
-    fn is_old(&self, now: Duration) -> bool {
-        now.saturating_sub(self.since) >= PATIENCE
+    fn dropped(&self, at: Moment) -> Option<Dropped> {
+        if at.presence != self.since.presence {
+            return Some(Dropped::Left);
+        }
+        (at.now.saturating_sub(self.since.now) >= PATIENCE).then_some(Dropped::Old)
     }
 }
 
@@ -166,10 +185,10 @@ impl Transaction {
     }
 
     /// What is staged; `None` while no transaction is open.
-    pub(super) fn staged(&self, now: Duration) -> Option<Arc<Staged>> {
+    pub(super) fn staged(&self, at: Moment) -> Option<Arc<Staged>> {
         let mut state = self.lock();
         let open = state.open.as_mut()?;
-        if open.is_old(now) {
+        if open.dropped(at).is_some() {
             open.staged = Arc::default();
             return None;
         }
@@ -182,18 +201,18 @@ impl Transaction {
     }
 
     /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
-    pub(super) fn write(&self, rules: &Rules<'_>, now: Duration, data: &[u8]) -> Result<Option<Vec<Change>>> {
-        self.lock().write(rules, now, data).map_err(|error| error.within("df/transaction"))
+    pub(super) fn write(&self, rules: &Rules<'_>, at: Moment, data: &[u8]) -> Result<Option<Vec<Change>>> {
+        self.lock().write(rules, at, data).map_err(|error| error.within("df/transaction"))
     }
 }
 
 impl State {
-    fn write(&mut self, rules: &Rules<'_>, now: Duration, data: &[u8]) -> Result<Option<Vec<Change>>> {
-        let was_old = self.open.as_ref().is_some_and(|open| open.is_old(now));
-        if was_old {
+    fn write(&mut self, rules: &Rules<'_>, at: Moment, data: &[u8]) -> Result<Option<Vec<Change>>> {
+        let dropped = self.open.as_ref().and_then(|open| open.dropped(at));
+        if dropped.is_some() {
             self.spoiled = None;
         }
-        let before = self.open.as_ref().filter(|_| !was_old).map(|open| &*open.staged);
+        let before = self.open.as_ref().filter(|_| dropped.is_none()).map(|open| &*open.staged);
         let was_open = before.is_some();
         let mut next = Next {
             is_open: was_open,
@@ -203,8 +222,8 @@ impl State {
             added: Staged::default(),
             new_blocks: 0,
         };
-        let outcome = read_lines(&mut next, rules, before, was_old, data);
-        if was_old || outcome.is_ok() && next.is_new {
+        let outcome = read_lines(&mut next, rules, before, dropped, data);
+        if dropped.is_some() || outcome.is_ok() && next.is_new {
             self.open = None;
         }
         if let Err(error) = outcome {
@@ -221,7 +240,7 @@ impl State {
             self.spoiled = None;
         }
         if next.is_open || next.commits {
-            let now_open = self.open.get_or_insert_with(|| Open { since: now, staged: Arc::default() });
+            let now_open = self.open.get_or_insert_with(|| Open { since: at, staged: Arc::default() });
             // Copied only while somebody is reading it.
             Arc::make_mut(&mut now_open.staged).extend(next.added);
         }
@@ -249,7 +268,7 @@ fn read_lines(
     next: &mut Next,
     rules: &Rules<'_>,
     before: Option<&Staged>,
-    was_old: bool,
+    dropped: Option<Dropped>,
     data: &[u8],
 ) -> Result<()> {
     if !data.ends_with(b"\n") {
@@ -258,7 +277,7 @@ fn read_lines(
     let text = std::str::from_utf8(data).map_err(|_| invalid("not text"))?;
     let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty());
     for (number, line) in lines {
-        let taken = take(next, rules, before, was_old, line);
+        let taken = take(next, rules, before, dropped, line);
         taken.map_err(|error| error.within(&format!("line {number}")))?;
     }
     Ok(())
@@ -268,20 +287,26 @@ fn take(
     next: &mut Next,
     rules: &Rules<'_>,
     before: Option<&Staged>,
-    was_old: bool,
+    dropped: Option<Dropped>,
     line: &str,
 ) -> Result<()> {
     if next.commits {
         return Err(invalid("nothing may follow `commit` in one write"));
     }
     let none = |why: &str| Error::host("", Errno::ENODATA, why);
+    let dropped = dropped.filter(|_| !next.is_open && !next.is_new);
     match line {
         "begin" if next.is_open && !next.is_spoiled => return Err(busy()),
         "begin" => next.restart(true),
         "commit" if next.is_spoiled => (next.is_open, next.commits) = (false, true),
         "abort" if next.is_spoiled => next.restart(false),
-        _ if !next.is_open && was_old && !next.is_new => {
+        _ if matches!(dropped, Some(Dropped::Old)) => {
             return Err(none("it was open for 10 minutes and was dropped; nothing was written"));
+        }
+        _ if matches!(dropped, Some(Dropped::Left)) => {
+            let why = "the gauge has been away or is another one since `begin`, so the staged lines were dropped and \
+                       nothing was written; check its values and write `begin` again";
+            return Err(Error::new("", Cause::Gone(why.into())));
         }
         _ if !next.is_open => return Err(none("no transaction is open; write `begin` first")),
         "abort" => next.restart(false),
@@ -401,8 +426,9 @@ mod tests {
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         let rules = Rules { chip, allow_unproven: true, stored: &|_| None };
-        assert!(transaction.write(&rules, Duration::ZERO, lines).expect("lines").is_none());
-        let staged = transaction.staged(Duration::ZERO).expect("open").changes();
+        let at = Moment { now: Duration::ZERO, presence: 0 };
+        assert!(transaction.write(&rules, at, lines).expect("lines").is_none());
+        let staged = transaction.staged(at).expect("open").changes();
         let staged: Vec<_> = staged.iter().map(|change| (change.place.subclass, change.bytes[0])).collect();
         assert_eq!(staged, [(91, 0x55), (92, 0x00)]);
     }

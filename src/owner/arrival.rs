@@ -87,6 +87,7 @@ impl Owner {
             log::warn!("{}: {why}", self.shared.name());
         }
         self.shared.publish(|published| {
+            published.presence += 1;
             (published.answers, published.limited) = (answers, limited);
             (published.digest, published.control) = (None, None);
         });

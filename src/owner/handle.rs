@@ -48,6 +48,8 @@ impl Snapshot {
 pub struct Published {
     /// The last poll; `None` while the gauge is gone.
     pub snapshot: Option<Arc<Snapshot>>,
+    /// Rises whenever the gauge goes away, or may be another one than before.
+    pub presence: u64,
     /// What the gauge answered when it was identified.
     pub answers: Answers,
     /// Set if the part is a relative of the table's, or another version of it: its standard commands mean the
@@ -119,6 +121,7 @@ impl Shared {
     ) -> Self {
         let published = Published {
             snapshot: None,
+            presence: 0,
             answers: Answers::default(),
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,

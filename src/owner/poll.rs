@@ -196,7 +196,10 @@ impl Owner {
         self.shared.report(Attempt::Poll, error);
         if self.schedule.is_gone() {
             log::warn!("{}: the gauge is gone", self.shared.name());
-            self.shared.publish(|published| published.snapshot = None);
+            self.shared.publish(|published| {
+                published.snapshot = None;
+                published.presence += 1;
+            });
         }
     }
 

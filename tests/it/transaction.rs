@@ -522,3 +522,38 @@ fn bytes_staged_later_replace_the_bytes_that_they_name() {
     assert_eq!(tree.stage("raw 82/1 ff"), Ok(()));
     assert_eq!(tree.read("df/transaction").as_deref(), Ok(shown.replace("0001", "00ff").as_str()));
 }
+
+/// It used to be written to whatever came back.
+#[test]
+fn regression_a_transaction_ends_when_its_gauge_leaves() {
+    let tree = tree("bq34z100-g1");
+    let refresh = |answers: bool| {
+        let refreshed = tree.write("gauge/refresh", "1");
+        assert_eq!(refreshed.is_ok(), answers, "{refreshed:?}");
+        tree.clock.sleep(Duration::from_secs(1));
+    };
+    assert_eq!(tree.stage("begin\n80/53 3100"), Ok(()));
+    // A failed poll is no gauge that has left.
+    tree.sim.set("power", "off").expect("a knob");
+    refresh(false);
+    tree.sim.set("power", "on").expect("a knob");
+    tree.clock.sleep(Duration::from_secs(3));
+    refresh(true);
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("Cell Terminate Voltage: 3000 -> 3100\n"));
+    let before = tree.sim.flash();
+    tree.sim.set("power", "off").expect("a knob");
+    for _ in 0..3 {
+        refresh(false);
+    }
+    tree.sim.set("power", "on").expect("a knob");
+    tree.clock.sleep(Duration::from_secs(3));
+    refresh(true);
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODEV));
+    let why = tree.handle.published().last_error.to_string();
+    assert!(why.contains("since `begin`") && why.contains("nothing was written"), "{why}");
+    assert!(tree.sim.flash() == before);
+    assert_eq!(tree.stage("commit"), Err(Errno::ENODATA), "it is said once");
+    assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+}
