@@ -196,6 +196,28 @@ mod tests {
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
     }
 
+    /// IT_ENABLE changes Update Status for good, and whose it is was not known.
+    #[test]
+    fn regression_no_subcommand_is_sent_while_something_is_owed() {
+        let mut rig = left_open();
+        rig.sim.keep_log(true);
+        for code in [0x0021, 0x0008] {
+            let error = rig.ask(|done| Request::Control(code, done)).expect_err("it is silent");
+            assert_eq!(error.errno(), nix::errno::Errno::EBUSY, "{error}");
+            assert!(error.to_string().contains("no subcommand is sent"), "{error}");
+        }
+        let sent = |rig: &Rig, code: u16| {
+            let message = [&[0x00], &code.to_le_bytes()[..]].concat();
+            rig.sim.log().iter().any(|record| record.write == message)
+        };
+        assert!(!sent(&rig, 0x0021) && !sent(&rig, 0x0008));
+        // It is paid first, if that is possible.
+        rig.clock.sleep(Duration::from_secs(60));
+        rig.ask(|done| Request::Control(0x0008, done)).expect("it answers");
+        assert!(sent(&rig, 0x0008) && rig.handle.published().owed.is_empty());
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
+    }
+
     #[test]
     fn what_is_owed_is_tried_again_after_growing_pauses_until_it_is_paid() {
         let mut debt = Debt::default();

@@ -215,7 +215,7 @@ impl Owner {
             Request::Control(code, done) => {
                 // The last answer is none to this subcommand, even if it fails.
                 self.shared.publish(|published| published.control = None);
-                let outcome = self.gauge.ask(code);
+                let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
                 self.publish_seal();
                 let prefix = &self.shared.prefix;
                 done(self.logged(attempt, outcome).map(|answer| {
@@ -260,6 +260,22 @@ impl Owner {
                 if self.schedule.has_failed() {
                     self.poll_on_time();
                 }
+            }
+        }
+    }
+
+    /// Pays what is owed to the gauge. Until then no subcommand is sent: it would go to a gauge of which nobody knows
+    /// what it holds, or to another one.
+    fn settled_first(&mut self) -> Result<()> {
+        if self.dataflash.owed().is_some_and(|owed| !owed.needs_decision) {
+            self.pay();
+        }
+        match self.dataflash.owed() {
+            None => Ok(()),
+            Some(owed) => {
+                let why =
+                    format!("no subcommand is sent while an interrupted access is not settled: {}", owed.why);
+                Err(Error::new(self.gauge.chip.name, Cause::Busy(why)))
             }
         }
     }
