@@ -5,12 +5,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use serde::Serialize;
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::daemon::{look, service};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::key_file;
+use crate::output::{print, print_error, say};
+use ti_gauge::text;
 
 mod assignment;
 mod auth;
@@ -141,6 +142,11 @@ impl Command {
     }
 }
 
+/// The definition of the command line, for tests that hold for every command.
+pub fn definition() -> clap::Command {
+    Cli::command()
+}
+
 /// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
@@ -151,18 +157,21 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             let tip = bus.map_or_else(String::new, |bus| {
                 format!("  tip: a bus is given with an option: --bus {bus}\n\n")
             });
-            eprint!("{}", reworded(&error.to_string()).replacen("Usage: ", &format!("{tip}Usage: "), 1));
+            let text = reworded(&error.to_string()).replacen("Usage: ", &format!("{tip}Usage: "), 1);
+            print_error(&text::lines(&text));
             return ExitCode::from(2);
         }
         Err(help) => {
-            print(&help.to_string());
-            return ExitCode::SUCCESS;
+            let printed = print(&help.to_string()).map(|()| ExitCode::SUCCESS);
+            return printed.unwrap_or_else(|error| failed(&error));
         }
     };
-    cli.command.run().unwrap_or_else(|error| {
-        eprintln!("gaugefs: {error}");
-        ExitCode::FAILURE
-    })
+    cli.command.run().unwrap_or_else(|error| failed(&error))
+}
+
+fn failed(error: &Error) -> ExitCode {
+    say(error);
+    ExitCode::FAILURE
 }
 
 /// What clap says of a misuse, as gaugefs says it. Its advice to put `--` before an unknown option is left out: nothing
@@ -186,18 +195,6 @@ fn bare_bus(arguments: &[OsString]) -> Option<&str> {
     let pairs = arguments.windows(2).filter_map(|pair| Some((pair[0].to_str()?, pair[1].to_str()?)));
     let mut bare = pairs.filter(|(before, _)| !before.starts_with("--")).map(|(_, bus)| bus);
     bare.find(|bus| bus.starts_with("/dev/i2c-"))
-}
-
-/// Prints to standard output. A closed pipe is not an error: the reader has what it wanted.
-fn print(text: &str) {
-    use std::io::Write;
-    let _ = std::io::stdout().write_all(text.as_bytes());
-}
-
-/// Prints a value as one line of JSON.
-fn print_json(value: &impl Serialize) {
-    let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
-    print(&(json + "\n"));
 }
 
 /// Pads every column to its widest cell, with two spaces between columns.
@@ -224,7 +221,7 @@ const PASSED_OVER: u8 = 3;
 /// The exit codes of diff(1): a failure is 2, which a script can distinguish from a difference.
 fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
     outcome.or_else(|error| {
-        eprintln!("gaugefs: {error}");
+        say(&error);
         Ok(ExitCode::from(2))
     })
 }
@@ -237,8 +234,6 @@ fn folder_name(gauge: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]

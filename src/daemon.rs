@@ -8,6 +8,7 @@ use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Access, Covered, Fs, free_name};
 use crate::fuse;
+use crate::output::say;
 use crate::owner::{Handle, Signal};
 use gauge_bus::clock::{Clock, RealClock};
 
@@ -87,7 +88,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     for line in gauges.iter().flat_map(|gauge| gauge.entry.warnings()) {
         ::log::warn!("{line}");
         if mode == Mode::Background {
-            eprintln!("gaugefs: warning: {line}");
+            say(format_args!("warning: {line}"));
         }
     }
     let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();

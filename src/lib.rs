@@ -3,6 +3,8 @@
 //! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim` and
 //! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 pub mod cli;
 #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
 mod condition;
@@ -16,6 +18,7 @@ pub mod fuse;
 pub mod key_file;
 pub mod lock;
 mod mounted;
+mod output;
 pub mod owner;
 mod program;
 mod report;

@@ -12,6 +12,7 @@ use ti_gauge::text;
 
 use crate::daemon::mountpoint;
 use crate::error::{Cause, Error, Result, shown};
+use crate::output::say;
 
 /// What all commands that take a gauge say of a path that is none.
 const NO_GAUGE: &str = "not a mounted gauge";
@@ -189,7 +190,7 @@ pub(crate) fn poll(gauge: &Path) -> Result<()> {
             _ => return Err(failed(error)),
         },
     };
-    eprintln!("gaugefs: gauge {}: {}{why}", gauge.display(), identity(gauge));
+    say(format_args!("gauge {}: {}{why}", gauge.display(), identity(gauge)));
     Ok(())
 }
 

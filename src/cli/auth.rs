@@ -7,8 +7,9 @@ use std::process::ExitCode;
 use clap::Args;
 use nix::errno::Errno;
 
-use super::{folder_name, print, trouble};
+use super::{folder_name, trouble};
 use crate::error::{Cause, Error, Result};
+use crate::output::{print, say};
 use crate::{key_file, mounted};
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 
@@ -40,14 +41,11 @@ impl Auth {
             Ok(gauge) => self.gauge = gauge,
             error => return trouble(error.map(|_| ExitCode::SUCCESS)),
         }
-        trouble(self.ask().map(|genuine| match genuine {
-            Ok(text) => {
-                print(&text);
-                ExitCode::SUCCESS
-            }
+        trouble(self.ask().and_then(|genuine| match genuine {
+            Ok(text) => print(&text).map(|()| ExitCode::SUCCESS),
             Err(why) => {
-                eprintln!("gaugefs: {}: {why}", self.gauge.display());
-                ExitCode::FAILURE
+                say(format_args!("{}: {why}", self.gauge.display()));
+                Ok(ExitCode::FAILURE)
             }
         }))
     }

@@ -6,9 +6,10 @@ use std::process::ExitCode;
 use clap::Args;
 use serde::Serialize;
 
-use super::{PASSED_OVER, print, print_json};
+use super::PASSED_OVER;
 use crate::error::Result;
 use crate::mounted;
+use crate::output::{print, print_json, say};
 use ti_gauge::image::{Difference, RawDifference};
 use ti_gauge::unit;
 
@@ -142,22 +143,30 @@ impl Batch {
                 })
             });
             report.exit_code = outcome.unwrap_or_else(|error| {
-                eprintln!("gaugefs: {error}");
+                say(&error);
                 (report.outcome, report.error) = ("failed", Some(error.to_string()));
                 failure
             });
             let failed = report.error.is_some();
-            if self.json {
-                print_json(&report);
-            } else if !failed {
-                print(&text(&report, several));
-            }
+            let printed = match self.json {
+                true => print_json(&report),
+                false if failed => Ok(()),
+                false => print(&text(&report, several)),
+            };
             if worst_of(worst, report.exit_code) {
                 worst = report.exit_code;
             }
             let left = gauges.len() - at - 1;
+            if let Err(error) = printed {
+                // Nobody would know of the other gauges what has become of them.
+                say(error.within(&format!("{}: {}", report.gauge, report.outcome)));
+                if left > 0 {
+                    say(format_args!("{left} more not tried"));
+                }
+                return failure.into();
+            }
             if failed && self.fail_fast && left > 0 {
-                eprintln!("gaugefs: {left} more not tried, because of --fail-fast");
+                say(format_args!("{left} more not tried, because of --fail-fast"));
                 break;
             }
         }

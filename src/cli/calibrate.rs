@@ -10,9 +10,9 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
-use super::print;
 use crate::error::Result;
 use crate::mounted;
+use crate::output::print;
 
 /// Time between two looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
@@ -92,7 +92,7 @@ pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
     let before = told();
     let (end, ended) = mpsc::channel::<()>();
     let follow = thread::spawn(move || {
-        let mut shown = String::new();
+        let (mut shown, mut printed) = (String::new(), Ok(()));
         let mut last = false;
         loop {
             let text = told();
@@ -100,11 +100,11 @@ pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
             if (text != before || !shown.is_empty())
                 && let Some(rest) = text.strip_prefix(&shown)
             {
-                print(rest);
+                printed = printed.and_then(|()| print(rest));
                 shown.clone_from(&text);
             }
             if last {
-                return;
+                return printed;
             }
             last = ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout);
         }
@@ -113,6 +113,8 @@ pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
     let written =
         fs::File::options().write(true).open(&path).and_then(|mut file| file.write(line.as_bytes()));
     drop(end);
-    let _ = follow.join();
-    written.map(drop).map_err(|error| mounted::refused(gauge, failure, &error))
+    let printed = follow.join();
+    written.map_err(|error| mounted::refused(gauge, failure, &error))?;
+    // A panic there was told by itself.
+    printed.unwrap_or(Ok(())).map_err(|error| error.within("done, but its steps were not printed"))
 }

@@ -7,9 +7,10 @@ use std::process::ExitCode;
 use clap::Args;
 use serde::Serialize;
 
-use super::{align, print, print_json};
+use super::align;
 use crate::config::chips;
 use crate::error::Result;
+use crate::output::{print, print_json};
 use gauge_sim::Sim;
 use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register, Scheme};
 
@@ -98,20 +99,20 @@ impl Chips {
             Some(chip) if self.json => print_json(&Row::new(chip)),
             Some(chip) => print(&details(chip)),
             None => list(self.json),
-        }
+        }?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
 /// Prints every chip.
-fn list(json: bool) {
+fn list(json: bool) -> Result<()> {
     let rows: Vec<_> = Chip::all().map(Row::new).collect();
     if json {
         return print_json(&rows);
     }
     let header = ["CHIP", "ATTRIBUTES", "DATA", "READ", "WRITE", "KEYS", "AUTH", "SIMULATED", "EVIDENCE"];
     let cells = rows.iter().map(Row::cells);
-    print(&align(&iter::once(header.map(String::from)).chain(cells).collect::<Vec<_>>()));
+    print(&align(&iter::once(header.map(String::from)).chain(cells).collect::<Vec<_>>()))
 }
 
 /// One chip in lines of its own.

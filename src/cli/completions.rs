@@ -5,8 +5,9 @@ use std::process::ExitCode;
 use clap::{Args, CommandFactory};
 use clap_complete::Shell;
 
-use super::{Cli, print};
+use super::Cli;
 use crate::error::Result;
+use crate::output::print_file;
 
 const COMPLETIONS: &str = "\
 The Debian package installs the completions for bash, zsh and fish.
@@ -26,7 +27,7 @@ impl Completions {
     pub(super) fn run(self) -> Result<ExitCode> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut Cli::command(), "gaugefs", &mut script);
-        print(&with_names(self.shell, &String::from_utf8_lossy(&script)));
+        print_file(with_names(self.shell, &String::from_utf8_lossy(&script)).as_bytes())?;
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -7,10 +7,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::import::GroupName;
-use super::{counted, print, print_json, trouble};
+use super::{counted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
 use crate::mounted;
+use crate::output::{print, print_json, say};
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Group;
 
@@ -94,18 +95,18 @@ impl Diff {
                 b: difference.new.shown(),
                 unit: difference.new.parameter.unit,
             });
-            print_json(&rows.collect::<Vec<_>>());
+            print_json(&rows.collect::<Vec<_>>())?;
         } else {
-            print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>());
+            print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>())?;
         }
         let sides = [(&a, &self.a, &comparison.only_first), (&b, &self.b, &comparison.only_second)];
         for (image, path, only) in sides {
             for left in image.left_out.iter().filter(|left| left.counts(&exclude)) {
-                eprintln!("gaugefs: {}: {}", path.display(), left.text);
+                say(format_args!("{}: {}", path.display(), left.text));
             }
             if !only.is_empty() {
                 let count = counted(only.len());
-                eprintln!("gaugefs: {}: {count} that the other side lacks", path.display());
+                say(format_args!("{}: {count} that the other side lacks", path.display()));
             }
         }
         Ok(if differences.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -10,8 +10,8 @@ use std::process::ExitCode;
 use clap::Args;
 use serde::Serialize;
 
-use super::{print, print_json};
 use crate::error::Result;
+use crate::output::{print, print_json};
 use ti_gauge::text::printable;
 
 mod bus;
@@ -105,9 +105,9 @@ impl Doctor {
         }
         let problems = findings.iter().any(|finding| finding.state == State::Problem);
         if self.json {
-            print_json(&Report { findings });
+            print_json(&Report { findings })?;
         } else {
-            print(&text(&findings));
+            print(&text(&findings))?;
         }
         Ok(if problems { ExitCode::FAILURE } else { ExitCode::SUCCESS })
     }

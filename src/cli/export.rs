@@ -6,9 +6,10 @@ use std::process::ExitCode;
 use clap::{Args, ValueEnum};
 
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::{folder_name, print};
+use super::folder_name;
 use crate::error::{Error, Result};
 use crate::mounted;
+use crate::output::{print_file, say};
 use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
@@ -79,7 +80,7 @@ impl Export {
         report.identify(gauge);
         let text = image.write(self.format.into(), |id| mounted::raw_of(gauge, id))?;
         match file {
-            None => print(&text),
+            None => print_file(text.as_bytes())?,
             Some(file) => {
                 let name = file.display().to_string();
                 std::fs::write(file, text).map_err(|error| Error::io(&name, "cannot write it", &error))?;
@@ -88,7 +89,7 @@ impl Export {
         }
         report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
         for line in &report.passed_over {
-            eprintln!("gaugefs: {}: {line}", gauge.display());
+            say(format_args!("{}: {line}", gauge.display()));
         }
         Ok(report.read())
     }
@@ -96,7 +97,7 @@ impl Export {
 
 /// A command line that cannot be carried out.
 fn misuse(why: &str) -> Result<ExitCode> {
-    eprintln!("gaugefs: {why}");
+    say(why);
     Ok(TROUBLE.into())
 }
 

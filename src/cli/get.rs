@@ -10,6 +10,7 @@ use super::batch::{Batch, FAILED, Report, Value};
 use super::{assignment, trouble};
 use crate::error::Result;
 use crate::mounted;
+use crate::output::say;
 use ti_gauge::chip::Row;
 use ti_gauge::unit;
 
@@ -63,7 +64,7 @@ fn get(gauge: &Path, names: &[String], report: &mut Report) -> Result<u8> {
     report.values = Some(values);
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
     for line in &report.passed_over {
-        eprintln!("gaugefs: {}: {line}", gauge.display());
+        say(format_args!("{}: {line}", gauge.display()));
     }
     Ok(report.read())
 }

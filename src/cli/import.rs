@@ -11,6 +11,7 @@ use super::{counted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
 use crate::mounted::{self, Source};
+use crate::output::say;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Changes, Group, Image};
 
@@ -115,7 +116,7 @@ impl Import {
         report.identify(path);
         if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
             let same = mounted::check_chemistry(path, gauge.chip, sum)?;
-            eprintln!("gaugefs: {}: {same}", path.display());
+            say(format_args!("{}: {same}", path.display()));
         }
         file.keep_reserved(&gauge);
         let Changes { mut changes, mut passed_over } =
@@ -139,10 +140,10 @@ impl Import {
         report.change(&changes, &raw);
         let head = if self.gauges.len() > 1 { format!("{}: ", path.display()) } else { String::new() };
         for line in &passed_over {
-            eprintln!("gaugefs: {head}{}: {line}", source.name);
+            say(format_args!("{head}{}: {line}", source.name));
         }
         if !passed_over.is_empty() {
-            eprintln!("gaugefs: {head}{}: {} passed over", source.name, passed_over.len());
+            say(format_args!("{head}{}: {} passed over", source.name, passed_over.len()));
         }
         report.passed_over = passed_over;
         Ok(report.done(self.dry_run))

@@ -12,8 +12,9 @@ use clap::{Args, Subcommand};
 use nix::sys::termios::{LocalFlags, SetArg, SpecialCharacterIndices, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
-use super::{folder_name, print};
+use super::folder_name;
 use crate::error::{Cause, Error, Result};
+use crate::output::print;
 use crate::{key_file, mounted};
 use ti_gauge::keys::{Name, Secret};
 
@@ -68,7 +69,9 @@ impl Command {
     pub(super) fn run(self) -> Result<ExitCode> {
         let Action::Change(mut change) = self.command;
         change.gauge = mounted::gauge(&change.gauge)?;
-        print(&change.run()?);
+        let changed = change.run()?;
+        // It is changed, whether that can be printed or not.
+        print(&changed).map_err(|error| error.within(&changed.replace('\n', " ")))?;
         Ok(ExitCode::SUCCESS)
     }
 }

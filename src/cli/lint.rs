@@ -6,10 +6,11 @@ use std::process::ExitCode;
 use clap::Args;
 use serde::Serialize;
 
-use super::{align, counted, print, print_json};
+use super::{align, counted};
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::mounted;
+use crate::output::{print, print_json, say};
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Image;
 use ti_gauge::unit;
@@ -94,16 +95,16 @@ impl Lint {
     pub(super) fn run(self) -> Result<ExitCode> {
         let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name), self.data_flash)?;
         if self.json {
-            print_json(&Report::new(&image));
+            print_json(&Report::new(&image))?;
         } else {
-            print(&self.text(&image));
+            print(&self.text(&image))?;
         }
         let mut code = ExitCode::SUCCESS;
         let values = image.entries.iter().filter_map(|entry| entry.not_imported(false).err());
         let raw = image.raw.chunk_by(|one, other| one.line == other.line);
         let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
         for error in values.chain(raw) {
-            eprintln!("gaugefs: {}", error.within(&self.file.display().to_string()));
+            say(error.within(&self.file.display().to_string()));
             code = ExitCode::FAILURE;
         }
         Ok(code)

@@ -7,11 +7,12 @@ use clap::Args;
 use nix::errno::Errno;
 use serde::Serialize;
 
-use super::{align, print, print_json};
+use super::align;
 use crate::daemon::look::{self, Found, Listed};
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result, shown};
 use crate::mounted;
+use crate::output::{print, print_json, say};
 
 const LIST: &str = "\
 What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
@@ -51,18 +52,18 @@ impl List {
         let mut rows = vec![["GAUGE", "PART", "SERIAL", "CAPACITY", "STATUS", "AGE"].map(String::from)];
         for (mount, found) in look::gauges(&mounts)? {
             for gauge in &found.gauges {
-                if self.json { print_json(gauge) } else { rows.push(row(gauge)) }
+                if self.json { print_json(gauge)? } else { rows.push(row(gauge)) }
             }
             let Some(error) = trouble(&mount, &found) else { continue };
             code = ExitCode::FAILURE;
             if self.json {
-                print_json(&Silent { path: &mount.to_string_lossy(), error: &error });
+                print_json(&Silent { path: &mount.to_string_lossy(), error: &error })?;
             } else {
-                eprintln!("gaugefs: {}: {error}", shown(&mount));
+                say(format_args!("{}: {error}", shown(&mount)));
             }
         }
         if rows.len() > 1 {
-            print(&align(&rows));
+            print(&align(&rows))?;
         }
         Ok(code)
     }

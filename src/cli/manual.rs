@@ -9,8 +9,9 @@ use clap::{Arg, ArgAction, Args, Command, CommandFactory};
 use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
 
-use super::{Cli, print};
+use super::Cli;
 use crate::error::Result;
+use crate::output::print_file;
 
 const PAGE: &str = include_str!("../../docs/gaugefs.1.in");
 
@@ -21,7 +22,7 @@ pub(super) struct Man {}
 
 impl Man {
     pub(super) fn run(self) -> Result<ExitCode> {
-        print(&page(Cli::command()));
+        print_file(page(Cli::command()).as_bytes())?;
         Ok(ExitCode::SUCCESS)
     }
 }

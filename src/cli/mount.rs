@@ -5,11 +5,12 @@ use std::process::ExitCode;
 
 use clap::{ArgGroup, Args};
 
-use super::{align, print};
+use super::align;
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::daemon::{self, Mode, Source, background, mountpoint, preflight, service};
 use crate::error::Result;
 use crate::fs::Covered;
+use crate::output::{print, say};
 
 const MOUNT: &str = "\
 Examples:
@@ -91,10 +92,10 @@ fn check(setup: &Setup) -> Result<ExitCode> {
     let covered = mountpoint::covered(setup.mountpoint())?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = daemon::names(&setup.gauges, &taken);
-    print(&plan(setup, &names));
+    print(&plan(setup, &names))?;
     let found = preflight::check(setup, &names);
     for error in &found {
-        eprintln!("gaugefs: {error}");
+        say(error);
     }
     Ok(if found.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

@@ -5,9 +5,9 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::print;
 use crate::daemon::look;
 use crate::error::Result;
+use crate::output::print;
 use ti_gauge::chip::{Chip, Kind};
 
 /// Print the names of a mounted gauge's parameters; the completions run it
@@ -25,7 +25,7 @@ impl Names {
         let chip = part.and_then(|part| Chip::by_model(&part));
         let rows = chip.into_iter().flat_map(|chip| chip.rows().map(move |row| (chip, row)));
         let rows = rows.filter(|(_, (subclass, _))| subclass.kind != Kind::Security);
-        print(&rows.map(|(chip, row)| chip.name_of(row) + "\n").collect::<String>());
+        print(&rows.map(|(chip, row)| chip.name_of(row) + "\n").collect::<String>())?;
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -8,9 +8,10 @@ use clap::Args;
 use nix::errno::Errno;
 use serde::Serialize;
 
-use super::{align, print, print_json};
+use super::align;
 use crate::config::address;
 use crate::error::{Error, Result};
+use crate::output::{print, print_json};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus, adapters};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
@@ -97,9 +98,9 @@ impl Probe {
             Some(bus) => {
                 let report = self.look(&Adapter::find(bus)?)?;
                 if self.json {
-                    print_json(&report)
+                    print_json(&report)?;
                 } else {
-                    print(&self.table(&report))
+                    print(&self.table(&report))?;
                 }
                 report.any()
             }
@@ -129,16 +130,16 @@ impl Probe {
             match (looked, self.json) {
                 (Ok(report), true) => {
                     any |= report.any();
-                    print_json(&report);
+                    print_json(&report)?;
                 }
                 (Ok(report), false) => {
                     any |= report.any();
-                    print(&format!("{bus} ({name})\n{}", self.table(&report)));
+                    print(&format!("{bus} ({name})\n{}", self.table(&report)))?;
                 }
                 (Err(why), true) => {
-                    print_json(&Skipped { bus: &bus, adapter: &name, skipped: &why.to_string() });
+                    print_json(&Skipped { bus: &bus, adapter: &name, skipped: &why.to_string() })?;
                 }
-                (Err(why), false) => print(&format!("{bus} ({name})\nskipped: {why}\n")),
+                (Err(why), false) => print(&format!("{bus} ({name})\nskipped: {why}\n"))?,
             }
         }
         Ok(any)

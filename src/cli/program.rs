@@ -12,9 +12,9 @@ use std::time::Duration;
 use clap::Args;
 use nix::sys::signal::{SigSet, Signal};
 
-use super::print;
 use crate::config::StationSetup;
 use crate::error::{Error, Result};
+use crate::output::{self, print, say};
 use crate::program::{Place, Plan, Scanner, Screen, Station};
 use gauge_bus::clock::{Clock, RealClock};
 use ti_gauge::journal::{Disk, Host};
@@ -67,7 +67,7 @@ impl Program {
         let setup = StationSetup::read(&self.station)?;
         let plan = Plan::read(&self.image, setup)?;
         if self.check {
-            print(&plan.describe());
+            print(&plan.describe())?;
             return Ok(ExitCode::SUCCESS);
         }
         let stops = watch_signals()?;
@@ -75,8 +75,10 @@ impl Program {
         let mut places = Place::all(&plan, &clock)?;
         let packs = if self.once { Some(1) } else { self.count };
         let disk: Arc<dyn Disk> = Arc::new(Host);
-        let scanner = Box::new(Input::new(stops.clone()));
-        let station = Station::start(plan, disk, Box::new(Terminal), scanner, packs, stops)?;
+        let failed = Arc::new(AtomicBool::new(false));
+        let terminal = Terminal { stops: stops.clone(), failed: failed.clone() };
+        let scanner = Box::new(Input::new(terminal.clone()));
+        let station = Station::start(plan, disk, Box::new(terminal), scanner, packs, stops)?;
         station.close_unfinished(&places.iter().map(|place| &place.bench).collect::<Vec<_>>())?;
         thread::scope(|scope| {
             for place in &mut places {
@@ -84,7 +86,8 @@ impl Program {
                 scope.spawn(move || station.run(&place.bench, &mut *place.slot));
             }
         });
-        Ok(if station.all_passed() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+        let passed = station.all_passed() && !failed.load(Ordering::SeqCst);
+        Ok(if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 }
 
@@ -100,33 +103,47 @@ fn watch_signals() -> Result<Arc<AtomicBool>> {
                 crate::lock::remove_all();
                 std::process::exit(1);
             }
-            eprintln!("gaugefs: ending after the packs that are being programmed; once more to end at once");
+            say("ending after the packs that are being programmed; once more to end at once");
         }
     });
     Ok(stops)
 }
 
-struct Terminal;
+#[derive(Clone)]
+struct Terminal {
+    stops: Arc<AtomicBool>,
+    /// An outcome could not be printed.
+    failed: Arc<AtomicBool>,
+}
 
 impl Screen for Terminal {
+    /// A station whose outcomes nobody can read ends after the packs that are being programmed.
     fn outcome(&self, line: &str) {
-        print(&format!("{line}\n"));
+        let printed = print(&format!("{line}\n"));
+        if printed.is_ok() && !output::is_closed() {
+            return;
+        }
+        self.stops.store(true, Ordering::SeqCst);
+        if let Err(error) = printed {
+            self.failed.store(true, Ordering::SeqCst);
+            say(error.within(line));
+        }
     }
 
     fn prompt(&self, line: &str) {
-        eprintln!("gaugefs: {line}");
+        say(line);
     }
 }
 
 /// Lines of standard input.
 struct Input {
     lines: Option<Receiver<String>>,
-    stops: Arc<AtomicBool>,
+    terminal: Terminal,
 }
 
 impl Input {
-    fn new(stops: Arc<AtomicBool>) -> Self {
-        Self { lines: None, stops }
+    fn new(terminal: Terminal) -> Self {
+        Self { lines: None, terminal }
     }
 }
 
@@ -141,11 +158,11 @@ impl Scanner for Input {
             });
             lines
         });
-        Terminal.prompt(what);
+        self.terminal.prompt(what);
         loop {
             match lines.recv_timeout(LOOK) {
                 Ok(line) => return Some(line),
-                Err(RecvTimeoutError::Timeout) if !self.stops.load(Ordering::SeqCst) => {}
+                Err(RecvTimeoutError::Timeout) if !self.terminal.stops.load(Ordering::SeqCst) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
             }
         }

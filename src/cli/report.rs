@@ -8,9 +8,10 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
-use super::{PASSED_OVER, print};
+use super::PASSED_OVER;
 use crate::config::{GaugeOptions, address, chips};
 use crate::error::{Error, Result};
+use crate::output::{print, say};
 use crate::{daemon, mounted, report};
 use ti_gauge::chip::Chip;
 
@@ -74,11 +75,11 @@ impl Report {
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
         let file = self.output.clone().unwrap_or_else(name);
         write(&file, self.force, &text)?;
-        print(&format!("{}\n", file.display()));
+        print(&format!("{}\n", file.display()))?;
         Ok(match report::without_data_flash(&text) {
             None => ExitCode::SUCCESS,
             Some(why) => {
-                eprintln!("gaugefs: {}: data flash was not read: {why}", file.display());
+                say(format_args!("{}: data flash was not read: {why}", file.display()));
                 PASSED_OVER.into()
             }
         })

@@ -1,7 +1,7 @@
 //! `gaugefs rescue`: brings back a gauge that is left in ROM mode. What is written is decided in [`ti_gauge::rom`].
 
 use std::fs;
-use std::io::{BufRead, IsTerminal, Write};
+use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -11,9 +11,9 @@ use clap::Args;
 use clap::builder::PossibleValuesParser;
 use nix::errno::Errno;
 
-use super::print;
 use crate::error::{Error, Result};
 use crate::lock::Lock;
+use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
@@ -113,23 +113,22 @@ fn bring_back(
         } else {
             ""
         }
-    ));
+    ))?;
     if !confirm()? {
         return Err(Error::host(subject, Errno::ECANCELED, "nothing was erased"));
     }
-    let mut shown = 0;
+    let (mut shown, mut printed) = (0, Ok(()));
     let written = firmware.write(boot, &**clock, &mut |done, all| {
         let percent = done * 100 / all;
         if percent >= shown + 10 {
             shown = percent / 10 * 10;
-            print(&format!("{shown} %\n"));
+            // An erased part is not left because of a full disk.
+            printed = std::mem::replace(&mut printed, Ok(())).and_then(|()| print(&format!("{shown} %\n")));
         }
     });
     written.map_err(|error| {
-        eprintln!(
-            "gaugefs: not finished. Leave the power on, and run the same command again: it begins \
-             with the first row."
-        );
+        say("not finished. Leave the power on, and run the same command again: it begins \
+             with the first row.");
         Error::from(error).within(name)
     })?;
     wait_for(&mut *gauge, &**clock).map_err(within)?;
@@ -140,8 +139,9 @@ fn bring_back(
         "The gauge answers at 0x{GAUGE_ADDRESS:02x} again: device type 0x{:04x}, firmware 0x{:04x}.\n\
          Check its calibration and change its keys before you use the pack.\n",
         answers.device_type, answers.firmware_version
-    ));
-    Ok(())
+    ))
+    .and(printed)
+    .map_err(|error| error.within("the gauge answers again"))
 }
 
 /// Checks that a gauge is in ROM mode: nothing answers at the usual address, and something at the other.
@@ -198,8 +198,7 @@ fn is_confirmed(chip: &Chip) -> Result<bool> {
         "This erases its firmware and data flash. Firmware of another part ruins it for good.\n\
          Is it a {}? Type yes to go on: ",
         chip.model
-    ));
-    let _ = std::io::stdout().flush();
+    ))?;
     let mut line = String::new();
     let read = std::io::stdin().lock().read_line(&mut line);
     read.map_err(|error| Error::io("", "cannot read the answer", &error))?;

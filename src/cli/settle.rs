@@ -6,9 +6,9 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::print;
 use crate::error::{Error, Result};
 use crate::mounted;
+use crate::output::print;
 
 const SETTLE: &str = "\
 A write that was interrupted is settled by itself where the gauge is certainly the one it was begun on.
@@ -51,7 +51,11 @@ impl Settle {
             mounted::poll(&self.gauge)?;
         }
         let told = exchange(&self.gauge, word)?;
-        print(&format!("{}\n", told.trim_end()));
+        // What was decided is done, whether it can be printed or not.
+        print(&format!("{}\n", told.trim_end())).map_err(|error| match word {
+            "show" => error,
+            _ => error.within(told.trim_end()),
+        })?;
         let is_pending = word == "show" && told.trim() != "nothing to settle";
         Ok(if is_pending { ExitCode::FAILURE } else { ExitCode::SUCCESS })
     }

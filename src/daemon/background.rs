@@ -7,7 +7,7 @@
 
 use std::env;
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::Read;
 use std::os::fd::RawFd;
 use std::os::unix::net::UnixDatagram;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -17,6 +17,7 @@ use std::process::{Command, ExitCode, Stdio};
 use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, setsid};
 
 use crate::error::{Error, Result};
+use crate::output::{self, print_file};
 
 /// Environment variable of the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
@@ -76,8 +77,10 @@ pub fn ready(inherited: &[RawFd]) -> Result<()> {
     let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
     dup2_stdin(&nowhere).map_err(to)?;
     // A parent that is gone was interrupted: then the mount is not wanted any more.
-    let mut out = std::io::stdout();
-    out.write_all(READY).and_then(|()| out.flush()).map_err(failed)?;
+    print_file(READY)?;
+    if output::is_closed() {
+        return Err(to(nix::errno::Errno::EPIPE));
+    }
     dup2_stdout(&nowhere).map_err(to)?;
     dup2_stderr(&nowhere).map_err(to)?;
     for &number in inherited {

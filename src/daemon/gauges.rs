@@ -15,6 +15,7 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Knobs, MountedGauge};
 use crate::key_file;
 use crate::lock::Lock;
+use crate::output::say;
 use crate::owner::{self, Backup, Origin, Settings, Signal, Startup};
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
@@ -119,7 +120,7 @@ impl Opening {
         for line in lines {
             log::warn!("{line}");
             if aloud {
-                eprintln!("gaugefs: warning: {line}");
+                say(format_args!("warning: {line}"));
             }
         }
         Ok(ready)

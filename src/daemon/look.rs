@@ -6,7 +6,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::mounted;
+use crate::output::print_file;
 
 /// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
@@ -109,26 +110,20 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
 /// In the child: prints the full path, whether its daemon is gone, and if they are asked for, the gauges there, each as
 /// soon as it is known.
 pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
-    let failed = |error: io::Error| Error::io("standard output", "cannot be written", &error);
-    let mut out = io::stdout();
-    let mut say = |word: &[u8]| {
-        let written = out.write_all(word).and_then(|()| out.write_all(&[0])).and_then(|()| out.flush());
-        written.map_err(failed)
-    };
+    let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
     let path = mountpoint::resolve(path)?;
-    say(path.as_os_str().as_bytes())?;
+    tell(path.as_os_str().as_bytes())?;
     // Only STATFS is never answered from the kernel's cache.
     let dead =
         mountpoint::is_ours(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
-    say(if dead { b"dead" } else { b"alive" })?;
+    tell(if dead { b"dead" } else { b"alive" })?;
     if gauges && !dead {
         let below = match mounted::gauges(&path) {
             none if none.is_empty() => vec![path],
             gauges => gauges,
         };
         for gauge in below.into_iter().filter(|gauge| mounted::is_gauge(gauge)) {
-            let listed = serde_json::to_vec(&Listed::read(&gauge));
-            say(&listed.map_err(|error| failed(error.into()))?)?;
+            tell(&serde_json::to_vec(&Listed::read(&gauge)).expect("keys are strings, so it cannot fail"))?;
         }
     }
     Ok(())

@@ -10,6 +10,7 @@ use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::fuse;
 use crate::lock;
+use crate::output::say;
 use crate::owner::{Handle, Request};
 
 /// How far a mount has come.
@@ -56,7 +57,7 @@ impl Shutdown {
 fn end(signal: Signal, phase: &mut Phase) {
     let (path, handles, announcer) = match phase {
         Phase::Starting => {
-            eprintln!("gaugefs: {signal}: ended before the gauge was mounted");
+            say(format_args!("{signal}: ended before the gauge was mounted"));
             lock::remove_all();
             std::process::exit(1);
         }

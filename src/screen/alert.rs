@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 use std::ffi::OsString;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, ExitStatus, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
@@ -19,6 +19,7 @@ use super::values::{self, Seen};
 use crate::condition::Texts;
 use crate::config::{self, AlertOptions};
 use crate::error::{Cause, Error, Result, shown};
+use crate::output::{self, print, say};
 
 const WATCH: &str = "\
 An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
@@ -186,16 +187,19 @@ impl Watching {
 
     fn run(mut self) -> Result<ExitCode> {
         loop {
+            if output::is_closed() && !self.has_programs() {
+                return Ok(ExitCode::SUCCESS);
+            }
             let due = self.gauges.iter().map(|gauge| gauge.due).min().expect("there is a gauge");
             match self.events.recv_timeout(due.saturating_duration_since(Instant::now())) {
-                Ok(Event::Seen(seen)) => self.seen(seen),
+                Ok(Event::Seen(seen)) => self.seen(seen)?,
                 Ok(Event::Ended(alert, outcome)) => self.ended(alert, outcome),
                 Err(RecvTimeoutError::Timeout) => {
                     let now = Instant::now();
                     let silent = (0..).zip(&self.gauges).filter(|(_, gauge)| gauge.due <= now);
                     for gauge in silent.map(|(number, _)| number).collect::<Vec<_>>() {
                         let texts = Err(values::SILENT.to_string());
-                        self.seen(Seen { gauge, texts, next: Duration::ZERO });
+                        self.seen(Seen { gauge, texts, next: Duration::ZERO })?;
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => unreachable!("it has a sender of its own"),
@@ -203,8 +207,15 @@ impl Watching {
         }
     }
 
+    /// Whether an alert runs a program.
+    fn has_programs(&self) -> bool {
+        self.alerts
+            .iter()
+            .any(|alert| !(alert.options.exec.is_empty() && alert.options.exec_clear.is_empty()))
+    }
+
     /// Takes a look at a gauge in.
-    fn seen(&mut self, seen: Seen) {
+    fn seen(&mut self, seen: Seen) -> Result<()> {
         let now = Instant::now();
         let gauge = &mut self.gauges[seen.gauge];
         gauge.due = now + seen.next + values::PATIENCE;
@@ -216,7 +227,7 @@ impl Watching {
             Err(why) => {
                 gauge.texts = None;
                 if gauge.trouble != why {
-                    eprintln!("gaugefs: {}: {why}", shown(&gauge.folder));
+                    say(format_args!("{}: {why}", shown(&gauge.folder)));
                     gauge.trouble = why;
                 }
             }
@@ -230,10 +241,16 @@ impl Watching {
             let texts = self.gauges[seen.gauge].texts.as_ref();
             alert.state.update(&alert.options, texts, now);
             if alert.state.raised != before {
-                print_event(&self.gauges[seen.gauge], alert);
+                let printed = print_event(&self.gauges[seen.gauge], alert);
+                // Whoever has programs run needs no lines.
+                match printed {
+                    Err(error) if self.has_programs() => say(error),
+                    printed => printed?,
+                }
                 self.act(number);
             }
         }
+        Ok(())
     }
 
     /// Runs the program for the present state of an alert, unless the last one still runs or has run for it.
@@ -262,7 +279,7 @@ impl Watching {
             Ok(_) => alert.running = true,
             Err(error) => {
                 let why = Error::io(program, "cannot be started", &error).within(&format!("alert {name}"));
-                eprintln!("gaugefs: {why}");
+                say(&why);
             }
         }
     }
@@ -276,7 +293,7 @@ impl Watching {
             Err(error) => Some(error.to_string()),
         };
         if let Some(what) = what {
-            eprintln!("gaugefs: alert {}: its program has failed: {what}", alert.options.shown());
+            say(format_args!("alert {}: its program has failed: {what}", alert.options.shown()));
         }
         self.act(number);
     }
@@ -286,14 +303,13 @@ fn event(alert: &Alert) -> &'static str {
     if alert.state.raised { "raised" } else { "cleared" }
 }
 
-/// A line for each change. Whoever reads them may close the pipe.
-fn print_event(gauge: &Gauge, alert: &Alert) {
+/// A line for each change.
+fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
     let (name, values) =
         (values::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
     let line =
         format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
-    let mut out = io::stdout().lock();
-    let _ = writeln!(out, "{}", ti_gauge::text::printable(&line)).and_then(|()| out.flush());
+    print(&(ti_gauge::text::printable(&line) + "\n"))
 }
 
 /// The environment of an alert's program.

@@ -1,6 +1,5 @@
 //! `gaugefs learn`: what a learning cycle waits for.
 
-use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,6 +11,7 @@ use super::learning;
 use super::sample::{Moment, Sample};
 use super::watch::{Order, Seen, Watch};
 use crate::error::{Error, Result};
+use crate::output::{self, print, print_json};
 use ti_gauge::learning::{Cycle, Learned, State};
 
 const LEARN: &str = "\
@@ -120,13 +120,9 @@ impl Learn {
             };
             let changed = watched.state.as_ref().is_none_or(|before| differ(before, &state));
             if self.json || changed {
-                let line = if self.json { json(gauge, &state) } else { text(&state) };
-                let mut out = io::stdout().lock();
-                match writeln!(out, "{line}").and_then(|()| out.flush()) {
-                    Ok(()) => {}
-                    // The reader has closed the pipe.
-                    Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
-                    Err(error) => return Err(Error::io("standard output", "cannot write to it", &error)),
+                if self.json { print_json(&row(gauge, &state)) } else { print(&text(&state)) }?;
+                if output::is_closed() {
+                    break;
                 }
             }
             match (state.learned, state.spoiled) {
@@ -166,11 +162,11 @@ fn differ(before: &State, now: &State) -> bool {
 }
 
 fn text(state: &State) -> String {
-    format!("{}  {}", learning::clock(state.time), learning::line(state))
+    format!("{}  {}\n", learning::clock(state.time), learning::line(state))
 }
 
-fn json(gauge: &std::path::Path, state: &State) -> String {
-    let row = Row {
+fn row<'a>(gauge: &std::path::Path, state: &'a State) -> Row<'a> {
+    Row {
         time: learning::clock(state.time),
         path: gauge.display().to_string(),
         learned: match state.learned {
@@ -190,6 +186,5 @@ fn json(gauge: &std::path::Path, state: &State) -> String {
         since: learning::clock(state.since.time),
         since_before: state.since.before,
         why: state.spoiled.map(|why| why.to_string()),
-    };
-    serde_json::to_string(&row).expect("keys are strings, so it cannot fail")
+    }
 }

@@ -14,7 +14,9 @@ use super::learning;
 use super::sample::{Moment, Sample};
 use super::watch::{Seen, Watch};
 use crate::error::{Cause, Error, Result};
+use crate::output::{self, print_file, say};
 use ti_gauge::learning::Cycle;
+use ti_gauge::text::printable;
 
 pub(super) mod columns;
 
@@ -173,7 +175,7 @@ impl Log {
                 }
                 Seen::Trouble(why) => {
                     if reported != why {
-                        eprintln!("gaugefs: {}: {why}; waiting", report.gauge.display());
+                        say(format_args!("{}: {why}; waiting", report.gauge.display()));
                         reported = why;
                     }
                     for gone in known.iter_mut().filter(|known| known.moment.is_some()) {
@@ -184,7 +186,7 @@ impl Log {
                 }
                 Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
             }
-            if left == 0 || out.closed {
+            if left == 0 || output::is_closed() {
                 break;
             }
         }
@@ -226,9 +228,8 @@ impl Log {
 /// The output.
 struct Out {
     name: String,
-    to: Box<dyn Write>,
-    /// The reader has closed the pipe.
-    closed: bool,
+    /// Standard output if there is none.
+    file: Option<File>,
     columns: Vec<Column>,
     /// The header is written before the first row.
     needs_header: bool,
@@ -242,8 +243,7 @@ impl Out {
         let mut columns = if wanted.is_empty() { columns::usual() } else { Column::choose(wanted)? };
         let Some(path) = path else {
             let name = "standard output".to_string();
-            let to = Box::new(io::stdout());
-            return Ok(Self { name, to, closed: false, columns, before: Vec::new(), needs_header: true });
+            return Ok(Self { name, file: None, columns, before: Vec::new(), needs_header: true });
         };
         let name = path.display().to_string();
         let file = File::options().read(true).append(true).create(true).open(path);
@@ -277,7 +277,7 @@ impl Out {
             before.drain(..before.len().saturating_sub(100));
             truncated = text.last() != Some(&b'\n');
         }
-        let mut out = Self { name, to: Box::new(file), closed: false, columns, before, needs_header: empty };
+        let mut out = Self { name, file: Some(file), columns, before, needs_header: empty };
         // A full disk or a power cut has truncated the last row.
         if truncated {
             out.line("\r\n".as_bytes())?;
@@ -308,9 +308,10 @@ impl Out {
         self.record(&row)
     }
 
-    fn record<T: AsRef<[u8]>>(&mut self, fields: &[T]) -> Result<()> {
+    fn record<T: AsRef<str>>(&mut self, fields: &[T]) -> Result<()> {
         let failed = |error: io::Error| Error::io(&self.name, "cannot write it", &error);
         let mut line = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
+        let fields = fields.iter().map(|field| printable(field.as_ref()));
         line.write_record(fields).map_err(|error| failed(error.into()))?;
         let line = line.into_inner().map_err(|error| failed(error.into_error()))?;
         self.line(&line)
@@ -318,10 +319,11 @@ impl Out {
 
     /// Writes a whole row at once, so that a reader of the file never sees half a row.
     fn line(&mut self, line: &[u8]) -> Result<()> {
-        match self.to.write_all(line).and_then(|()| self.to.flush()) {
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => self.closed = true,
-            outcome => outcome.map_err(|error| Error::io(&self.name, "cannot write a row", &error))?,
+        match &mut self.file {
+            None => print_file(line),
+            Some(file) => {
+                file.write_all(line).map_err(|error| Error::io(&self.name, "cannot write a row", &error))
+            }
         }
-        Ok(())
     }
 }

@@ -16,6 +16,7 @@ use super::values;
 use super::watch::gauges;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
+use crate::output::{print_file, say};
 
 mod page;
 mod serve;
@@ -78,9 +79,7 @@ impl Metrics {
         let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
         let format = self.format.unwrap_or(default);
         let Some(file) = &self.output else {
-            let mut out = io::stdout().lock();
-            // Whoever reads it may close the pipe.
-            let _ = out.write_all(reader.page(format).as_bytes()).and_then(|()| out.flush());
+            print_file(reader.page(format).as_bytes())?;
             return Ok(ExitCode::SUCCESS);
         };
         loop {
@@ -129,7 +128,7 @@ impl Reader {
             };
             if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
                 self.threads().entry(all[number].clone()).and_modify(|count| *count -= 1);
-                eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
+                say(Error::io("", "cannot start a thread", &error));
             }
         }
         drop(sender);

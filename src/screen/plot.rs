@@ -1,12 +1,12 @@
 //! `gaugefs plot`: draws a history that `gaugefs log` has recorded.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
 
 use crate::error::{Cause, Error, Result};
+use crate::output::print_file;
 
 mod scene;
 mod svg;
@@ -61,8 +61,7 @@ impl Plot {
         match self.output {
             Some(file) => std::fs::write(&file, svg)
                 .map_err(|error| Error::io(file.display().to_string(), "cannot write it", &error))?,
-            // A closed pipe is not an error.
-            None => drop(std::io::stdout().write_all(svg.as_bytes())),
+            None => print_file(svg.as_bytes())?,
         }
         Ok(ExitCode::SUCCESS)
     }

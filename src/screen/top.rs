@@ -4,7 +4,7 @@
 //! while the gauge is unsealed anyway and the screen shows the learned values.
 
 use std::collections::BTreeMap;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -17,6 +17,7 @@ use serde_json::Value;
 use super::sample::Sample;
 use super::watch::{Seen, Watch};
 use crate::error::{Error, Result};
+use crate::output::{self, print_json};
 
 mod draw;
 mod history;
@@ -59,7 +60,7 @@ pub(crate) struct Top {
 
 impl Top {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let terminal = io::stdout().is_terminal() && io::stdin().is_terminal();
+        let terminal = output::is_terminal() && io::stdin().is_terminal();
         if !(self.json || terminal) {
             let why = "not a terminal; use --json in a program";
             return Err(Error::host("standard output", Errno::ENOTTY, why));
@@ -86,15 +87,13 @@ impl Top {
             }
             let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
             let path = report.gauge.display().to_string();
-            let line = match &report.seen {
-                Seen::Sample(sample) => serde_json::to_string(&Line::new(&path, sample)),
+            match &report.seen {
                 Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
                     return Err(Error::host(path, Errno::ENOENT, why));
                 }
-                Seen::Trouble(why) => serde_json::to_string(&Trouble { path: &path, error: why }),
+                Seen::Sample(_) | Seen::Trouble(_) => {}
                 Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => continue,
-            };
-            let line = line.expect("keys are strings, so it cannot fail");
+            }
             let at = known.unwrap_or_else(|| {
                 printed.push((report.gauge, 0));
                 printed.len() - 1
@@ -103,12 +102,13 @@ impl Top {
                 continue;
             }
             printed[at].1 += 1;
-            let mut out = io::stdout().lock();
-            match writeln!(out, "{line}").and_then(|()| out.flush()) {
-                Ok(()) => {}
-                // The reader has closed the pipe.
-                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(ExitCode::SUCCESS),
-                Err(error) => return Err(Error::io("standard output", "cannot write to it", &error)),
+            match &report.seen {
+                Seen::Sample(sample) => print_json(&Line::new(&path, sample))?,
+                Seen::Trouble(why) => print_json(&Trouble { path: &path, error: why })?,
+                Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
+            }
+            if output::is_closed() {
+                return Ok(ExitCode::SUCCESS);
             }
             // Every mount has reported, and every gauge often enough.
             let has_reported = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));

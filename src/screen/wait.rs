@@ -11,6 +11,7 @@ use nix::errno::Errno;
 use super::values::{self, Seen};
 use crate::condition::Condition;
 use crate::error::{Error, Result};
+use crate::output::say;
 
 const WAIT: &str = "\
 CONDITION compares files of the gauge's folder with < <= > >= == or !=, joined by &&: capacity<20,
@@ -95,7 +96,7 @@ impl Wait {
             // Whoever waits for a value that is not there may have misunderstood something.
             if self.condition.holds(texts.as_ref()).is_none() && !std::mem::replace(&mut told, true) {
                 let why = why.unwrap_or_else(|| self.condition.values(texts.as_ref()));
-                eprintln!("gaugefs: {name}: {why}; waiting");
+                say(format_args!("{name}: {why}; waiting"));
             }
         }
     }

@@ -13,6 +13,7 @@ mod model;
 mod mount;
 mod ordinary;
 mod others;
+mod output;
 mod over;
 mod packaging;
 mod production;

@@ -1,7 +1,5 @@
 //! Values to the text of a `df` file and back, and text that is safe to show. Pure: no bus, no file.
 
-use std::fmt::Write;
-
 use crate::chip::{Parameter, Range};
 use crate::codec;
 use crate::error::{Cause, Error, Result};
@@ -212,24 +210,43 @@ pub fn unsigned<T: TryFrom<u64>>(text: &str) -> Option<T> {
 /// Longest text of a message, in characters.
 const LONGEST: usize = 2000;
 
+/// Whether a character neither begins a line, nor controls a terminal, nor reorders what is shown.
+pub fn is_plain(letter: char) -> bool {
+    let reorders = matches!(
+        letter,
+        '\u{61c}'
+            | '\u{200e}'
+            | '\u{200f}'
+            | '\u{2028}'..='\u{202e}'
+            | '\u{2066}'..='\u{2069}'
+            | '\u{feff}'
+    );
+    !(letter.is_control() || reorders)
+}
+
+fn push(shown: &mut String, letter: char) {
+    if is_plain(letter) { shown.push(letter) } else { shown.extend(letter.escape_default()) }
+}
+
 /// A text of unknown origin, such as the name of a file or a process, as it may be shown on a terminal or in a line of
 /// a log: a character that would begin a line, control a terminal or reorder what is shown becomes an escape such as
 /// `\n` or `\u{1b}`. Other characters remain. A text that is too long ends with `...`. Applying it twice changes nothing.
 pub fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
-    for letter in text.chars().take(LONGEST + 4) {
-        match letter {
-            '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' => {
-                // Writing to a String does not fail.
-                let _ = write!(shown, "{}", letter.escape_unicode());
-            }
-            _ if letter.is_control() => shown.extend(letter.escape_default()),
-            _ => shown.push(letter),
-        }
-    }
+    text.chars().take(LONGEST + 4).for_each(|letter| push(&mut shown, letter));
     if shown.chars().nth(LONGEST + 3).is_some() {
         let end = shown.char_indices().nth(LONGEST).map_or(shown.len(), |(at, _)| at);
         shown.replace_range(end.., "...");
+    }
+    shown
+}
+
+/// Lines of text as they may be shown on a terminal. Line ends and tabs remain; what [`printable`] replaces besides
+/// becomes an escape.
+pub fn lines(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for letter in text.chars() {
+        if matches!(letter, '\n' | '\t') { shown.push(letter) } else { push(&mut shown, letter) }
     }
     shown
 }

@@ -1,10 +1,11 @@
 //! A progress bar on the terminal, while an import programs blocks.
 
-use std::io::{IsTerminal, Write, stderr};
 use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
+
+use crate::output::{errors_are_seen, print_error};
 
 /// Time between two reads of `df/transaction`, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -17,7 +18,7 @@ pub(super) struct Bar(Option<(Sender<()>, JoinHandle<()>)>);
 impl Bar {
     /// Starts the bar, unless standard error is not a terminal.
     pub(super) fn start(gauge: &Path) -> Self {
-        if !stderr().is_terminal() {
+        if !errors_are_seen() {
             return Self(None);
         }
         let file = gauge.join("df/transaction");
@@ -27,12 +28,11 @@ impl Bar {
             while ended.recv_timeout(INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 if let Some(bar) = std::fs::read_to_string(&file).ok().as_deref().and_then(line) {
                     shown = true;
-                    // The import goes on even if its progress cannot be shown.
-                    let _ = write!(stderr(), "\r{bar}");
+                    print_error(&format!("\r{bar}"));
                 }
             }
             if shown {
-                let _ = write!(stderr(), "\r\x1b[K");
+                print_error("\r\x1b[K");
             }
         });
         Self(Some((end, thread)))

@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use super::{Format, MOST, Reader};
 use crate::error::{Error, Result};
+use crate::output::say;
 use gauge_bus::clock::{Clock, RealClock};
 
 /// A client has this long to send a request, and to take the answer.
@@ -72,7 +73,7 @@ pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
                 .map_err(|error| Error::io(address, "cannot listen there", &error))?;
             // Port 0 is any that is free.
             let here = listener.local_addr().map_or_else(|_| address.clone(), |here| here.to_string());
-            eprintln!("gaugefs: http://{here}/metrics");
+            say(format_args!("http://{here}/metrics"));
             accept(|| listener.accept().map(|(client, _)| client), reader)
         }
         Address::Unix(path) => {
@@ -121,7 +122,7 @@ fn accept<C: Connection + Send + 'static>(
             drop(held);
         };
         if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(serve) {
-            eprintln!("gaugefs: {}", Error::io("", "cannot start a thread", &error));
+            say(Error::io("", "cannot start a thread", &error));
         }
     }
 }

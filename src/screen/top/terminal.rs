@@ -1,5 +1,7 @@
 //! Sets the terminal up, draws to it, and restores it however `top` ends.
 
+#![expect(clippy::disallowed_methods, reason = "ratatui draws on standard output, and reports what fails")]
+
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,0 +1,111 @@
+//! The only way to standard output and to standard error.
+//!
+//! Every write to standard output is checked: what was to be printed and could not be written is a failure of the
+//! command. A reader that has closed the pipe has what it wanted, so nothing more is written, and that is no failure.
+//! Standard error is where failures are told, so a failure to write there is not told anywhere.
+//!
+//! Texts for a person, and JSON, pass through the sanitizer here: names of files, processes and alerts may be anybody's,
+//! and must not control the terminal.
+
+#![expect(clippy::disallowed_methods, reason = "this is the module that the others use instead")]
+
+use std::fmt::Display;
+use std::io::{self, IsTerminal};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::unistd::write;
+use serde::Serialize;
+use ti_gauge::text;
+
+use crate::error::{Error, Result};
+
+/// The reader of standard output has closed the pipe.
+static CLOSED: AtomicBool = AtomicBool::new(false);
+/// One text at a time: a long one takes several writes.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// Prints lines for a person. Characters that control a terminal become escapes such as `\u{1b}`.
+pub(crate) fn print(text: &str) -> Result<()> {
+    print_file(text::lines(text).as_bytes())
+}
+
+/// Prints a value as one line of JSON.
+pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
+    let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
+    // Such a character can only be in a string of it.
+    let escaped = json.chars().fold(String::with_capacity(json.len() + 1), |mut line, letter| {
+        match text::is_plain(letter) {
+            true => line.push(letter),
+            false => line.push_str(&format!("\\u{:04x}", u32::from(letter))),
+        }
+        line
+    });
+    print_file((escaped + "\n").as_bytes())
+}
+
+/// Prints the content of a file as it is.
+pub(crate) fn print_file(bytes: &[u8]) -> Result<()> {
+    // A panic while it was held has left at most half a line behind.
+    let _turn = TURN.lock();
+    if is_closed() {
+        return Ok(());
+    }
+    match write_all(io::stdout().as_fd(), bytes) {
+        Err(Errno::EPIPE) => CLOSED.store(true, Ordering::SeqCst),
+        outcome => {
+            outcome.map_err(|errno| Error::io("", "cannot write standard output", &errno.into()))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether the reader of standard output has closed the pipe: a command that prints until it is stopped ends.
+pub(crate) fn is_closed() -> bool {
+    CLOSED.load(Ordering::SeqCst)
+}
+
+/// Prints a line to standard error, such as `gaugefs: warning: ...`.
+pub(crate) fn say(line: impl Display) {
+    print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
+}
+
+/// Prints a text to standard error as it is.
+pub(crate) fn print_error(text: &str) {
+    let _ = write_all(io::stderr().as_fd(), text.as_bytes());
+}
+
+/// Whether a person sees what is printed.
+pub(crate) fn is_terminal() -> bool {
+    io::stdout().is_terminal()
+}
+
+/// Whether a person sees standard error.
+pub(crate) fn errors_are_seen() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// Writes to a descriptor itself. The standard library takes one that is not open for writing for one that takes all.
+fn write_all(to: BorrowedFd<'_>, mut bytes: &[u8]) -> nix::Result<()> {
+    while !bytes.is_empty() {
+        match write(to, bytes) {
+            Ok(0) => return Err(Errno::EIO),
+            Ok(written) => bytes = &bytes[written..],
+            Err(Errno::EINTR) => {}
+            // Another process has made the terminal or the pipe non-blocking.
+            Err(Errno::EAGAIN) => {
+                poll(&mut [PollFd::new(to, PollFlags::POLLOUT)], PollTimeout::NONE).map(drop).or_else(
+                    |errno| match errno {
+                        Errno::EINTR => Ok(()),
+                        errno => Err(errno),
+                    },
+                )?;
+            }
+            Err(errno) => return Err(errno),
+        }
+    }
+    Ok(())
+}
