@@ -356,6 +356,28 @@ mod tests {
         u16::from_be_bytes([read[0][10], read[0][11]])
     }
 
+    /// [ITPOR] is bit 5. A bit of a poll that was read wrong is no loss of power.
+    #[test]
+    fn regression_one_wrong_bit_of_a_poll_restored_a_healthy_gauge() {
+        let mut plain = with_image();
+        plain.sim.keep_log(true);
+        plain.sim.clear_log();
+        plain.owner.poll_on_time();
+        let reads: Vec<_> = plain.sim.log().iter().map(|record| record.read.len()).collect();
+        assert!(reads.iter().any(|&length| length > 6), "{reads:?}");
+        for (at, byte) in
+            reads.iter().enumerate().flat_map(|(at, &length)| (0..length).map(move |byte| (at, byte)))
+        {
+            let mut rig = with_image();
+            let flash = rig.sim.flash();
+            rig.sim.set("fault", &format!("flip {} {} 5", at + 1, byte + 1)).expect("a fault");
+            rig.owner.poll_on_time();
+            rig.clock.sleep(INTERVAL);
+            rig.owner.poll_on_time();
+            assert!(rig.sim.flash() == flash, "byte {byte} of transfer {at}");
+        }
+    }
+
     /// The end of CONFIG UPDATE clears [ITPOR], also when what was written is wrong.
     #[test]
     fn a_failed_restoration_is_tried_again_until_it_succeeds() {

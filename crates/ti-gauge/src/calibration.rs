@@ -377,9 +377,7 @@ impl Task<'_> {
         let mut seen = false;
         loop {
             gauge.wait(LOOK);
-            let running = gauge.control_status()?.1 & offset.running != 0;
-            // A bit error is no end of the measurement.
-            let running = running || seen && gauge.control_status()?.1 & offset.running != 0;
+            let running = is_running(gauge, offset.running)?;
             match (seen, running) {
                 (true, false) => break,
                 (false, false) if gauge.clock.now() > started + BEGINS => {
@@ -414,11 +412,7 @@ impl Task<'_> {
         // A measurement that still runs would store its result later.
         let wait = Duration::from_secs(1);
         for _ in 0..20 {
-            let running = self
-                .gauge
-                .control_status()
-                .is_ok_and(|(_, status)| status & self.calibration.board_offset.running != 0);
-            if !running {
+            if !is_running(self.gauge, self.calibration.board_offset.running).unwrap_or(false) {
                 break;
             }
             self.gauge.wait(wait);
@@ -554,6 +548,11 @@ fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
         Role::CurrentNow => ("Current()", "mA"),
         _ => (chip.model, ""),
     }
+}
+
+/// Whether the gauge measures an offset. A bit error is neither the beginning of that nor its end.
+fn is_running(gauge: &mut Gauge, bits: u16) -> Result<bool> {
+    agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & bits != 0))
 }
 
 fn word(gauge: &mut Gauge, register: u8) -> Result<u16> {

@@ -45,11 +45,11 @@ use checks::integer;
 use io::{read_subclass, reload, still_open, store, verify_written};
 use pack::Known;
 pub(crate) use preflight::read_word;
-use preflight::{Found, KnownPack};
+use preflight::{Found, KnownPack, has_lost_memory};
 use schemes::sequence;
 use session::{Session, in_time};
+use settle::Pending;
 pub use settle::{Decision, Owed};
-use settle::{Pending, has_lost_memory};
 use wear::Wear;
 
 /// A place in data flash.
@@ -213,7 +213,7 @@ impl DataFlash {
         allowed: impl Fn(Seal) -> bool,
     ) -> Result<Option<Vec<Vec<u8>>>> {
         let outcome = in_time(gauge, waited, |gauge, asked| {
-            let found = gauge.seal()?;
+            let found = gauge.seal_anew()?;
             if !allowed(found) {
                 return Ok(None);
             }
@@ -240,6 +240,9 @@ impl DataFlash {
                 wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
+            if read.is_ok() {
+                gauge.note_open();
+            }
             self.end(session, gauge, read).map(Some)
         });
         self.noted(outcome)
@@ -308,7 +311,7 @@ impl DataFlash {
         let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            let found = gauge.seal()?;
+            let found = gauge.seal_anew()?;
             let mut session = Session::new(found, asked);
             self.owe(gauge, &mut session, 0)?;
             session.now = None;
@@ -329,12 +332,18 @@ impl DataFlash {
         let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            let found = self.preflight(gauge, changes)?;
+            let mut found = self.first_look(gauge, changes)?;
+            if found.seal != Seal::Sealed {
+                found = self.next_look(gauge, &found, changes)?;
+            }
             self.check_key(gauge, found.seal, changes)?;
             let mut session = Session::new(found.seal, asked);
             self.owe(gauge, &mut session, blocks(changes))?;
-            let opened = session.open(gauge);
-            let outcome = opened.and_then(|()| self.change(gauge, changes, &found, extras, &mut session));
+            let opened = match found.seal {
+                Seal::Sealed => self.look_while_opening(gauge, &mut session, &found, changes),
+                Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+            };
+            let outcome = opened.and_then(|found| self.change(gauge, changes, &found, extras, &mut session));
             let outcome = self.end(session, gauge, outcome);
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
@@ -389,6 +398,7 @@ impl DataFlash {
         }
         let mut dirty = gather(gauge, changes)?;
         dirty.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
+        gauge.note_open();
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {

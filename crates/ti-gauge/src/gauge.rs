@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 pub use crate::chip::Answers;
-use crate::chip::{Chip, SealStatus};
+use crate::chip::{Chip, Scheme, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_stack};
 pub use crate::registers::bursts;
@@ -47,6 +47,9 @@ const PAUSES: [Duration; 5] = [
 ];
 /// Further looks at a state until two agree.
 const TRIES: u32 = 4;
+/// Between two looks at CONTROL_STATUS when no earlier one counts: what disturbs the bus for a moment must not make
+/// both wrong.
+const APART: Duration = Duration::from_millis(5);
 
 /// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
 /// and try again (bq35100), or 100 ms after a key.
@@ -70,6 +73,20 @@ pub enum Seal {
     Unsealed,
     /// Like UNSEALED, and keys can be changed.
     FullAccess,
+}
+
+/// A look at CONTROL_STATUS.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Look {
+    pub(crate) seal: Seal,
+    /// The word.
+    pub(crate) status: u16,
+    /// The registers from 0x02 on, as far as they were read with it.
+    pub(crate) behind: [u8; BEHIND],
+}
+
+impl Look {
+    const NONE: Self = Self { seal: Seal::Sealed, status: 0, behind: [0; BEHIND] };
 }
 
 impl Seal {
@@ -175,6 +192,8 @@ pub struct Gauge {
     byte_writes: bool,
     /// The gauge refused the unseal key; it is not sent again.
     refused: bool,
+    /// One look has shown that the gauge took the unseal key; a block that is read proves it.
+    opened: bool,
     /// The gauge has accepted the unseal key since it arrived. A refusal is then a disturbance.
     proven: bool,
     /// Transfers are not recorded while this is not 0.
@@ -188,8 +207,14 @@ pub struct Gauge {
     /// When the gauge last answered, and the longest silence since `watch`.
     answered: Duration,
     silence: Duration,
-    /// The seal state as last read, or as a later command should have set it.
-    expected: Option<Seal>,
+    /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
+    /// that may change the state.
+    seen: Option<Seal>,
+    /// The seal state that a command of ours leads to, and until when CONTROL_STATUS may show the one before it.
+    commanded: Option<(Seal, Duration)>,
+    /// The last look at CONTROL_STATUS, and how many bytes behind it each look reads.
+    look: Look,
+    also: usize,
     /// No transfer starts after this time, so that write(2) returns in time.
     deadline: Option<Duration>,
 }
@@ -213,6 +238,7 @@ impl Gauge {
             keys,
             byte_writes,
             refused: false,
+            opened: false,
             proven: false,
             secrets: 0,
             recording: None,
@@ -220,7 +246,10 @@ impl Gauge {
             stopped: None,
             answered: Duration::ZERO,
             silence: Duration::ZERO,
-            expected: None,
+            seen: None,
+            commanded: None,
+            look: Look::NONE,
+            also: 0,
             deadline: None,
         }
     }
@@ -483,31 +512,67 @@ impl Gauge {
         self.control_status().map(|(seal, _)| seal)
     }
 
+    /// Reads the seal state with two looks, whatever was seen before.
+    pub fn seal_anew(&mut self) -> Result<Seal> {
+        self.seen = None;
+        self.seal()
+    }
+
     /// Reads the seal state and the CONTROL_STATUS word.
     ///
-    /// I2C has no error detection, and a gauge whose state was misread would be left in that state. So an
-    /// unexpected answer counts only if a second one agrees with it.
+    /// I2C has no error detection, and a gauge whose state was misread would be left in that state, or open. So a
+    /// state counts only if the look before has shown it too. What we have sent is no look: after a command that
+    /// changes the state it takes two looks to know what came of it, and while the gauge may still show the state
+    /// from before the command, that one does not count.
     pub fn control_status(&mut self) -> Result<(Seal, u16)> {
-        self.control_status_and(&mut [])
+        let look = self.look_at_status()?;
+        Ok((look.seal, look.status))
     }
 
-    /// The same, and in the same transfer the registers from 0x02 on, as many bytes as `behind` holds.
-    pub fn control_status_and(&mut self, behind: &mut [u8]) -> Result<(Seal, u16)> {
-        let (mut seal, mut status) = self.control_status_once(behind)?;
-        for _ in 1..TRIES {
-            if self.expected == Some(seal) {
-                break;
+    /// The same with the registers behind CONTROL_STATUS, as many as [`Self::also_read`] says.
+    pub(crate) fn look_at_status(&mut self) -> Result<Look> {
+        let mut differ = 0;
+        loop {
+            let seal = self.control_status_once()?;
+            match self.seen.replace(seal) {
+                Some(before) if before == seal => {}
+                before => {
+                    differ += 1;
+                    if differ > TRIES {
+                        let why = "the seal state reads differently each time: check the bus";
+                        return Err(
+                            Error::new("CONTROL_STATUS", Cause::Protocol(why.into())).at(Step::Control)
+                        );
+                    }
+                    if before.is_none() {
+                        self.wait(APART);
+                    }
+                    continue;
+                }
             }
-            self.expected = Some(seal);
-            (seal, status) = self.control_status_once(behind)?;
+            match self.commanded {
+                Some((goal, until)) if seal != goal && self.clock.now() < until => self.wait(SEAL_POLL),
+                _ => return Ok(self.look),
+            }
         }
-        self.expected = Some(seal);
-        Ok((seal, status))
     }
 
-    fn control_status_once(&mut self, behind: &mut [u8]) -> Result<(Seal, u16)> {
+    /// From now on each look at CONTROL_STATUS reads, in the same transfer, that many bytes of the registers from
+    /// 0x02 on.
+    pub(crate) fn also_read(&mut self, count: usize) {
+        self.also = count.min(BEHIND);
+    }
+
+    /// The last look at CONTROL_STATUS.
+    pub(crate) fn last_look(&self) -> Look {
+        self.look
+    }
+
+    fn control_status_once(&mut self) -> Result<Seal> {
         self.command(CONTROL_STATUS)?;
-        let status = self.status_word(behind)?;
+        let mut behind = [0; BEHIND];
+        let also = self.also;
+        let status = self.status_word(&mut behind[..also])?;
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
             SealStatus::Bits { not_full_access, .. } => {
@@ -538,7 +603,8 @@ impl Gauge {
                 }
             }
         };
-        Ok((seal, status))
+        self.look = Look { seal, status, behind };
+        Ok(seal)
     }
 
     /// Goes from SEALED to UNSEALED and confirms it.
@@ -558,7 +624,7 @@ impl Gauge {
         }
         let failures = self.failures;
         if self.takes(&key, Seal::Unsealed)? {
-            self.proven = true;
+            self.opened = true;
             return Ok(());
         }
         if self.proven || self.failures != failures {
@@ -579,6 +645,12 @@ impl Gauge {
     /// Notes that the gauge is known to have the unseal key, though it has not been used.
     pub fn prove_key(&mut self) {
         self.proven = true;
+    }
+
+    /// Notes that the gauge is certainly open: it has shown data flash, or two looks agree. If a key has opened it, that
+    /// key is right.
+    pub fn note_open(&mut self) {
+        self.proven |= self.opened;
     }
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
@@ -626,29 +698,34 @@ impl Gauge {
         {
             return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
         }
-        // A key for FULL ACCESS that is sent too early is refused, so a single misread state could look like
-        // success: two reads must agree.
-        self.expected = (goal != Seal::FullAccess).then_some(goal);
-        self.comes_to(goal).map_err(|error| error.at(Step::Unseal)).map(|state| state == goal)
+        self.commands(goal);
+        // A key that is sent too early is refused, for FULL ACCESS and on a gauge with RAM, so a single misread state
+        // could look like success: two looks must agree. Elsewhere one does, because only an open gauge echoes the
+        // selection of the block that is read next.
+        let is_echoed = goal == Seal::Unsealed && self.chip.access.scheme == Scheme::Block;
+        self.seen = is_echoed.then_some(goal);
+        self.seal().map_err(|error| error.at(Step::Unseal)).map(|state| state == goal)
     }
 
-    /// Reads the seal state until it is `goal`, or for as long as CONTROL_STATUS may lag behind a command.
-    fn comes_to(&mut self, goal: Seal) -> Result<Seal> {
-        let mut state = self.seal()?;
-        for _ in 0..SEAL_LAG.as_millis() / SEAL_POLL.as_millis() {
-            if state == goal {
-                break;
-            }
-            self.wait(SEAL_POLL);
-            state = self.seal()?;
-        }
-        Ok(state)
+    /// Something is sent that leads to a seal state, which CONTROL_STATUS may show late.
+    fn commands(&mut self, goal: Seal) {
+        (self.seen, self.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
     }
 
     /// Goes to a seal state from whatever state the gauge is in, and confirms it.
     pub fn go_to(&mut self, goal: Seal) -> Result<()> {
-        let now = self.seal()?;
-        self.go(now, goal)
+        let now = self.seal_anew()?;
+        self.go(now, goal)?;
+        if goal == Seal::Sealed {
+            return Ok(());
+        }
+        let now = self.seal_anew()?;
+        if now == goal {
+            self.note_open();
+            return Ok(());
+        }
+        let why = format!("the gauge is {} again: it has been reset or has lost its power", now.as_str());
+        Err(Error::new(self.chip.model, Cause::NotNow(why)).at(Step::Unseal))
     }
 
     /// Goes to a seal state from the state `now`, and confirms it.
@@ -673,8 +750,10 @@ impl Gauge {
                     "SEALED did not reach the gauge, which may have taken it for another command; sent again";
                 log::warn!("{}: {why}", self.chip.name);
             }
-            self.expected = Some(Seal::Sealed);
-            outcome = self.command(self.chip.security.seal).and_then(|()| self.comes_to(Seal::Sealed));
+            self.opened = false;
+            let sent = self.command(self.chip.security.seal);
+            self.commands(Seal::Sealed);
+            outcome = sent.and_then(|()| self.seal());
             match &outcome {
                 Ok(Seal::Sealed) => return Ok(()),
                 Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
@@ -689,7 +768,7 @@ impl Gauge {
     /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11).
     pub fn reset(&mut self) -> Result<()> {
         Statistics::count(&self.statistics.resets);
-        self.expected = Some(Seal::Sealed);
+        (self.seen, self.commanded) = (Some(Seal::Sealed), None);
         self.command(RESET).map_err(|error| error.at(Step::Reset))
     }
 
@@ -711,7 +790,7 @@ impl Gauge {
     /// Sets the key that the gauge has now.
     pub fn set_key(&mut self, name: Name, key: &Secret) {
         self.keys.set(name, key);
-        (self.refused, self.proven) = (false, false);
+        self.forget_refusal();
     }
 
     /// Marks the following transfers as secret (`true`), until as many calls have ended that (`false`).
@@ -724,14 +803,15 @@ impl Gauge {
     pub fn start_over(&mut self) {
         self.forget_refusal();
         self.limit_until(None);
-        (self.expected, self.secrets, self.recording) = (None, 0, None);
+        (self.seen, self.commanded, self.also) = (None, None, 0);
+        (self.secrets, self.recording) = (0, None);
         self.bus.set_secret(false);
         self.statistics.progress.end();
     }
 
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
     pub fn forget_refusal(&mut self) {
-        (self.refused, self.proven) = (false, false);
+        (self.refused, self.opened, self.proven) = (false, false, false);
     }
 }
 

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use sha1::{Digest as _, Sha1};
 
-use crate::chip::FLAT;
+use crate::chip::{Chip, FLAT};
 use crate::codec::WINDOW;
 use crate::dataflash::Bytes;
 use crate::error::{Cause, Error, Result};
@@ -52,6 +52,13 @@ pub(crate) struct Identity {
     pub(crate) firmware: u16,
     /// 0 if the part has no register for it.
     pub(crate) serial: u16,
+}
+
+impl Identity {
+    /// A gauge that is known to have its table's part.
+    pub(crate) fn of(chip: &Chip, firmware: u16, serial: u16) -> Self {
+        Self { chip: chip.name.into(), device_type: chip.identity.device_type, firmware, serial }
+    }
 }
 
 /// A write, or a read of a sealed gauge, that was started.

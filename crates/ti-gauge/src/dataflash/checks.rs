@@ -7,7 +7,7 @@ use super::{Change, DataFlash, Place, preflight};
 use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::Gauge;
+use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
 
 impl DataFlash {
@@ -297,17 +297,14 @@ fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
     sequence(gauge).word(gauge, place, at)
 }
 
-/// Whether calibration is enabled, in which the gauge ignores its gate. Two readings must agree.
+/// Whether calibration is enabled, in which the gauge ignores its gate.
 fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
     let Some((code, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
     };
-    for _ in 0..2 {
-        if preflight::read_word(gauge, Word::Register(code))? & mask == 0 {
-            return Ok(false);
-        }
-    }
-    Ok(true)
+    agreed("the bit that allows calibration", || {
+        Ok(preflight::read_word(gauge, Word::Register(code))? & mask != 0)
+    })
 }
 
 /// How flash is opened where Voltage() is low because the divider is not set.

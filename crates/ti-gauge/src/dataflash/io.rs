@@ -93,7 +93,7 @@ pub(super) fn is_passing(error: &Error) -> bool {
 /// Makes sure that the gauge has not lost its power meanwhile. One that has is sealed: it ignores what is written and
 /// may show what was sent to it as if it were in flash.
 pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
-    match gauge.seal()? {
+    match gauge.seal_anew()? {
         Seal::Sealed => {
             let why =
                 "the gauge is SEALED in the middle of the write: it has been reset or has lost its power";

@@ -1,14 +1,16 @@
 //! Checks before a write unseals the gauge: whether it is still the gauge whose values were read, whether
 //! another master is using it, and whether the write would interrupt a calibration or a learning cycle.
 //!
-//! I2C has no error detection, so a reading that would block a write is repeated first.
+//! I2C has no error detection, so what blocks a write is what two looks agree on, and so is what permits it.
 
 use super::io::read_byte;
 use super::schemes::sequence;
+use super::session::Session;
 use super::{Change, DataFlash, Outcome};
-use crate::chip::{Chip, Kind, Mode, Role, Word};
+use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, BEHIND, Gauge, Seal, Statistics};
+use crate::gauge::{Answers, Gauge, Look, Seal, Statistics, agreed};
+use crate::journal::Identity;
 
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
 const ROM_MODE: u16 = 0x0F00;
@@ -59,7 +61,11 @@ impl Distinct {
     }
 }
 
+/// Looks at the state of a gauge until two agree.
+const LOOKS: u32 = 4;
+
 /// State of the gauge before a write.
+#[derive(Clone, Copy)]
 pub(super) struct Found {
     pub(super) seal: Seal,
     /// CONTROL_STATUS.
@@ -68,8 +74,7 @@ pub(super) struct Found {
     pub(super) voltage_mv: u16,
     /// The gauge's data memory is RAM and has been lost.
     pub(super) lost: bool,
-    /// The registers from 0x02 on.
-    behind: [u8; BEHIND],
+    look: Look,
 }
 
 impl DataFlash {
@@ -97,9 +102,14 @@ impl DataFlash {
         self.doubts = true;
     }
 
-    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or
-    /// another count of cycles, by which later polls are judged. I2C has no error detection.
+    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, another
+    /// count of cycles, by which later polls are judged, or a loss of power that was not known, for which `--restore`
+    /// writes to the gauge. I2C has no error detection.
     pub fn is_surprised(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
+        let lost = lost_flag(chip).and_then(|(flags, lost)| Some(value(flags)? & lost != 0));
+        if lost.is_some_and(|lost| lost != self.known_pack.and_then(|known| known.lost).unwrap_or(false)) {
+            return true;
+        }
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }
@@ -138,6 +148,13 @@ impl DataFlash {
 
     /// Runs the checks that do not need an unsealed gauge.
     pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+        let first = self.first_look(gauge, changes)?;
+        self.next_look(gauge, &first, changes)
+    }
+
+    /// The same with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
+    /// [`Self::look_while_opening`], or [`Self::next_look`].
+    pub(super) fn first_look(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
         let found = read_state(gauge)?;
         if self.check(gauge.chip, &found, changes).is_ok() {
@@ -146,6 +163,56 @@ impl DataFlash {
         let found = read_state(gauge)?;
         self.check(gauge.chip, &found, changes).inspect_err(|error| self.doubt(error))?;
         Ok(found)
+    }
+
+    /// Opens a session with a gauge that was found sealed. The look that shows it open is the second one at its state.
+    pub(super) fn look_while_opening(
+        &mut self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        first: &Found,
+        changes: &[Change],
+    ) -> Result<Found> {
+        gauge.also_read(behind(gauge.chip));
+        let opened = session.open(gauge);
+        gauge.also_read(0);
+        opened?;
+        let second = Found { seal: first.seal, ..Found::of(gauge.chip, gauge.last_look()) };
+        self.agree(gauge, first, second, changes)
+    }
+
+    /// Looks at the state of a gauge once more.
+    pub(super) fn next_look(
+        &mut self,
+        gauge: &mut Gauge,
+        first: &Found,
+        changes: &[Change],
+    ) -> Result<Found> {
+        let second = read_state(gauge)?;
+        self.agree(gauge, first, second, changes)
+    }
+
+    /// What two looks agree on, if it allows a write.
+    fn agree(
+        &mut self,
+        gauge: &mut Gauge,
+        first: &Found,
+        second: Found,
+        changes: &[Change],
+    ) -> Result<Found> {
+        let (mut before, mut now) = (*first, second);
+        for _ in 0..LOOKS {
+            if before.is_like(&now, gauge.chip) {
+                self.check(gauge.chip, &now, changes).inspect_err(|error| self.doubt(error))?;
+                return Ok(Found { voltage_mv: before.voltage_mv.min(now.voltage_mv), ..now });
+            }
+            // One that was opened meanwhile is still the gauge that was found sealed.
+            let seal = if now.look.seal == now.seal { None } else { Some(now.seal) };
+            (before, now) = (now, read_state(gauge)?);
+            now.seal = seal.unwrap_or(now.seal);
+        }
+        let why = "its state reads differently each time: check the bus";
+        Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check))
     }
 
     /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
@@ -181,13 +248,11 @@ impl DataFlash {
         };
         let known_pack = self.known_pack.get_or_insert(KnownPack::new(firmware_version));
         let Some(pack) = pack else { return Ok(()) };
-        let ask = |gauge: &mut Gauge| read_word(gauge, pack.word);
-        match known_pack.pack {
-            None => known_pack.pack = Some(ask(gauge)?),
-            Some(expected) => {
-                let other = differs(gauge, ask, expected)?;
-                self.same(chip, pack.name, expected, other)?;
-            }
+        let now = agreed(pack.name, || read_word(gauge, pack.word))?;
+        let expected = *known_pack.pack.get_or_insert(now);
+        self.same(chip, pack.name, expected, Some(now).filter(|&now| now != expected))?;
+        if chip.serial_register().is_some() {
+            self.identity = Some(Identity::of(chip, firmware_version, now));
         }
         Ok(())
     }
@@ -255,22 +320,11 @@ impl DataFlash {
         let Some(learning) = gauge.chip.preflight.learning.as_ref().filter(|_| resets) else {
             return Ok(None);
         };
-        if status & learning.status != learning.status || matches!(changes, [one] if one.is_at(learning.row))
-        {
+        if !learning.may_run(status) || matches!(changes, [one] if one.is_at(learning.row)) {
             return Ok(None);
         }
-        for _ in 0..2 {
-            let state = match learning.register {
-                None => read_byte(gauge, learning.row)?,
-                Some(code) => {
-                    let mut byte = [0];
-                    gauge.read(code, &mut byte)?;
-                    byte[0]
-                }
-            };
-            if state & learning.mask != learning.value {
-                return Ok(None);
-            }
+        if !agreed(learning.name, || learning.runs(gauge))? {
+            return Ok(None);
         }
         let why = "a learning cycle is active, and the reset that this write needs would end it: wait until Qmax and Ra are \
                    learned, or mount with --allow-learning";
@@ -312,10 +366,57 @@ impl Change {
 }
 
 impl Found {
+    fn of(chip: &Chip, look: Look) -> Self {
+        let found = Self { seal: look.seal, status: look.status, voltage_mv: 0, lost: false, look };
+        Self {
+            voltage_mv: found.register(voltage(chip)),
+            lost: lost_flag(chip).is_some_and(|(flags, lost)| found.register(flags) & lost != 0),
+            ..found
+        }
+    }
+
     /// A register of two bytes that was read along with CONTROL_STATUS.
     fn register(&self, code: u8) -> u16 {
         let at = usize::from(code) - 2;
-        u16::from_le_bytes([self.behind[at], self.behind[at + 1]])
+        u16::from_le_bytes([self.look.behind[at], self.look.behind[at + 1]])
+    }
+
+    /// Whether a later look shows all that decides about a write as this one does. A voltage moves; one with a wrong bit
+    /// that matters is further off.
+    fn is_like(&self, later: &Self, chip: &Chip) -> bool {
+        let decides = |found: &Self| {
+            let modes = chip.preflight.modes.iter().map(|mode| match mode.word {
+                Word::ControlStatus => found.status & mode.mask,
+                Word::Register(code) => found.register(code) & mode.mask,
+                Word::Answer(_) => 0,
+            });
+            let learning = chip.preflight.learning.as_ref();
+            let voltage = chip.preflight.voltage_mv.map(|(min, max)| (min..=max).contains(&found.voltage_mv));
+            let learns = learning.is_some_and(|learning| learning.may_run(found.status));
+            (found.seal, found.lost, modes.collect::<Vec<_>>(), learns, voltage)
+        };
+        let (low, high) = (self.voltage_mv.min(later.voltage_mv), self.voltage_mv.max(later.voltage_mv));
+        decides(self) == decides(later) && high - low <= high / 8
+    }
+}
+
+impl Learning {
+    /// Whether CONTROL_STATUS allows that a cycle is running.
+    fn may_run(&self, status: u16) -> bool {
+        status & self.status == self.status
+    }
+
+    /// Whether Update Status shows that it has begun and not ended.
+    fn runs(&self, gauge: &mut Gauge) -> Result<bool> {
+        let state = match self.register {
+            None => read_byte(gauge, self.row)?,
+            Some(code) => {
+                let mut byte = [0];
+                gauge.read(code, &mut byte)?;
+                byte[0]
+            }
+        };
+        Ok(state & self.mask == self.value)
     }
 }
 
@@ -339,30 +440,50 @@ pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     }
 }
 
-/// Seal, voltage and flags, in the one read that the seal needs.
-fn read_state(gauge: &mut Gauge) -> Result<Found> {
-    let chip = gauge.chip;
-    let voltage = chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code;
+/// The address of Voltage().
+fn voltage(chip: &Chip) -> u8 {
+    chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code
+}
+
+/// The address of Flags(), and the bit of it that reports that data memory was lost, where there is one.
+fn lost_flag(chip: &Chip) -> Option<(u8, u16)> {
+    let lost = chip.volatile.filter(|&lost| lost != 0)?;
+    Some((chip.register(Role::Flags)?.code, lost))
+}
+
+/// How many bytes behind CONTROL_STATUS show the state of a gauge.
+fn behind(chip: &Chip) -> usize {
     let modes = chip.preflight.modes.iter().filter_map(|mode| match mode.word {
         Word::Register(code) => Some(code),
         Word::ControlStatus | Word::Answer(_) => None,
     });
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
-    let last = modes.chain(flags).fold(voltage, u8::max);
-    let mut found = Found { seal: Seal::Sealed, status: 0, voltage_mv: 0, lost: false, behind: [0; BEHIND] };
-    (found.seal, found.status) = gauge.control_status_and(&mut found.behind[..usize::from(last)])?;
-    found.voltage_mv = found.register(voltage);
-    found.lost = flags.zip(chip.volatile).is_some_and(|(flags, lost)| found.register(flags) & lost != 0);
-    Ok(found)
+    modes.chain(flags).fold(voltage(chip), u8::max).into()
+}
+
+/// Seal, voltage and flags, in the one read that the seal needs.
+fn read_state(gauge: &mut Gauge) -> Result<Found> {
+    gauge.also_read(behind(gauge.chip));
+    let look = gauge.look_at_status();
+    gauge.also_read(0);
+    look.map(|look| Found::of(gauge.chip, look))
+}
+
+/// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in
+/// CONFIG UPDATE has not lost its power since it entered that mode, whatever it has not forgotten of an earlier loss.
+pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
+    let chip = gauge.chip;
+    let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
+    let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == Word::Register(flags));
+    let ours = modes.fold(0, |all, mode| all | mode.mask);
+    agreed("Flags()", || Ok(read_word(gauge, Word::Register(flags))? & (lost | ours) == lost))
 }
 
 /// Checks the modes that only an unsealed gauge reports.
 pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
         let Word::Answer(code) = mode.word else { continue };
-        if gauge.ask(code)? & mode.mask != 0 {
-            off(mode, gauge.ask(code)?)?;
-        }
+        off(mode, agreed(mode.name, || Ok(gauge.ask(code)? & mode.mask))?)?;
     }
     Ok(())
 }

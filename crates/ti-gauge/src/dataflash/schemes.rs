@@ -54,6 +54,10 @@ pub(super) trait Sequence {
     fn finish(&self, gauge: &mut Gauge) -> Result<()>;
     /// Whether `finish` must follow every `begin`.
     fn always_finishes(&self) -> bool;
+    /// Whether the gauge is in the mode that `begin` starts.
+    fn is_begun(&self, _: &mut Gauge) -> Result<bool> {
+        Ok(false)
+    }
 }
 
 /// Waits for the rest of `time` since `begun`.

@@ -154,6 +154,14 @@ impl Session {
         sequence(gauge).enable(gauge)
     }
 
+    /// Takes over what an interrupted write may have left on: this session ends it, whatever else it does.
+    pub(super) fn inherit_modes(&mut self, gauge: &mut Gauge) -> Result<()> {
+        // No write is begun in calibration mode, but one may have entered it.
+        self.calibrating = gauge.chip.calibration;
+        self.begun = sequence(gauge).is_begun(gauge)?;
+        Ok(())
+    }
+
     /// Records, once, that the gauge may have been reset.
     fn note_reset(&mut self) -> Result<()> {
         let Some(plan) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()) else { return Ok(()) };
@@ -177,7 +185,7 @@ impl Session {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
             outcome = gauge
-                .seal()
+                .seal_anew()
                 .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
                 .and_then(|()| sequence(gauge).enable(gauge))
                 .and_then(|()| {
@@ -238,7 +246,7 @@ impl Session {
                 gauge.wait(SEAL_LAG);
                 gauge.close()
             }
-            None => gauge.go_to(self.found),
+            None => gauge.seal_anew().and_then(|now| gauge.go(now, self.found)),
         };
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
         // To a recording nothing is owed.
@@ -339,7 +347,7 @@ fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
     // The gauge may have sealed itself, and show it late.
     gauge.wait(SEAL_LAG);
     loop {
-        match gauge.seal() {
+        match gauge.seal_anew() {
             Ok(now) => return gauge.go(now, goal),
             Err(_) if gauge.may_try_until(limit) => gauge.wait(access.reset.max(Duration::from_millis(50))),
             Err(error) => return Err(error.at(Step::Reset)),

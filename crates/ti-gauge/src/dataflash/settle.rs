@@ -11,11 +11,11 @@ use std::time::Duration;
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
 use super::pack::{Match, compare};
-use super::preflight::read_word;
+use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
 use super::session::{Left, Session, in_time};
 use super::{DataFlash, Place};
-use crate::chip::{Chip, Kind, Role, Word};
+use crate::chip::{Chip, Kind, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
@@ -104,15 +104,9 @@ impl DataFlash {
         }
         let firmware = match self.known_pack {
             Some(known_pack) => known_pack.firmware_version,
-            None => gauge.firmware_version()?,
+            None => agreed("Control(FW_VERSION)", || gauge.firmware_version())?,
         };
-        let chip = gauge.chip;
-        let identity = Identity {
-            chip: chip.name.into(),
-            device_type: chip.identity.device_type,
-            firmware,
-            serial: serial_number(gauge)?,
-        };
+        let identity = Identity::of(gauge.chip, firmware, serial_number(gauge)?);
         self.identity = Some(identity.clone());
         Ok(identity)
     }
@@ -189,7 +183,7 @@ impl DataFlash {
         let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
         in_time(gauge, waited, |gauge, asked| {
             self.identity = None;
-            let found = gauge.seal()?;
+            let found = gauge.seal_anew()?;
             let mut session = Session::new(found, asked);
             let look = session.open(gauge).and_then(|()| look(gauge, plan));
             let seen = session.close(gauge, look).0?;
@@ -210,13 +204,39 @@ impl DataFlash {
             _ => None,
         };
         self.pending = None;
-        let owes = pending.entry.filter(|entry| entry.found == Seal::Sealed);
-        let sealed = if owes.is_some() { gauge.go_to(Seal::Sealed) } else { Ok(()) };
-        if let (Some(entry), Err(error)) = (owes, &sealed) {
-            self.keep(Some(entry), Left { data: false, why: error.to_string() });
-        }
+        let left = match pending.entry {
+            Some(entry) => self.leave_as_it_is(gauge, entry, waited),
+            None => Ok(()),
+        };
         let kept = aside.map_or(String::new(), |path| format!("; the journal is kept as {}", path.display()));
-        sealed.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+        left.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+    }
+
+    /// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed, whatever it
+    /// holds.
+    fn leave_as_it_is(&mut self, gauge: &mut Gauge, entry: Entry, waited: Duration) -> Result<()> {
+        let (wrote, owes) = (entry.plan.is_some(), entry.found == Seal::Sealed);
+        let entry = Entry { plan: None, ..entry };
+        let kept = entry.clone();
+        let ended = in_time(gauge, waited, |gauge, asked| {
+            let now = gauge.seal_anew()?;
+            let mut session = Session::new(if owes { Seal::Sealed } else { now }, asked);
+            if wrote {
+                session.inherit_modes(gauge)?;
+            }
+            (session.now, session.entry) = (None, Some(entry));
+            self.end(session, gauge, Ok(()))
+        });
+        if let Err(error) = &ended
+            && self.pending.is_none()
+        {
+            // The next write ends a mode that may still be on.
+            self.ours |= wrote;
+            if owes {
+                self.keep(Some(kept), Left { data: false, why: error.to_string() });
+            }
+        }
+        ended
     }
 
     fn resolve(
@@ -276,13 +296,14 @@ impl DataFlash {
             let why = format!("it was begun on another part, a {chip} with firmware 0x{firmware:04x}");
             return Ok(Verdict::Undecided(why));
         }
-        let now = gauge.seal()?;
+        let now = gauge.seal_anew()?;
         // A gauge that was unsealed and has been sealed since stays sealed.
         let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
         let mut session = Session::new(goal, asked);
         (session.now, session.decided) = (None, decision.is_some());
-        // No write is begun in calibration mode, but one may have entered it.
-        session.calibrating = gauge.chip.calibration.filter(|_| self.in_calibration || entry.plan.is_some());
+        if self.in_calibration || entry.plan.is_some() {
+            session.inherit_modes(gauge)?;
+        }
         session.entry = Some(entry.clone());
         if let Some(journal) = &self.journal
             && journal.exists()
@@ -594,12 +615,4 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
         }
     }
     table
-}
-
-/// Whether the gauge's data memory is RAM and was lost.
-pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
-    let chip = gauge.chip;
-    let lost = chip.volatile.filter(|&lost| lost != 0);
-    let Some((lost, flags)) = lost.zip(chip.register(Role::Flags)) else { return Ok(false) };
-    Ok(read_word(gauge, Word::Register(flags.code))? & lost != 0)
 }

@@ -108,7 +108,7 @@ fn faults(n: u64) -> Vec<String> {
 
 /// Transfers that restore and confirm the seal state, after the last look at data memory. Where no flag shows that RAM
 /// was lost, nothing reveals a loss from then on.
-const CLOSING: u64 = 4;
+const CLOSING: u64 = 6;
 
 /// Whether a fault takes the power away after transfer `last` of the write.
 fn is_power_cut_from(fault: &str, last: u64) -> bool {

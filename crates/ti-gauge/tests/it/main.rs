@@ -6,6 +6,7 @@ mod defaults;
 mod ensemble;
 mod faults;
 mod firmware;
+mod flips;
 mod gate;
 mod gauge;
 mod journal;

@@ -68,6 +68,7 @@ fn the_bytes_on_the_wire_match_the_manuals_example() {
             "W 3F 00",    // verified after the reset
             "W 00 20 00", // step 11
             "W 00 00 00",
+            "W 00 00 00", // two looks
         ]
     );
     let hidden = rig.log().iter().filter(|line| *line == "; hidden").count();

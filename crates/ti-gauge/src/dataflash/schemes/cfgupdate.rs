@@ -9,7 +9,7 @@ use super::mac::Mac;
 use crate::codec::WINDOW;
 use crate::dataflash::blocks::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal, Statistics};
+use crate::gauge::{Gauge, Seal, Statistics, agreed};
 
 /// Time between two reads of the flag of the mode, which takes up to a second to come or go.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -60,7 +60,7 @@ impl Sequence for CfgUpdate {
         if self.reaches(gauge, true, Duration::ZERO)? {
             return Ok(());
         }
-        if self.full_access && gauge.seal()? != Seal::FullAccess {
+        if self.full_access && gauge.seal_anew()? != Seal::FullAccess {
             gauge.full_access()?;
         }
         gauge.command(self.enter).map_err(|error| error.at(Step::WriteBlock))?;
@@ -111,6 +111,10 @@ impl Sequence for CfgUpdate {
 
     fn always_finishes(&self) -> bool {
         true
+    }
+
+    fn is_begun(&self, gauge: &mut Gauge) -> Result<bool> {
+        agreed(self.names.1, || self.in_mode(gauge))
     }
 }
 
