@@ -19,7 +19,7 @@ use fuser::{
     TimeOrNow, WriteFlags,
 };
 
-use super::inodes::{Inode, Inodes, Now, Shown, Value};
+use super::inodes::{Inode, Inodes, Now, Sharing, Shown, Value};
 use super::notify::Announcer;
 use super::{Options, Table, lock};
 use crate::error::{Error, Result};
@@ -28,6 +28,14 @@ use crate::fs::{Fs, Node, Shape};
 /// How long the kernel may keep a name without asking. This bounds how long a lost notification or a dead
 /// daemon goes unnoticed.
 const TTL: Duration = Duration::from_secs(2);
+
+/// An extended attribute that the kernel asks for before each write, and removes if the file has it. Only then it copies
+/// what is written to the page cache, where everybody sees it before gaugefs gets it. A file that nobody may write
+/// pretends to have the attribute and does not let it be removed, so that not even root's writes get to the page cache.
+/// Whoever reads the attribute is told that there is none.
+const CAPABILITY: &str = "security.capability";
+/// The size of that attribute; any but 0 will do.
+const CAPABILITY_SIZE: u32 = 20;
 
 /// A request that is answered when an unread value has arrived.
 pub(super) enum Waiter {
@@ -79,7 +87,7 @@ impl Adapter {
         };
         let (uid, gid) = self.fs.owner();
         FileAttr {
-            ino: INodeNo(shown.number),
+            ino: INodeNo(shown.ino),
             size,
             blocks: 0,
             atime: shown.since,
@@ -154,6 +162,11 @@ impl Adapter {
         }
     }
 
+    /// Whether a node is a file that nobody may write.
+    fn is_read_only(&self, node: Node) -> bool {
+        self.fs.shape(node) == Shape::File && !self.fs.may_be_written(node)
+    }
+
     /// The errno of every request to add, remove or rename something, which this tree does not allow.
     fn fixed(&self) -> Errno {
         if self.options.read_only { Errno::EROFS } else { Errno::EPERM }
@@ -214,6 +227,8 @@ impl Writing {
         let Some(reply) = self.reply.take() else { return };
         let (fs, table, number, node, length) =
             (self.fs.clone(), self.table.clone(), self.number, self.node, self.length);
+        // Before the answer can be given, so that it follows on the notification of what the write has changed.
+        self.fs.raise(node);
         self.announcer.answer(Box::new(move || {
             lock(&table).write_ends(number, present(&fs, node), Now::read());
             match outcome {
@@ -221,7 +236,6 @@ impl Writing {
                 Err(error) => reply.error(errno(&error)),
             }
         }));
-        self.fs.raise(node);
     }
 }
 
@@ -272,10 +286,17 @@ impl Filesystem for Adapter {
                 Shape::Folder | Shape::Link => Some(Value::Fixed),
             };
             let Some(value) = value else { return reply.error(Errno::ENOENT) };
-            let shown = inodes.enter(node, value, request.pid(), Now::read());
+            let sharing = match self.fs.may_be_written(node) && !self.options.read_only {
+                true => Sharing::Alone,
+                false => Sharing::By(request.pid()),
+            };
+            let shown = inodes.enter(node, value, sharing, Now::read());
             drop(inodes);
             let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
-            reply.entry_with_ttls(&attr_ttl, &entry_ttl, &self.attr(&shown), Generation(0));
+            // The crate `fuser` takes the nodeid from here as well. Where the inode number is another one, the kernel asks
+            // for it before it shows it, because these attributes are not valid for any time.
+            let attr = FileAttr { ino: INodeNo(shown.number), ..self.attr(&shown) };
+            reply.entry_with_ttls(&attr_ttl, &entry_ttl, &attr, Generation(0));
         });
     }
 
@@ -460,9 +481,14 @@ impl Filesystem for Adapter {
         reply.statfs(0, 0, 0, 0, 0, 4096, 255, 4096);
     }
 
-    fn getxattr(&self, _: &Request, ino: INodeNo, name: &OsStr, size: u32, reply: ReplyXattr) {
+    fn getxattr(&self, request: &Request, ino: INodeNo, name: &OsStr, size: u32, reply: ReplyXattr) {
         self.guard(ino, || {
-            let list = self.node(ino).map(|node| self.fs.xattrs(node)).unwrap_or_default();
+            let node = self.node(ino);
+            if name == CAPABILITY && size == 0 && node.is_some_and(|node| self.is_read_only(node)) {
+                self.inodes().asks(ino.into(), request.pid());
+                return reply.size(CAPABILITY_SIZE);
+            }
+            let list = node.map(|node| self.fs.xattrs(node)).unwrap_or_default();
             // ENOSYS would make the kernel stop asking for extended attributes at all.
             match list.iter().find(|(found, _)| OsStr::new(found) == name) {
                 Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),
@@ -483,8 +509,10 @@ impl Filesystem for Adapter {
         reply.error(self.fixed());
     }
 
-    fn removexattr(&self, _: &Request, _: INodeNo, _: &OsStr, reply: ReplyEmpty) {
-        reply.error(self.fixed());
+    fn removexattr(&self, request: &Request, ino: INodeNo, name: &OsStr, reply: ReplyEmpty) {
+        // The write or the change of the owner gets this answer.
+        let is_write = name == CAPABILITY && self.inodes().is_about_to_write(ino.into(), request.pid());
+        reply.error(if is_write { Errno::EACCES } else { self.fixed() });
     }
 
     // Requests that sysfs refuses too. The default methods of the trait would log a warning for each.

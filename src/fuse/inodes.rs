@@ -5,6 +5,9 @@
 //! held open across a change has to follow it under the nodeid that it has: that nodeid is renewed, either
 //! after a delay or when a write through it is answered.
 //!
+//! A file that may be written has a nodeid of its own for each lookup, and so for each time it is opened. The kernel
+//! copies what is written to its page cache before it passes it on, and nobody else may see that before it is accepted.
+//!
 //! This module knows neither FUSE nor any lock, and reads no clock: every caller passes the time.
 
 use std::collections::HashMap;
@@ -71,6 +74,8 @@ impl Value {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub(super) number: u64,
+    /// The inode number that `stat` shows. `cp` takes a file whose inode number changes for another file.
+    pub(super) ino: u64,
     pub(super) node: Node,
     pub(super) size: u64,
     /// When the nodeid got its present value.
@@ -79,14 +84,22 @@ pub(super) struct Shown {
     pub(super) valid: Duration,
 }
 
+/// Which lookups find a nodeid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sharing {
+    /// None but the first one.
+    Alone,
+    /// All, as long as the value is the same; of an unread value those of this thread.
+    By(u32),
+}
+
 /// One nodeid. `W` is a request that waits for the value.
 #[derive(Debug)]
 pub(super) struct Inode<W> {
     node: Node,
     /// How often the kernel has looked it up and not forgotten it.
     lookups: u64,
-    /// The thread that looked it up first.
-    thread: u32,
+    sharing: Sharing,
     value: Value,
     since: SystemTime,
     /// When another value took its place, while that is not yet shown under this nodeid.
@@ -97,20 +110,23 @@ pub(super) struct Inode<W> {
     writing: u32,
     /// Requests that wait for an unread value, from the first READ until the value arrives.
     waiting: Option<Vec<W>>,
+    /// A thread that may be about to write, and how often it has asked for the attribute that says so.
+    asked: (u32, u32),
 }
 
 impl<W> Inode<W> {
-    fn new(node: Node, value: Value, thread: u32, since: SystemTime) -> Self {
+    fn new(node: Node, value: Value, sharing: Sharing, since: SystemTime) -> Self {
         Self {
             node,
             lookups: 1,
-            thread,
+            sharing,
             value,
             since,
             superseded: None,
             renewed: None,
             writing: 0,
             waiting: None,
+            asked: (0, 0),
         }
     }
 
@@ -140,18 +156,20 @@ impl<W> Inode<W> {
 
     /// When it is renewed; `None` while it is up to date or in use.
     fn due(&self) -> Option<Instant> {
-        self.superseded.filter(|_| self.is_idle()).map(|since| since + RENEWAL_DELAY)
+        // Whoever opened a file alone asks before each read, and reads what it was answered.
+        let delay = if self.sharing == Sharing::Alone { Duration::ZERO } else { RENEWAL_DELAY };
+        self.superseded.filter(|_| self.is_idle()).map(|since| since + delay)
     }
 
     /// What `stat` shows of it; `number` is its own.
-    pub(super) fn shown(&self, number: u64, now: Now) -> Shown {
+    fn shown(&self, number: u64, ino: u64, now: Now) -> Shown {
         let valid = match self.superseded {
             _ if self.renewed.is_some() => Duration::ZERO,
             // Even if it is superseded at once, it is not renewed earlier.
             None => RENEWAL_DELAY,
             Some(_) => self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)),
         };
-        Shown { number, node: self.node, size: self.value.size(), since: self.since, valid }
+        Shown { number, ino, node: self.node, size: self.value.size(), since: self.since, valid }
     }
 }
 
@@ -163,6 +181,8 @@ pub(super) struct Inodes<W> {
     live: HashMap<u64, Inode<W>>,
     /// The nodeid that a lookup of the node finds, unless the value has changed.
     current: HashMap<Node, u64>,
+    /// The inode number of each file whose nodeids are not shared.
+    numbers: HashMap<Node, u64>,
 }
 
 impl<W> Inodes<W> {
@@ -171,8 +191,9 @@ impl<W> Inodes<W> {
         Self {
             next: ROOT + 1,
             started: now.time,
-            live: HashMap::from([(ROOT, Inode::new(Node::Root, Value::Fixed, 0, now.time))]),
+            live: HashMap::from([(ROOT, Inode::new(Node::Root, Value::Fixed, Sharing::By(0), now.time))]),
             current: HashMap::from([(Node::Root, ROOT)]),
+            numbers: HashMap::new(),
         }
     }
 
@@ -183,7 +204,19 @@ impl<W> Inodes<W> {
 
     /// What `stat` shows of it.
     pub(super) fn shown(&self, number: u64, now: Now) -> Option<Shown> {
-        self.get(number).map(|inode| inode.shown(number, now))
+        self.get(number).map(|inode| inode.shown(number, self.ino(number, inode), now))
+    }
+
+    fn ino(&self, number: u64, inode: &Inode<W>) -> u64 {
+        match inode.sharing {
+            Sharing::Alone => self.numbers.get(&inode.node).copied().unwrap_or(number),
+            Sharing::By(_) => number,
+        }
+    }
+
+    fn next(&mut self) -> u64 {
+        self.next += 1;
+        self.next - 1
     }
 
     /// The nodeid of a node's present value, if the kernel knows one.
@@ -198,25 +231,32 @@ impl<W> Inodes<W> {
     /// in between: with a shared nodeid, the value would be padded with zero bytes. Lookups of one thread
     /// precede its READ and may share a nodeid; they must, because `cp` takes a file whose inode number
     /// changes for another file.
-    pub(super) fn enter(&mut self, node: Node, value: Value, thread: u32, now: Now) -> Shown {
-        if let Some(&number) = self.current.get(&node)
+    pub(super) fn enter(&mut self, node: Node, value: Value, sharing: Sharing, now: Now) -> Shown {
+        let current = self.current(node).filter(|_| sharing != Sharing::Alone);
+        if let Some(number) = current
             && let Some(inode) = self.live.get_mut(&number)
         {
             // Threads outside this process's PID namespace all have the number 0.
-            let own = inode.thread == thread && thread != 0 && !inode.is_awaited();
+            let own = inode.sharing == sharing && sharing != Sharing::By(0) && !inode.is_awaited();
             if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
                 inode.lookups += 1;
-                return inode.shown(number, now);
+                return inode.shown(number, number, now);
             }
             self.retire(number, now);
         }
-        let number = self.next;
-        self.next += 1;
+        let number = self.next();
         let since = if value == Value::Fixed { self.started } else { now.time };
-        let inode = Inode::new(node, value, thread, since);
-        let shown = inode.shown(number, now);
+        let inode = Inode::new(node, value, sharing, since);
+        if sharing == Sharing::Alone {
+            if !self.numbers.contains_key(&node) {
+                let ino = self.next();
+                self.numbers.insert(node, ino);
+            }
+        } else {
+            self.current.insert(node, number);
+        }
+        let shown = inode.shown(number, self.ino(number, &inode), now);
         self.live.insert(number, inode);
-        self.current.insert(node, number);
         shown
     }
 
@@ -270,8 +310,10 @@ impl<W> Inodes<W> {
             // A renewed nodeid gets its new size only now.
             inode.renewed = inode.renewed.map(|_| now.instant);
         }
-        let shown = inode.shown(number, now);
-        if value.is_some() && inode.superseded.is_none() && inode.writing == 0 {
+        let is_shared = inode.sharing != Sharing::Alone;
+        let is_present = value.is_some() && inode.superseded.is_none() && inode.writing == 0;
+        let shown = self.shown(number, now)?;
+        if is_present && is_shared {
             // Lookups until the next poll find the value that was read.
             if let Some(other) = self.current(shown.node).filter(|&other| other != number) {
                 self.retire(other, now);
@@ -290,6 +332,21 @@ impl<W> Inodes<W> {
             self.live.remove(&number);
             self.drop_current(node, number);
         }
+    }
+
+    /// A thread asks for the attribute that the kernel asks for before a write.
+    pub(super) fn asks(&mut self, number: u64, thread: u32) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        let before = if inode.asked.0 == thread { inode.asked.1 } else { 0 };
+        inode.asked = (thread, before + 1);
+    }
+
+    /// The thread removes that attribute. Returns whether this is because it writes: before that the kernel asks twice,
+    /// and before it changes the owner once.
+    pub(super) fn is_about_to_write(&mut self, number: u64, thread: u32) -> bool {
+        let Some(inode) = self.live.get_mut(&number) else { return false };
+        let (by, count) = std::mem::take(&mut inode.asked);
+        by == thread && count >= 2
     }
 
     /// A write through this nodeid has begun. Whatever comes of it, the kernel's copy holds what was written.
@@ -362,7 +419,8 @@ mod tests {
 
     const FILE: Node = Node::Covered(0);
     const OTHER: Node = Node::Covered(1);
-    const THREAD: u32 = 100;
+    const THREAD: Sharing = Sharing::By(100);
+    const OTHER_THREAD: Sharing = Sharing::By(101);
 
     fn at(millis: u64) -> Now {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
@@ -404,7 +462,7 @@ mod tests {
         let mut inodes = inodes();
         let first = inodes.enter(FILE, bytes("1\n"), THREAD, at(0));
         assert_eq!(first.size, 2);
-        assert_eq!(inodes.enter(FILE, bytes("1\n"), THREAD + 1, at(5)), first);
+        assert_eq!(inodes.enter(FILE, bytes("1\n"), OTHER_THREAD, at(5)), first);
         assert_ne!(inodes.enter(OTHER, bytes("1\n"), THREAD, at(5)).number, first.number);
     }
 
@@ -474,14 +532,14 @@ mod tests {
     #[test]
     fn an_unread_file_has_a_nodeid_for_each_thread() {
         let mut inodes = inodes();
-        let mut enter = |thread| inodes.enter(FILE, Value::Unread(4096), thread, at(0)).number;
+        let mut enter = |sharing| inodes.enter(FILE, Value::Unread(4096), sharing, at(0)).number;
         let first = enter(THREAD);
         assert_eq!(enter(THREAD), first);
-        let second = enter(THREAD + 1);
+        let second = enter(OTHER_THREAD);
         assert_ne!(second, first);
         // Threads of other PID namespaces cannot be told apart.
-        let unknown = enter(0);
-        assert_ne!(enter(0), unknown);
+        let unknown = enter(Sharing::By(0));
+        assert_ne!(enter(Sharing::By(0)), unknown);
     }
 
     #[test]
@@ -496,13 +554,13 @@ mod tests {
     fn a_value_that_arrives_answers_all_who_wait_and_is_found_by_lookups() {
         let mut inodes = inodes();
         let mine = inodes.enter(FILE, Value::Unread(4096), THREAD, at(0)).number;
-        let theirs = inodes.enter(FILE, Value::Unread(4096), THREAD + 1, at(0)).number;
+        let theirs = inodes.enter(FILE, Value::Unread(4096), OTHER_THREAD, at(0)).number;
         assert!(inodes.wait(mine, 1), "the first asks for the value");
         assert!(!inodes.wait(mine, 2));
         assert!(inodes.wait(theirs, 3), "a different nodeid waits for itself");
         let (shown, waiters) = inodes.arrived(mine, Some(&b"3000\n"[..].into()), at(3)).expect("it is known");
         assert_eq!((shown.size, waiters), (5, vec![1, 2]));
-        assert_eq!(inodes.enter(FILE, bytes("3000\n"), THREAD + 2, at(4)).number, mine);
+        assert_eq!(inodes.enter(FILE, bytes("3000\n"), Sharing::By(102), at(4)).number, mine);
         assert!(inodes.get(theirs).is_some_and(Inode::is_unread));
         let (_, waiters) = inodes.arrived(theirs, Some(&b"3000\n"[..].into()), at(5)).expect("it is known");
         assert_eq!(waiters, [3]);
@@ -526,6 +584,33 @@ mod tests {
         inodes.forget(number, 1);
         assert!(inodes.arrived(number, Some(&b"1\n"[..].into()), at(3)).is_none());
         assert_eq!(inodes.current(FILE), None);
+    }
+
+    #[test]
+    fn a_file_that_may_be_written_has_a_nodeid_for_each_lookup_and_one_inode_number() {
+        let mut inodes = inodes();
+        let first = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(0));
+        let second = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(1));
+        let other = inodes.enter(OTHER, Value::Unread(4096), Sharing::Alone, at(1));
+        assert!(first.number != second.number && first.ino == second.ino && first.ino != other.ino);
+        assert_eq!(shown(&inodes, first.number, 2).ino, first.ino);
+        inodes.wait(other.number, 1);
+        let (arrived, _) =
+            inodes.arrived(other.number, Some(&b"2\n"[..].into()), at(3)).expect("it is known");
+        assert_eq!((arrived.ino, inodes.current(OTHER)), (other.ino, None));
+        assert_ne!(inodes.enter(OTHER, bytes("2\n"), Sharing::Alone, at(4)).number, other.number);
+        inodes.forget(first.number, 1);
+        inodes.forget(second.number, 1);
+        assert_eq!(inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(5)).ino, first.ino);
+        // A write through one of them leaves the others as they are, until its outcome is known.
+        let writes = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(6)).number;
+        let reads = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(6)).number;
+        inodes.write_begins(writes, at(7));
+        assert_eq!((inodes.due(reads, at(8)), value(&inodes, reads)), (None, &bytes("1\n")));
+        inodes.retire(reads, at(9));
+        assert_eq!((inodes.due(reads, at(9)), inodes.due(writes, at(9))), (Some(FILE), None));
+        inodes.write_ends(writes, bytes("22\n"), at(9));
+        assert_eq!(value(&inodes, writes), &bytes("22\n"));
     }
 
     #[test]
@@ -646,6 +731,9 @@ mod tests {
         ]
     }
 
+    /// That file may be written.
+    const WRITABLE: u32 = 2;
+
     /// What a nodeid has to show.
     struct Known {
         file: u32,
@@ -666,6 +754,8 @@ mod tests {
         /// The nodeid of each file's last lookup, until something but the file's value replaces it.
         last: HashMap<u32, u64>,
         known: BTreeMap<u64, Known>,
+        /// The inode number of the file that may be written.
+        ino: Option<u64>,
         /// Makes values and requests unique.
         count: u32,
     }
@@ -681,7 +771,7 @@ mod tests {
     impl Model {
         fn new() -> Self {
             let files = (0..3).map(|file| (vec![b'a' + file], true)).collect();
-            Self { now: 0, files, last: HashMap::new(), known: BTreeMap::new(), count: 0 }
+            Self { now: 0, files, last: HashMap::new(), known: BTreeMap::new(), ino: None, count: 0 }
         }
 
         fn bytes(&self, file: u32) -> Option<Vec<u8>> {
@@ -785,7 +875,8 @@ mod tests {
                     let known = self.known.get_mut(&number).expect("it was picked");
                     assert_eq!(node, Node::Covered(known.file));
                     assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
-                    assert!(self.now >= known.last_lookup + delay(), "only after the delay");
+                    let delay = if known.file == WRITABLE { 0 } else { delay() };
+                    assert!(self.now >= known.last_lookup + delay, "only after the delay");
                     known.bytes = read_bytes(&self.files[known.file as usize]);
                     inodes.renew(number, as_value(known.bytes.as_deref()), now);
                 }
@@ -794,9 +885,13 @@ mod tests {
         }
 
         fn look_up(&mut self, file: u32, thread: u32, inodes: &mut Inodes<u32>) {
-            let shown = inodes.enter(Node::Covered(file), self.value(file), thread, at(self.now));
+            let sharing = if file == WRITABLE { Sharing::Alone } else { Sharing::By(thread) };
+            let shown = inodes.enter(Node::Covered(file), self.value(file), sharing, at(self.now));
             let (bytes, number) = (self.bytes(file), shown.number);
-            if let Some(last) = self.last.insert(file, number)
+            if file == WRITABLE {
+                assert!(!self.known.contains_key(&number), "each lookup has a nodeid of its own");
+                assert_eq!(shown.ino, *self.ino.get_or_insert(shown.ino), "and all have one inode number");
+            } else if let Some(last) = self.last.insert(file, number)
                 && bytes.is_some()
                 && self.known.get(&last).is_some_and(|known| known.bytes == bytes)
             {

@@ -88,11 +88,11 @@ impl Announcer {
         started.map(drop).map_err(|error| host("a thread", &error))
     }
 
-    /// Gives an answer when the kernel has been notified of everything that has changed until now. The caller
-    /// has to raise the signal.
+    /// Gives an answer when the kernel has been notified of everything that has changed until now.
     pub(super) fn answer(&self, answer: Answer) {
-        if let Some(answer) = self.add(answer, false) {
-            answer();
+        match self.add(answer, false) {
+            Some(answer) => answer(),
+            None => self.signal.raise(),
         }
     }
 

@@ -19,6 +19,7 @@ mod packaging;
 mod production;
 mod program;
 mod readme;
+mod refused;
 mod report;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]

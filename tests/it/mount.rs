@@ -151,11 +151,11 @@ fn statistic(handle: &Handle, wanted: &str) -> u64 {
     handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
 }
 
-fn errno(error: std::io::Error) -> Errno {
+pub(crate) fn errno(error: std::io::Error) -> Errno {
     Errno::from_raw(error.raw_os_error().unwrap_or_default())
 }
 
-fn quiet(chip: &str) -> Option<Mount> {
+pub(crate) fn quiet(chip: &str) -> Option<Mount> {
     Mount::new(chip, Duration::from_secs(3600), Keys::default())
 }
 
