@@ -332,6 +332,20 @@ mod tests {
         }
     }
 
+    #[test]
+    fn regression_the_firmware_that_is_shown_is_the_gauges() {
+        for (chip, version) in [("bq27220", 0x0003), ("bq34110", 0x0100), ("bq35100", 0x0018)] {
+            let mut rig = Rig::of(chip, super::super::Settings::default(), Startup::default());
+            rig.owner.open().expect("it answers");
+            assert_eq!(rig.handle.published().answers.firmware_version, version, "{chip}");
+            rig.sim.set("firmware", "0x0201").expect("a knob");
+            rig.ask(Request::Refresh).expect("it answers");
+            assert_eq!(rig.handle.published().answers.firmware_version, 0x0201, "{chip}");
+            rig.ask(|done| Request::Control(0x0002, done)).expect("it answers");
+            assert_eq!(rig.handle.published().control, Some((0x0002, 0x0201)), "{chip}");
+        }
+    }
+
     /// A bq27441-G1 with an image whose Design Capacity is to be restored.
     fn with_image() -> Rig {
         let chip = Chip::by_name("bq27441-g1").expect("it has a table");

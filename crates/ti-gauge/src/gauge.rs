@@ -412,12 +412,31 @@ impl Gauge {
 
     /// Sends a subcommand and reads the word that it answers with.
     pub fn ask(&mut self, code: u16) -> Result<u16> {
+        if code == FW_VERSION && self.chip.identity.answers_in_mac_data() {
+            return self.firmware_in_mac_data();
+        }
         self.command(code)?;
         // CONTROL_STATUS answers at Control() itself on every part.
         if code != CONTROL_STATUS {
             return self.answer(code, self.chip.identity.answer, &mut []);
         }
         self.status_word(&mut [])
+    }
+
+    /// The version of the firmware, which follows the device number.
+    fn firmware_in_mac_data(&mut self) -> Result<u16> {
+        let (identity, mut word) = (&self.chip.identity, 0);
+        // MACData() may still show an older answer.
+        for _ in 0..TRIES {
+            let mut version = [0; 2];
+            self.command(FW_VERSION)?;
+            word = self.answer(FW_VERSION, identity.answer, &mut version)?;
+            if word.swap_bytes() == identity.device_type {
+                return Ok(u16::from_be_bytes(version));
+            }
+        }
+        // No document has such an answer; it tells this part from others all the same.
+        Ok(word)
     }
 
     /// Reads the answer to CONTROL_STATUS, and with it the registers following Control().
@@ -468,7 +487,7 @@ impl Gauge {
     /// The same for a gauge that has answered with that type.
     pub fn identify_type(&mut self, device_type: u16) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
-        let firmware_version = self.ask(FW_VERSION).map_err(named)?;
+        let firmware_version = self.firmware_version()?;
         let hardware_version = self.ask_named("HW_VERSION").map_err(named)?.unwrap_or_default();
         let chem_id = self.ask_named("CHEM_ID").map_err(named)?;
         // The code is a byte; nothing is said of the other one.

@@ -446,6 +446,8 @@ impl Image {
             image.chip.subclasses.iter().position(|row| std::ptr::eq(row, entry.subclass)).unwrap_or(0)
         };
         image.entries.sort_by_key(|entry| (place(entry), entry.parameter.offset));
+        let identity = &image.chip.identity;
+        image.firmware = image.firmware.filter(|version| !identity.is_device_number(*version));
         if let Some(firmware) = image.firmware
             && !fits(image.chip.identity.firmware, firmware)
         {
@@ -1000,6 +1002,36 @@ mod tests {
         let relative = Image::parse("device_type = 0x0520\nfirmware = 0x0329\n", None);
         let relative = relative.expect_err("no table").to_string();
         assert!(relative.contains("a bq27520-G4, whose data flash gaugefs does not support"), "{relative}");
+    }
+
+    /// The first versions wrote the device number of these parts for their firmware.
+    #[test]
+    fn regression_a_file_of_another_firmware_of_a_part_with_mac_data_is_refused() {
+        for (name, number) in [("bq27220", "0x2002"), ("bq34110", "0x1001"), ("bq35100", "0x0001")] {
+            let mut here = defaults(Chip::by_name(name).expect("a chip"));
+            here.firmware = Some(0x0201);
+            for format in FORMATS {
+                let text = written(&here, format);
+                let there = Image::parse(&text, Some(here.chip)).expect("an image");
+                assert_eq!(there.firmware, Some(0x0201), "{name} {format:?}: {text}");
+                here.changes(&there, &[], false).expect("the same firmware");
+                let other = Image { firmware: Some(0x0202), ..here.clone() };
+                let error = other.changes(&there, &[], false).expect_err("another firmware").to_string();
+                assert!(error.contains("it is for firmware 0x0201, but the gauge has 0x0202"), "{error}");
+            }
+            let old = written(&here, Format::Toml).replacen(
+                "firmware = 0x0201",
+                &format!("firmware = {number}"),
+                1,
+            );
+            let old = Image::parse(&old, None).expect("an old image");
+            assert_eq!(old.firmware, None, "{name}");
+            here.changes(&old, &[], false).expect("it does not say which firmware it is for");
+        }
+        let old = "W: AA 00 01 00\nC: AA 40 20 02\nW: AA 00 02 00\nC: AA 40 02 20\n\
+                   W: AA 3E 9F 92\nW: AA 40 04 B0\nW: AA 60 1A 06\n";
+        let old = Image::parse(old, None).expect("an old FlashStream");
+        assert_eq!((old.chip.name, old.firmware), ("bq27220", None));
     }
 
     #[test]

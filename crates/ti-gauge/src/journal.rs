@@ -59,6 +59,12 @@ impl Identity {
     pub(crate) fn of(chip: &Chip, firmware: u16, serial: u16) -> Self {
         Self { chip: chip.name.into(), device_type: chip.identity.device_type, firmware, serial }
     }
+
+    /// Whether it was noted of a part and firmware like those of a gauge with that table.
+    pub(crate) fn is_of_part(&self, gauge: &Identity, chip: &Chip) -> bool {
+        (&self.chip, self.device_type) == (&gauge.chip, gauge.device_type)
+            && (self.firmware == gauge.firmware || chip.identity.is_device_number(self.firmware))
+    }
 }
 
 /// A write, or a read of a sealed gauge, that was started.

@@ -31,6 +31,17 @@ impl Identity {
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
     }
 
+    /// Whether its answers are not in Control() but in MACData().
+    pub(crate) fn answers_in_mac_data(&self) -> bool {
+        self.answer != 0
+    }
+
+    /// Whether a file of that version says nothing of the firmware: gaugefs once took the device number for it, whose
+    /// bytes it had in the other order.
+    pub(crate) fn is_device_number(&self, version: u16) -> bool {
+        self.answers_in_mac_data() && version == self.device_type.swap_bytes()
+    }
+
     /// Whether all fits but the versions of firmware and hardware.
     pub(super) fn is_of_type(&self, answers: &Answers) -> bool {
         self.device_type == answers.device_type

@@ -290,8 +290,7 @@ impl DataFlash {
         gauge.confirm_identity()?;
         self.identity = None;
         let identity = self.identity(gauge)?;
-        let part = |identity: &Identity| (identity.chip.clone(), identity.device_type, identity.firmware);
-        if part(&identity) != part(&entry.identity) {
+        if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;
             let why = format!("it was begun on another part, a {chip} with firmware 0x{firmware:04x}");
             return Ok(Verdict::Undecided(why));

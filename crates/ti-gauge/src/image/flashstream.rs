@@ -550,13 +550,17 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     let update = config_update(access.scheme);
     let wait = |time: std::time::Duration| format!("X: {}\n", time.as_millis().max(5));
     let mut text = String::new();
-    let check = |code: u16, answer: u16| {
+    let device_type = chip.identity.device_type;
+    let check = |code: u16, answer: &[u8]| {
         let ask = row('W', CONTROL, &code.to_le_bytes());
-        ask + &wait(access.select) + &row('C', chip.identity.answer, &answer.to_le_bytes())
+        ask + &wait(access.select) + &row('C', chip.identity.answer, answer)
     };
-    text += &check(DEVICE_TYPE, chip.identity.device_type);
+    text += &check(DEVICE_TYPE, &device_type.to_le_bytes());
     if let Some(firmware) = image.firmware {
-        text += &check(FW_VERSION, firmware);
+        text += &match chip.identity.answers_in_mac_data() {
+            false => check(FW_VERSION, &firmware.to_le_bytes()),
+            true => check(FW_VERSION, [device_type, firmware].map(u16::to_be_bytes).as_flattened()),
+        };
     }
     if let Some((enter, _)) = update {
         text += &row('W', CONTROL, &enter.to_le_bytes());

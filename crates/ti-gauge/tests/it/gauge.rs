@@ -12,6 +12,10 @@ use ti_gauge::keys::Keys;
 /// Control() reads 0xFFA5 once, according to an underwater vehicle's bq34110 driver.
 struct Wire {
     device_type: u16,
+    /// The answer to FW_VERSION.
+    firmware: [u8; 6],
+    /// How often MACData() still shows the answer to DEVICE_TYPE.
+    stale: u32,
     last: u16,
     elsewhere: bool,
 }
@@ -23,33 +27,65 @@ impl Bus for Wire {
             self.elsewhere |= matches!(self.last, 1 | 2);
             return Ok(());
         }
+        let is_stale = write == [0x40] && self.last == 2 && self.stale > 0;
+        self.stale -= u32::from(is_stale);
         let word: u16 = match write {
             [0x00] if std::mem::take(&mut self.elsewhere) => 0xffa5,
             [0x00] => 0x4080,
             [0x3a] => 0x0004,
-            [0x40] if self.last == 1 => self.device_type,
+            [0x40] if self.last == 2 && !is_stale => {
+                read.copy_from_slice(&self.firmware[..read.len()]);
+                return Ok(());
+            }
+            [0x40] if self.last == 1 || is_stale => self.device_type,
             [0x40] => 0x0001,
             _ => return Err(BusError::NoAck),
         };
-        read.copy_from_slice(&word.to_le_bytes());
+        let mut bytes = [0; 6];
+        bytes[..2].copy_from_slice(&word.to_le_bytes());
+        read.copy_from_slice(&bytes[..read.len()]);
         Ok(())
     }
 }
 
+/// A gauge that answers so to FW_VERSION.
+fn answering(name: &str, firmware: [u8; 6], stale: u32) -> Gauge {
+    let chip = Chip::by_name(name).expect("a chip in the tables");
+    let wire = Wire { device_type: chip.identity.device_type, firmware, stale, last: 0, elsewhere: false };
+    Gauge::new(chip, Box::new(wire), Arc::new(SimClock::new()), Keys::default(), false)
+}
+
 #[test]
 fn an_invalid_control_status_is_not_taken_for_a_seal_state() {
-    for name in ["bq34110", "bq35100"] {
-        let chip = Chip::by_name(name).expect("a chip in the tables");
-        let device_type = chip.identity.device_type;
-        let wire = Wire { device_type, last: 0, elsewhere: false };
-        let clock = Arc::new(SimClock::new());
-        let mut gauge = Gauge::new(chip, Box::new(wire), clock, Keys::default(), false);
+    for (name, firmware) in
+        [("bq34110", [0x01, 0x10, 0x00, 0x01, 0, 1]), ("bq35100", [0x01, 0x00, 0x00, 0x01, 0, 1])]
+    {
+        let mut gauge = answering(name, firmware, 0);
         let answers = gauge.identify().expect("it answers");
-        assert_eq!((answers.device_type, answers.firmware_version), (device_type, 0x0001));
+        assert_eq!(
+            (answers.device_type, answers.firmware_version),
+            (gauge.chip.identity.device_type, 0x0001)
+        );
         // Bits 14 and 13 of 0xFFA5 would mean SEALED.
         assert_eq!(gauge.control_status(), Ok((Seal::Unsealed, 0x4080)), "{name}");
         gauge.confirm_identity().expect("the same part");
         assert_eq!(gauge.seal(), Ok(Seal::Unsealed), "{name}");
+    }
+}
+
+/// TI's images of a BQ27220 compare the answer with 02 20 00 03.
+#[test]
+fn regression_the_firmware_follows_the_device_number() {
+    for (name, number) in [("bq27220", [0x02, 0x20]), ("bq34110", [0x01, 0x10]), ("bq35100", [0x01, 0x00])] {
+        let [a, b] = number;
+        for stale in 0..3 {
+            let mut gauge = answering(name, [a, b, 0x02, 0x01, 0x00, 0x07], stale);
+            assert_eq!(gauge.firmware_version(), Ok(0x0201), "{name}");
+            assert_eq!(gauge.ask(0x0002), Ok(0x0201), "{name}: gauge/control");
+        }
+        // Nothing says that; it is shown as it is.
+        let mut gauge = answering(name, [0x07, 0x03, 0, 0, 0, 0], 0);
+        assert_eq!(gauge.firmware_version(), Ok(0x0307), "{name}");
     }
 }
 

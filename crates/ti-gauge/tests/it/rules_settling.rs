@@ -77,6 +77,37 @@ fn a_journal_of_another_part_or_firmware_is_left_to_a_person() {
     }
 }
 
+/// The first versions noted the device number as the firmware of these parts.
+#[test]
+fn regression_a_journal_with_the_device_number_for_its_firmware_is_settled() {
+    for (chip, address, text, part) in [
+        ("bq34110", 0x41F5, "3100", "part bq34110 0110 "),
+        ("bq35100", 0x41FE, "3100", "part bq35100 0100 "),
+        ("bq27220", 0x929F, "3100", "part bq27220 0220 "),
+    ] {
+        for (noted, counts) in [("swapped", true), ("9999", false)] {
+            let folder = Folder::new("number");
+            let mut rig = Rig::calibrated(chip, Seal::Sealed);
+            let change = rig.change(FLAT, address, text);
+            cut(&mut rig, &folder, &[change], programs);
+            let number = part.split_whitespace().next_back().expect("a number");
+            let swapped = format!("{}{}", &number[2..], &number[..2]);
+            let noted = if counts { &swapped } else { noted };
+            folder.edit(|text| {
+                let start = text.find(part).expect("its part") + part.len();
+                assert_ne!(&text[start..start + 4], noted, "{chip}: the firmware");
+                format!("{}{noted}{}", &text[..start], &text[start + 4..])
+            });
+            if counts {
+                rig.arrive().expect("the gauge counts").expect("there is a journal");
+                assert_eq!(folder.text(), None, "{chip}");
+            } else {
+                rig.is_undecided(chip);
+            }
+        }
+    }
+}
+
 /// Its sum is right, so nothing but its content shows that no gaugefs has written it.
 #[test]
 fn a_journal_with_an_impossible_place_is_left_to_a_person() {
