@@ -6,13 +6,14 @@ use std::process::ExitCode;
 use clap::Args;
 use serde::Serialize;
 
+use super::import::GroupName;
 use super::{align, counted};
 use crate::config::chip_names;
 use crate::error::Result;
 use crate::mounted;
 use crate::output::{print, print_json, say};
 use ti_gauge::chip::Chip;
-use ti_gauge::image::Image;
+use ti_gauge::image::{Group, Image};
 use ti_gauge::unit;
 
 const LINT: &str = "\
@@ -21,6 +22,7 @@ firmware, or anything else that is not a documented parameter, is reported as an
 
 Examples:
   gaugefs lint golden.gm.fs
+  gaugefs lint --exclude undocumented golden.gm.fs
   gaugefs lint --chip bq27441-g1 golden.gm.fs";
 
 /// Check a configuration file and show what it would set
@@ -32,6 +34,9 @@ pub(super) struct Lint {
     /// Chip to assume if the file does not name one
     #[arg(long, value_name = "CHIP", value_parser = chip_names(), ignore_case = true, hide_possible_values = true)]
     chip: Option<String>,
+    /// Leave out these groups of parameters, as an import with the same option does
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "GROUPS")]
+    exclude: Vec<GroupName>,
     /// Also accept bytes that no manual documents
     #[arg(long)]
     raw: bool,
@@ -93,7 +98,9 @@ fn notes(image: &Image) -> impl Iterator<Item = &str> {
 
 impl Lint {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let image = mounted::open(&self.file, self.chip.as_deref().and_then(Chip::by_name), self.data_flash)?;
+        let chip = self.chip.as_deref().and_then(Chip::by_name);
+        let mut image = mounted::open(&self.file, chip, self.data_flash)?;
+        image.exclude(&self.exclude.iter().map(|&name| name.into()).collect::<Vec<Group>>());
         if self.json {
             print_json(&Report::new(&image))?;
         } else {

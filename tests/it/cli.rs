@@ -778,6 +778,25 @@ fn a_chemistry_file_is_named_by_lint_and_applied() {
 }
 
 #[test]
+fn regression_lint_leaves_out_the_groups_that_its_message_names() {
+    let folder = Folder::new();
+    let file = folder.file("golden.gm.fs");
+    // The last block is among bytes without a name.
+    fs::write(&file, "W: AA 3E 7D 92 5A\nW: AA 60 96 05\nW: AA 3E 78 92 01\nW: AA 60 F4 05\n")
+        .expect("a file");
+    let lint = |more: &[&str]| gaugefs(&[&["lint", "--chip", "bq27220", &file], more].concat());
+    assert_eq!(
+        lint(&[]).err,
+        format!(
+            "gaugefs: {file}: line 4: flash/0x9278 is undocumented; skip it with --exclude undocumented\n"
+        )
+    );
+    let shown = lint(&["--exclude", "undocumented"]).done();
+    assert!(shown.contains("soc-flags/cycle-count-pct") && !shown.contains("9278"), "{shown}");
+    assert!(lint(&["--exclude", "everything"]).code == Some(2));
+}
+
+#[test]
 fn a_key_file_that_others_may_read_is_refused() {
     let folder = Folder::new();
     let file = folder.file("keys");

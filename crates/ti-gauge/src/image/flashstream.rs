@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, romimage};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
-use crate::dataflash::Place;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.
@@ -28,6 +27,9 @@ const EXIT_RESIM: u16 = 0x0044;
 const ENTER_CFG_UPDATE: u16 = 0x0090;
 const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
 const EXIT_CFG_UPDATE: u16 = 0x0092;
+/// Where those of them whose data memory is RAM keep what it is filled from: one-time programmable memory, at
+/// addresses that are no subcommands.
+const ONE_TIME: std::ops::RangeInclusive<u16> = 0x4000..=0x4fff;
 /// Control().
 const CONTROL: u8 = 0x00;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
@@ -299,7 +301,7 @@ impl Stream {
                 return Err("half a word; gaugefs only reads words that are written in one line".into());
             };
             let word = u16::from_le_bytes([*low, *high]);
-            if register == SELECT && self.is_flash(word) {
+            if register == SELECT && (self.is_flash(word) || self.is_one_time(word)) {
                 self.select()?;
                 self.address = Some(word);
                 (from, bytes) = (DATA, rest);
@@ -339,6 +341,11 @@ impl Stream {
         let first = flat().map(Subclass::start).min();
         let last = flat().map(|subclass| subclass.start() + (subclass.length - 1)).max();
         first.zip(last).is_some_and(|(first, last)| (first..=last).contains(&word))
+    }
+
+    /// Whether a word is an address of one-time programmable memory.
+    fn is_one_time(&self, word: u16) -> bool {
+        self.chip.access.scheme == Scheme::MacUpdate && ONE_TIME.contains(&word)
     }
 
     fn select(&mut self) -> Result<(), String> {
@@ -435,7 +442,14 @@ impl Stream {
         }
         let bytes: Vec<u8> = window.into_values().collect();
         check_sum(self.sum, mac_sum(address, &bytes))?;
-        let mut documented = bytes.is_empty();
+        if self.is_one_time(address) {
+            let why = format!(
+                "0x{address:04x}: {} of one-time programmable memory, which gaugefs never writes",
+                counted(bytes.len())
+            );
+            self.left_out.push((line, why, Some(Group::Undocumented)));
+            return Ok(());
+        }
         for (at, byte) in (0u16..).zip(bytes) {
             let address = address.checked_add(at).ok_or("beyond the last address")?;
             let within = |subclass: &&Subclass| {
@@ -444,9 +458,7 @@ impl Stream {
                     && address - subclass.start() < subclass.length
             };
             let mut at = self.chip.subclasses.iter().filter(within);
-            let kind = at.next().map(|subclass| subclass.kind);
-            documented |= kind.is_some();
-            if kind == Some(Kind::Security) {
+            if at.next().is_some_and(|subclass| subclass.kind == Kind::Security) {
                 let keys = (line, "keys; left out".into(), Some(Group::Keys));
                 if self.left_out.last() != Some(&keys) {
                     self.left_out.push(keys);
@@ -455,11 +467,7 @@ impl Stream {
                 self.store(FLAT, address, byte, line)?;
             }
         }
-        if documented {
-            return Ok(());
-        }
-        let place = Place { subclass: FLAT, offset: address };
-        Err(format!("{place} is undocumented for a {}", self.chip.model))
+        Ok(())
     }
 
     /// A byte as a line commits it. A parameter that an earlier line has committed is an error: a gauge would keep the
@@ -528,6 +536,10 @@ impl Stream {
         image.raw.sort_by_key(|raw| raw.line);
         Ok(())
     }
+}
+
+fn counted(bytes: usize) -> String {
+    if bytes == 1 { "1 byte".into() } else { format!("{bytes} bytes") }
 }
 
 fn check_sum(told: u8, sum: u8) -> Result<(), String> {
@@ -874,6 +886,37 @@ mod tests {
                 "{told}"
             );
         }
+    }
+
+    /// A line of TI's image for a BQ27220 writes one byte there, between lines for RAM.
+    #[test]
+    fn regression_one_time_programmable_memory_is_left_out() {
+        let text = "W: AA 3E 02 00\nC: AA 3E 02 00 02 20 00 03\nW: AA 3E 7D 92 5A\nW: AA 60 96 05\n\
+                    W: AA 3E 8F 41 00\nW: AA 60 2F 05\nX: 10\nW: AA 3E 8F 41\nC: AA 3E 8F 41 00\n";
+        let mut image = parse(text, None).expect("an image");
+        assert_eq!((image.chip.name, image.firmware, image.entries.len()), ("bq27220", Some(0x0003), 1));
+        let left: Vec<_> = image.left_out.iter().map(|left| left.text.as_str()).collect();
+        assert_eq!(
+            left,
+            ["line 6: 0x418f: 1 byte of one-time programmable memory, which gaugefs never writes"]
+        );
+        image.exclude(&[Group::Undocumented]);
+        assert!(image.left_out.is_empty());
+        let error = parse(&text.replace("60 2F 05", "60 2E 05"), None).expect_err("a wrong sum").to_string();
+        assert!(error.starts_with("line 6: checksum 0x2e"), "{error}");
+        // On a bq34110 such an address is flash.
+        let image = parse("W: AA 3E 8F 41 00\nW: AA 60 2F 05\n", Chip::by_name("bq34110")).expect("an image");
+        assert_eq!((image.entries.len(), image.left_out.len()), (1, 0));
+    }
+
+    #[test]
+    fn undocumented_bytes_of_a_flat_address_can_be_excluded() {
+        let text = "W: AA 3E 7D 92 5A\nW: AA 60 96 05\nW: AA 3E 78 92 01\nW: AA 60 F4 05\n";
+        let mut image = parse(text, Chip::by_name("bq27220")).expect("an image");
+        let why = image.refused(&image.raw[0], false).expect("undocumented").to_string();
+        assert_eq!(why, "line 4: flash/0x9278 is undocumented; skip it with --exclude undocumented");
+        image.exclude(&[Group::Undocumented]);
+        assert_eq!((image.entries.len(), image.raw.len()), (1, 0));
     }
 
     /// Address and data in one row or in two: ManufacturerAccessControl() accepts both.
