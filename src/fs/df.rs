@@ -403,11 +403,13 @@ fn column(text: String) -> String {
     if text == "-" { "%2d".into() } else { text }
 }
 
-/// Smallest and largest value, and the default of a part with that DM_CODE; keys show none of them.
+/// Smallest and largest value as a source prints them, and the default of a part with that DM_CODE; keys show none of them.
 fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
     let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
     match &parameter.range {
         _ if subclass.kind == Kind::Security => [None, None, None],
+        // The limits of a type are none that a source gives.
+        Range::Int { .. } if parameter.unprinted => [None, None, parameter.int_default(dm_code).map(show)],
         Range::Int { min, max, .. } => {
             [Some(show(*min)), Some(show(*max)), parameter.int_default(dm_code).map(show)]
         }

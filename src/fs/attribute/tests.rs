@@ -486,7 +486,7 @@ fn assert_scaled(rig: &Rig, factors: &[(&str, Role, Option<i64>)]) {
 
 /// A discharging gauge whose Design Energy Scale is 10, and where that is.
 fn with_energy_scale(chip: &str) -> (Rig, u8, u8) {
-    let (id, offset): (u8, u8) = if chip == "bq27427" { (80, 81) } else { (48, 30) };
+    let (id, offset): (u8, u8) = if chip == "bq34z100-g1" { (48, 30) } else { (80, 81) };
     let mut rig = Rig::of(chip, Settings { allow_unproven: true, ..Settings::default() }, Startup::default());
     rig.start().expect("it answers");
     rig.sim.set_flash(id.into(), offset.into(), &[10]);
@@ -501,10 +501,10 @@ fn with_energy_scale(chip: &str) -> (Rig, u8, u8) {
 /// It is known once its subclass has been read, and stays so from then on.
 #[test]
 fn a_scale_in_data_flash_applies_once_it_is_known() {
-    for chip in ["bq27427", "bq34z100-g1"] {
+    for chip in ["bq27426", "bq27427", "bq34z100-g1"] {
         let (mut rig, id, _) = with_energy_scale(chip);
         let factors = |energy: i64| -> Vec<(&str, Role, Option<i64>)> {
-            let charge = if chip == "bq27427" { energy } else { 1 };
+            let charge = if chip == "bq34z100-g1" { 1 } else { energy };
             let both = [
                 ("current_avg", Role::CurrentAvg, Some(1)),
                 ("charge_now", Role::ChargeNow, Some(charge)),

@@ -2,8 +2,8 @@
 //! gauge.
 //!
 //! Bytes from 0x929F to 0x92BE are those that an owner read from a part as it was shipped (E2E forum, "BQ27220:
-//! Design Capacity"), those up to 0x91CB are printed in SLUUBD4A. The others are what a configuration tool takes for
-//! defaults; voltages over depth of discharge are the bq34110's, which begin with the same value. Registers that no
+//! Design Capacity"), those up to 0x91CB are printed in SLUUBD4A. Those from 0x920D to 0x9213 and from 0x9282 to 0x9299
+//! are as TI's image for this part writes them. The others are what a configuration tool takes for defaults; voltages over depth of discharge are the bq34110's, which begin with the same value. Registers that no
 //! document describes are as in similar gauges.
 
 use std::time::Duration;
@@ -78,8 +78,8 @@ static DATA: [u8; SIZE] = image_from(BASE, &[
     (0x9201, &[0x00, 0x64]),
     // Operation Config A and B
     (0x9206, &[0x04, 0x84, 0x10, 0x00]),
-    // SOC Delta, Clk Ctl Reg
-    (0x920B, &[0x01, 0x09]),
+    // SOC Delta, Clk Ctl Reg, IO Config, Init Discharge Set, Init Charge Set, device type
+    (0x920B, &[0x01, 0x09, 0x00, 0x00, 0x96, 0x00, 0xAF, 0x02, 0x20]),
     // Sleep Current, Bus Low Time, Offset Cal Inhibit, Sleep Times
     (0x9217, &[0x00, 0x0A, 0x05, 0x00, 0x32, 0x01, 0xC2, 0x14, 0x14]),
     // Dsg Current Threshold, Chg Current Threshold, Quit Current, relax times
@@ -102,6 +102,9 @@ static DATA: [u8; SIZE] = image_from(BASE, &[
     (0x927B, &[0x02, 0x3C, 0x5A]),
     // SOC Flag Config A and B
     (0x927F, &[0x0C, 0x8C, 0x8C]),
+    // Voltages and percentages that set and clear FD, FC, TD and TC
+    (0x9282, &[0x0A, 0xF0, 0x0B, 0x54, 0x00, 0x05, 0x10, 0x68, 0x10, 0x04, 0x64, 0x5F,
+               0x0B, 0x54, 0x0B, 0xB8, 0x06, 0x08, 0x10, 0x68, 0x10, 0x04, 0x64, 0x5F]),
     // Gauging Configuration, Full Charge Capacity
     (0x929B, &[0x10, 0x2A, 0x0B, 0xB8]),
     // Design Capacity, a value without a name, Design Voltage, Charge Termination Voltage

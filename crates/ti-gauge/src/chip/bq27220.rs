@@ -9,8 +9,14 @@
 //! tool of the CardputerZero. An owner printed the 32 bytes at 0x929F of a part as it was shipped (E2E forum,
 //! "BQ27220: Design Capacity").
 //!
-//! A row that the manual prints, or of which two of them give address and type, can be written; the others are
-//! unproven. Drivers disagree on one address: EMF is at 0x92A7, where the printed bytes have its default;
+//! TI's image for this part (a `.gm.fs` for firmware 0.03 in an STM32 driver, all sums right) writes 0x91F5 to 0x9299
+//! in 23 blocks; a fifth driver (os.mbed.com, loopsva, revision 3 of 2017) names places and sizes of many of them.
+//! The 24 bytes from 0x9282 on are named in TI's other CEDV gauges (those of the bq40z50 have these names in drivers):
+//! voltage, voltage, %, % for each of four flags; in that order the image has values that fit, and the percentages are
+//! TI's defaults.
+//!
+//! A row that the manual prints, or of which two sources give address and type, can be written; the others are
+//! unproven. No source prints a range but the manual, for the rows that have one here. Drivers disagree on one address: EMF is at 0x92A7, where the printed bytes have its default;
 //! Flipper's and LilyGO's 0x92A3 is Design Voltage. A value at 0x92A1 without a name, the coefficients from 0x91CC
 //! on, and the profiles 2 to 6 are left out. The same parameters have a second address from 0x4000 on, that of
 //! one-time programmable memory: nothing is ever sent there.
@@ -32,8 +38,9 @@ pub static CHIP: Chip = Chip {
     name: "bq27220",
     model: "BQ27220",
     documents: &["SLUUBD4A (November 2022)", "SLUSCB7A (April 2016)"],
-    evidence: &[Evidence::Manual, Evidence::Drivers],
-    // Every driver asks for this type. No source gives a firmware or hardware version.
+    evidence: &[Evidence::Manual, Evidence::Drivers, Evidence::Image],
+    // Every driver asks for this type. TI's image is for firmware 0x0003; no source says that there is no other, or gives
+    // a hardware version.
     identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     firmware_file: None,
     technology: "Li-ion",
@@ -305,6 +312,8 @@ static GAUGING_CONFIGURATION: &[Bit] = &[
     Bit::new(0x0001, "CCT"),
 ];
 
+/// No other value is known of any part.
+const OWN_TYPE: Safe = Safe::Keep(0xFFFF, "it is the part's own number");
 /// StateOfHealth() is a fraction of it.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");
 
@@ -343,9 +352,9 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Charge Inhibit", id: FLAT, length: 6, kind: Reset,
                parameters: &[
-        P::any(0x91F5, I2, "Chg Inhibit Temp Low",  "0.1°C").unproven(),
-        P::any(0x91F7, I2, "Chg Inhibit Temp High", "0.1°C").unproven(),
-        P::any(0x91F9, I2, "Temp Hys",              "0.1°C").unproven(),
+        P::any(0x91F5, I2, "Chg Inhibit Temp Low",  "0.1°C"),
+        P::any(0x91F7, I2, "Chg Inhibit Temp High", "0.1°C"),
+        P::any(0x91F9, I2, "Temp Hys",              "0.1°C"),
     ] },
     Subclass { class: "Configuration", name: "Charge", id: FLAT, length: 8, kind: Reset,
                parameters: &[
@@ -353,21 +362,26 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(0x91FD, I2, "Charging Voltage", 0, 4600, 4200, "mV").role(Role::VoltageMaxDesign),
         P::int(0x9201, I2, "Taper Current",    0, 1000,  100, "mA"),
     ] },
-    Subclass { class: "Configuration", name: "Registers", id: FLAT, length: 7, kind: Reset,
+    Subclass { class: "Configuration", name: "Registers", id: FLAT, length: 14, kind: Reset,
                parameters: &[
         P::within(0x9206, H2, "Operation Config A", 0x0000, 0xFFFF, "hex").bits(OPERATION_CONFIG_A),
         P::int(0x9208, H2, "Operation Config B", 0x0000, 0xFFFF, 0x1000, "hex").bits(OPERATION_CONFIG_B),
-        P::any(0x920B, U1, "SOC Delta",          "%").unproven(),
-        P::any(0x920C, H1, "Clk Ctl Reg",        "hex").unproven(),
+        P::any(0x920B, U1, "SOC Delta",          "%"),
+        P::any(0x920C, H1, "Clk Ctl Reg",        "hex"),
+        P::any(0x920D, H1, "IO Config",          "hex"),
+        // Here the bq27z561 has defaults of 150 mAh and 175 mAh for these names, and the image has the same.
+        P::any(0x920E, I2, "Init Discharge Set", "mAh"),
+        P::any(0x9210, I2, "Init Charge Set",    "mAh"),
+        P::int(0x9212, H2, "Device Type", 0x0000, 0xFFFF, 0x0220, "hex").safe(OWN_TYPE),
     ] },
     Subclass { class: "Configuration", name: "Power", id: FLAT, length: 11, kind: Reset,
                parameters: &[
         P::any(0x9217, I2, "Sleep Current",                "mA"),
-        P::any(0x9219, U1, "Bus Low Time",                 "s").unproven(),
-        P::any(0x921A, I2, "Offset Cal Inhibit Temp Low",  "0.1°C").unproven(),
-        P::any(0x921C, I2, "Offset Cal Inhibit Temp High", "0.1°C").unproven(),
-        P::any(0x921E, U1, "Sleep Voltage Time",           "s").unproven(),
-        P::any(0x921F, U1, "Sleep Current Time",           "s").unproven(),
+        P::any(0x9219, U1, "Bus Low Time",                 "s"),
+        P::any(0x921A, I2, "Offset Cal Inhibit Temp Low",  "0.1°C"),
+        P::any(0x921C, I2, "Offset Cal Inhibit Temp High", "0.1°C"),
+        P::any(0x921E, U1, "Sleep Voltage Time",           "s"),
+        P::any(0x921F, U1, "Sleep Current Time",           "s"),
         // The manual advises 0: the part has no such mode.
         P::any(0x9221, U1, "Hibernate I",                  "mA"),
     ] },
@@ -376,18 +390,18 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x9228, I2, "Dsg Current Threshold",   "mA"),
         P::int(0x922A, I2, "Chg Current Threshold",   0, 2000, 75, "mA"),
         P::int(0x922C, I2, "Quit Current",            0, 1000, 40, "mA"),
-        P::any(0x922E, U2, "Dsg Relax Time",          "s").unproven(),
+        P::any(0x922E, U2, "Dsg Relax Time",          "s"),
         P::int(0x9230, U1, "Chg Relax Time",          0, 255,  60, "s"),
-        P::any(0x9231, U1, "Quit Relax Time",         "s").unproven(),
+        P::any(0x9231, U1, "Quit Relax Time",         "s"),
     ] },
     Subclass { class: "Configuration", name: "Safety", id: FLAT, length: 10, kind: Reset,
                parameters: &[
-        P::any(0x9232, I2, "OT Chg",          "0.1°C").unproven(),
-        P::any(0x9234, U1, "OT Chg Time",     "s").unproven(),
-        P::any(0x9235, I2, "OT Chg Recovery", "0.1°C").unproven(),
-        P::any(0x9237, I2, "OT Dsg",          "0.1°C").unproven(),
-        P::any(0x9239, U1, "OT Dsg Time",     "s").unproven(),
-        P::any(0x923A, I2, "OT Dsg Recovery", "0.1°C").unproven(),
+        P::any(0x9232, I2, "OT Chg",          "0.1°C"),
+        P::any(0x9234, U1, "OT Chg Time",     "s"),
+        P::any(0x9235, I2, "OT Chg Recovery", "0.1°C"),
+        P::any(0x9237, I2, "OT Dsg",          "0.1°C"),
+        P::any(0x9239, U1, "OT Dsg Time",     "s"),
+        P::any(0x923A, I2, "OT Dsg Recovery", "0.1°C"),
     ] },
     Subclass { class: "Configuration", name: "Data", id: FLAT, length: 1, kind: Reset,
                parameters: &[
@@ -395,40 +409,56 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: FLAT, length: 5, kind: Reset,
                parameters: &[
-        P::any(0x9240, I2, "SysDown Set Volt Threshold",   "mV").unproven(),
-        P::any(0x9242, U1, "SysDown Set Volt Time",        "s").unproven(),
-        P::any(0x9243, I2, "SysDown Clear Volt Threshold", "mV").unproven(),
+        P::any(0x9240, I2, "SysDown Set Volt Threshold",   "mV"),
+        P::any(0x9242, U1, "SysDown Set Volt Time",        "s"),
+        P::any(0x9243, I2, "SysDown Clear Volt Threshold", "mV"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Configuration", id: FLAT, length: 32, kind: Reset,
                parameters: &[
-        P::any(0x9251, U2, "Battery Low %",        "0.01%").unproven(),
-        P::any(0x925B, U1, "Learning Low Temp",    "0.1°C").unproven(),
-        P::any(0x9264, I2, "Overload Current",     "mA").unproven(),
+        P::any(0x9251, U2, "Battery Low %",        "0.01%"),
+        P::any(0x925B, U1, "Learning Low Temp",    "0.1°C"),
+        P::any(0x9264, I2, "Overload Current",     "mA"),
         P::any(0x9268, U1, "Self Discharge Rate",  "0.0025%/day"),
-        P::any(0x9269, I2, "Electronics Load",     "3uA").unproven(),
+        P::any(0x9269, I2, "Electronics Load",     "3uA"),
         P::any(0x926B, I2, "Near Full",            "mAh"),
         P::any(0x926D, I2, "Reserve Capacity",     "mAh"),
-        P::any(0x926F, U1, "Chg Eff",              "%").unproven(),
-        P::any(0x9270, U1, "Dsg Eff",              "%").unproven(),
+        P::any(0x926F, U1, "Chg Eff",              "%"),
+        P::any(0x9270, U1, "Dsg Eff",              "%"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Smoothing Config", id: FLAT, length: 12, kind: Reset,
                parameters: &[
-        P::any(0x9271, H1, "Smoothing Config",        "hex").unproven(),
-        P::any(0x9272, I2, "Smoothing Start Voltage", "mV").unproven(),
-        P::any(0x9274, I2, "Smoothing Delta Voltage", "mV").unproven(),
-        P::any(0x9276, I2, "Max Smoothing Current",   "mA").unproven(),
-        P::any(0x927B, U1, "EOC Smooth Current",      "0.1%").unproven(),
-        P::any(0x927C, U1, "EOC Smooth Current Time", "s").unproven(),
+        P::any(0x9271, H1, "Smoothing Config",        "hex"),
+        P::any(0x9272, I2, "Smoothing Start Voltage", "mV"),
+        P::any(0x9274, I2, "Smoothing Delta Voltage", "mV"),
+        P::any(0x9276, I2, "Max Smoothing Current",   "mA"),
+        P::any(0x927B, U1, "EOC Smooth Current",      "0.1%"),
+        P::any(0x927C, U1, "EOC Smooth Current Time", "s"),
     ] },
-    Subclass { class: "Gas Gauging", name: "SOC Flags", id: FLAT, length: 5, kind: Reset,
+    Subclass { class: "Gas Gauging", name: "SOC Flags", id: FLAT, length: 29, kind: Reset,
                parameters: &[
-        P::any(0x927D, U1, "Cycle Count %",     "%").unproven(),
+        P::any(0x927D, U1, "Cycle Count %",     "%"),
         P::int(0x927F, H2, "SOC Flag Config A", 0x0000, 0x0FFF, 0x0C8C, "hex").bits(SOC_FLAG_CONFIG_A),
-        P::any(0x9281, H1, "SOC Flag Config B", "hex").unproven(),
+        P::any(0x9281, H1, "SOC Flag Config B", "hex"),
+        P::any(0x9282, I2, "FD Set Voltage Threshold",   "mV"),
+        P::any(0x9284, I2, "FD Clear Voltage Threshold", "mV"),
+        P::any(0x9286, U1, "FD Set % RSOC Threshold",    "%"),
+        P::any(0x9287, U1, "FD Clear % RSOC Threshold",  "%"),
+        P::any(0x9288, I2, "FC Set Voltage Threshold",   "mV"),
+        P::any(0x928A, I2, "FC Clear Voltage Threshold", "mV"),
+        P::any(0x928C, U1, "FC Set % RSOC Threshold",    "%"),
+        P::any(0x928D, U1, "FC Clear % RSOC Threshold",  "%"),
+        P::any(0x928E, I2, "TD Set Voltage Threshold",   "mV"),
+        P::any(0x9290, I2, "TD Clear Voltage Threshold", "mV"),
+        P::any(0x9292, U1, "TD Set % RSOC Threshold",    "%"),
+        P::any(0x9293, U1, "TD Clear % RSOC Threshold",  "%"),
+        P::any(0x9294, I2, "TC Set Voltage Threshold",   "mV"),
+        P::any(0x9296, I2, "TC Clear Voltage Threshold", "mV"),
+        P::any(0x9298, U1, "TC Set % RSOC Threshold",    "%"),
+        P::any(0x9299, U1, "TC Clear % RSOC Threshold",  "%"),
     ] },
     Subclass { class: "Gas Gauging", name: "Battery ID", id: FLAT, length: 1, kind: Reset,
                parameters: &[
-        P::any(0x929A, H1, "Battery ID", "hex").unproven(),
+        P::any(0x929A, H1, "Battery ID", "hex"),
     ] },
     // Defaults are those in the bytes of a part that was read as it was shipped.
     Subclass { class: "Gas Gauging", name: "CEDV Profile 1", id: FLAT, length: 56, kind: Reset,
@@ -446,7 +476,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(0x92AF, U2, "R1",                         0, 65535,  316, "Num"),
         P::int(0x92B1, U1, "TC",                         0,   255,    9, "Num"),
         P::int(0x92B2, U1, "C1",                         0,   255,    0, "Num"),
-        P::any(0x92B3, U1, "Age Factor",                 "Num").unproven(),
+        P::any(0x92B3, U1, "Age Factor",                 "Num"),
         P::int(0x92B4, I2, "Fixed EDV 0",                0, 32767, 3031, "mV"),
         P::int(0x92B6, U1, "EDV 0 Hold Time",            0,   255,    1, "s"),
         P::int(0x92B7, I2, "Fixed EDV 1",                0, 32767, 3385, "mV"),

@@ -14,11 +14,11 @@
 //! length is known.
 
 use super::Kind::{Reset, Security as Keys};
-use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, SUBCOMMANDS};
+use super::bq27427::{ACCESS, CONTROL_STATUS, OP_CONFIG, OP_CONFIG_D, REGISTERS, SCALING, SUBCOMMANDS};
 use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
-use super::{Chip, Evidence, Identity, Parameter as P, Role, Scaling, Subclass};
+use super::{Chip, Evidence, Identity, Parameter as P, Role, Subclass};
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
 
 /// The BQ27426 as far as it is known.
@@ -41,7 +41,8 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    scaling: Scaling::NONE,
+    // The BQ27427's.
+    scaling: SCALING,
     security: SECURITY,
     // The images wait as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
     access: ACCESS,
@@ -86,7 +87,8 @@ static SUBCLASSES: &[Subclass] = &[
                parameters: &[
         P::int(0, H2, "OpConfig",  0x0000, 0xFFFF, 0x6478, "flags").bits(OP_CONFIG),
         P::int(2, H1, "OpConfigB",   0x00,   0xFF,   0x0F, "flags").bits(OP_CONFIG_B),
-        P::int(3, H1, "OpConfigC",   0x00,   0xFF,   0x9F, "flags").unproven(),
+        // 15 images of three makers have other values than the default of both parts; its bits have no names.
+        P::int(3, H1, "OpConfigC",   0x00,   0xFF,   0x9F, "flags").unprinted(),
         P::int(4, H1, "OpConfigD",   0x00,   0xFF,   0x23, "flags").bits(OP_CONFIG_D),
     ] },
     Subclass { class: "Configuration", name: "Power", id: 68, length: 9, kind: Reset,
@@ -118,8 +120,8 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(70, I2, "Max Delta Voltage",                0, 32767, 200, "mV"),
         P::int(72, I2, "DeltaV Max dV",                    0, 32767, 100, "mV"),
         P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s"),
-        // The name is the BQ27427's; the images have 1 here.
-        P::any(81, U1, "Design Energy Scale", "Num").unproven(),
+        // The BQ27427's: the images have its default here.
+        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num"),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[
@@ -194,11 +196,13 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(2, I2, "CC Cal Temp",      0, 32767, 2982, "0.1K").learned(),
         // Depends on the sense resistor. No source reports a wrong sign, as the BQ27427 has it in ROM.
         P::float(4, "CC Gain",       0.1,        40.0,   0.672785, "Num").no_default(),
-        P::float(8, "CC Delta", 30_000.0, 3_000_000.0, 799_341.14, "Num").no_default().unproven(),
+        // In 20 images it is CC Gain times 1193046.5, the ratio of TI's formulae, or half of that.
+        P::float(8, "CC Delta", 30_000.0, 3_000_000.0, 799_341.14, "Num").no_default(),
     ] },
     Subclass { class: "Calibration", name: "Current", id: 107, length: 2, kind: Reset,
                parameters: &[
-        P::int(1, U1, "Deadband", 0, 255, 5, "mA").unproven(),
+        // The default in five images, among the bytes that the bq34z100-G1 has at the places of its class 107.
+        P::int(1, U1, "Deadband", 0, 255, 5, "mA"),
     ] },
     Subclass { class: "Security", name: "Codes", id: 112, length: 4, kind: Keys,
                parameters: &[

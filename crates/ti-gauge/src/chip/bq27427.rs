@@ -45,9 +45,7 @@ pub static CHIP: Chip = Chip {
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,
     condition: CONDITION,
-    // A shipped product multiplies both capacities by it and leaves the current alone. For energies and powers it is
-    // the unit by the manuals of other parts (SLUSAT0E, SLUSBZ5D 7.3.6.5).
-    scaling: Scaling { charge: Scale::Flash(80, 81), energy: Scale::Flash(80, 81), ..Scaling::NONE },
+    scaling: SCALING,
     security: SECURITY,
     access: ACCESS,
     gate: None,
@@ -147,6 +145,11 @@ pub(super) static SUBCOMMANDS: &[Subcommand] = &[
     Subcommand::new(0x0041, "RESET", Guarded).unsealed(),
     Subcommand::new(0x0042, "SOFT_RESET", Guarded).unsealed(),
 ];
+
+/// A shipped product multiplies both capacities by it and leaves the current alone. For energies and powers it is the unit
+/// by the manuals of other parts (SLUSAT0E, SLUSBZ5D 7.3.6.5).
+pub(super) const SCALING: Scaling =
+    Scaling { charge: Scale::Flash(80, 81), energy: Scale::Flash(80, 81), ..Scaling::NONE };
 
 /// 5.1.1.
 pub(super) static CONTROL_STATUS: &[Bit] = &[
@@ -273,7 +276,9 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(74, U1, "TermV Valid t",                    0,   255,   2, "s"),
         // One driver names it; its image for one cell has 1, and that for two has 10. Other parts have no other
         // values (SLUSAT0E).
-        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num").unproven(),
+        // A product's image for one cell has 1 here, and the one for two cells 10, by which its program multiplies both
+        // capacities.
+        P::int(81, U1, "Design Energy Scale",              1,    10,   1, "Num"),
     ] },
     Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 14, kind: Reset,
                parameters: &[

@@ -415,12 +415,12 @@ static SUBCLASSES: &[Subclass] = &[
         // The ancestor prints 65535 for the maximum of this signed word.
         P::int(10, I2, "Design Capacity",               0, 32767, 1000, "mAh").safe(CAPACITY),
         // A shipped driver keeps a version of its own here, low byte first.
-        P::any(24, U2, "DF Version", "hex").unproven(),
+        P::within(24, U2, "DF Version", 0, 65535, "hex").unproven(),
     ] },
     Subclass { class: "Configuration", name: "Discharge", id: 49, length: 10, kind: Reset,
                parameters: &[
         // A word in the G4; what follows it is a guess in this generation and left out up to 49/5.
-        P::int(0, U1, "SOC1 Set Threshold",           0, 255, 150, "mAh").unproven(),
+        P::int(0, U1, "SOC1 Set Threshold",           0, 255, 150, "mAh").unprinted().unproven(),
         // Limits are printed nowhere.
         P::any(5, I2, "SysDown Set Volt Threshold", "mV").unproven(),
         P::any(7, U1, "SysDown Set Volt Time", "s").unproven(),
@@ -464,14 +464,14 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Registers", id: 64, length: 14, kind: Reset,
                parameters: &[
         // The default is 0x0979 in the ancestor; a product with a G4 has 0x0971.
-        P::any( 0, H2, "Operation Configuration", "flags").bits(OP_CONFIG),
+        P::within( 0, H2, "Operation Configuration", 0x0000, 0xFFFF, "flags").bits(OP_CONFIG),
         P::any( 7, U1, "SOC Delta", "%").unproven(),
         // The units of this and the next, 0.5 s and 5 µs, are guesses of the driver's readers.
         P::any( 8, U1, "I2C Timeout", "").unproven(),
-        P::any( 9, U2, "DF Wr Ind Wait Time", "").unproven(),
-        P::any(11, H1, "Operation Configuration B", "flags").bits(OP_CONFIG_B),
-        P::any(12, H1, "Operation Configuration C", "flags").bits(OP_CONFIG_C).unproven(),
-        P::any(13, H1, "Operation Configuration D", "flags").bits(OP_CONFIG_D).unproven(),
+        P::within( 9, U2, "DF Wr Ind Wait Time", 0, 65535, "").unproven(),
+        P::within(11, H1, "Operation Configuration B", 0x00, 0xFF, "flags").bits(OP_CONFIG_B),
+        P::within(12, H1, "Operation Configuration C", 0x00, 0xFF, "flags").bits(OP_CONFIG_C).unproven(),
+        P::within(13, H1, "Operation Configuration D", 0x00, 0xFF, "flags").bits(OP_CONFIG_D).unproven(),
     ] },
     Subclass { class: "Configuration", name: "Power", id: 68, length: 17, kind: Reset,
                parameters: &[
@@ -533,7 +533,7 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Calibration", name: "Current", id: 107, length: 2, kind: Reset,
                parameters: &[
-        P::any(0, U1, "Filter", "").unproven(),
+        P::within(0, U1, "Filter", 0, 255, "").unproven(),
         P::int(1, U1, "Deadband", 0, 255, 5, "mA").unproven(),
     ] },
     Subclass { class: "Security", name: "Codes", id: 112, length: 8, kind: Keys,

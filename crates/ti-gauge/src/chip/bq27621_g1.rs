@@ -197,9 +197,9 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Configuration", name: "Charge Termination", id: 36, length: 9, kind: Reset,
                parameters: &[
-        // No source has their ranges for this part; these are the bq34z100-G1's.
-        P::int(0, I2, "Min Taper Capacity",   0, 1000, 25, "mAh").unproven(),
-        P::int(2, U1, "Current Taper Window", 0,   60, 40, "s").unproven(),
+        // No source has ranges of these two for this part; the limits are the bq34z100-G1's.
+        P::int(0, I2, "Min Taper Capacity",   0, 1000, 25, "mAh").unprinted(),
+        P::int(2, U1, "Current Taper Window", 0,   60, 40, "s").unprinted(),
         P::int(3, I1, "TCA Set %",           -1,  100, 99, "%").unproven(),
         P::int(4, I1, "TCA Clear %",         -1,  100, 95, "%").unproven(),
         P::int(5, I1, "FC Set %",            -1,  100, -1, "%"),
@@ -221,8 +221,9 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Registers", id: 64, length: 4, kind: Reset,
                parameters: &[
         P::within(0, H2, "OpConfig",  0x0000, 0xFFFF, "flags").bits(OP_CONFIG),
-        // Bit 5 is [DEF_SEAL] in Chromium's driver: the gauge seals itself when CONFIG UPDATE ends.
-        P::within(2, H1, "OpConfigB",   0x00,   0xFF, "flags").bits(OP_CONFIG_B).unproven(),
+        // Bit 5 is [DEF_SEAL] in Chromium's driver: the gauge seals itself when CONFIG UPDATE ends. It keeps its value, as
+        // all bits without a name.
+        P::within(2, H1, "OpConfigB",   0x00,   0xFF, "flags").bits(OP_CONFIG_B),
         P::any(3, H1, "DF Version", "hex").unproven(),
     ] },
     Subclass { class: "Configuration", name: "Power", id: 68, length: 5, kind: Reset,

@@ -337,11 +337,11 @@ static SUBCLASSES: &[Subclass] = &[
         P::float(0x4004, "CC Delta",        29_826.2, 5_677_445.0, 567_744.6, ""),
         P::any(0x4008, I2, "CC Offset",       "").learned(),
         P::any(0x400A, I2, "AD I Offset",     "").unproven(),
-        P::any(0x400C, I1, "Board Offset",    "").learned(),
-        P::any(0x400D, I1, "Int Temp Offset", "0.1°C"),
-        P::any(0x400E, I1, "Ext Temp Offset", "0.1°C").unproven(),
-        P::any(0x400F, I1, "Pack V Offset",   "mV"),
-        P::any(0x4010, U2, "Voltage Divider", "mV").safe(DIVIDER),
+        P::within(0x400C, I1, "Board Offset",    -128, 127, "").learned(),
+        P::within(0x400D, I1, "Int Temp Offset", -128, 127, "0.1°C"),
+        P::within(0x400E, I1, "Ext Temp Offset", -128, 127, "0.1°C").unproven(),
+        P::within(0x400F, I1, "Pack V Offset",   -128, 127, "mV"),
+        P::within(0x4010, U2, "Voltage Divider", 0, 65535, "mV").safe(DIVIDER),
     ] },
     Subclass { class: "Lifetimes", name: "Voltage", id: FLAT, length: 4, kind: Plain,
                parameters: &[
@@ -381,7 +381,7 @@ static SUBCLASSES: &[Subclass] = &[
     Subclass { class: "Configuration", name: "Registers", id: FLAT, length: 4, kind: Plain,
                parameters: &[
         // Few bits of these two and of CEDV Gauging Configuration are known: naming those would lock the rest.
-        P::any(0x413A, H2, "Operation Config A", "hex"),
+        P::within(0x413A, H2, "Operation Config A", 0x0000, 0xFFFF, "hex"),
         P::int(0x413D, H1, "Pin Control Config", 0x00, 0x1F, 0x00, "hex"),
     ] },
     Subclass { class: "Configuration", name: "Data", id: FLAT, length: 1, kind: Plain,
@@ -422,10 +422,10 @@ static SUBCLASSES: &[Subclass] = &[
                parameters: &[
         // The manual has Int Coeff 3 at 0x41C5, and an owner who says so found it at 0x41C4 on his part: what
         // the signature is for. The others are spaced from it, in the order of the bq35100.
-        P::any(0x41C1, I2, "Int Coeff 1",  "Num").unproven(),
-        P::any(0x41C3, I2, "Int Coeff 2",  "Num").unproven(),
+        P::within(0x41C1, I2, "Int Coeff 1",  -32768, 32767, "Num").unproven(),
+        P::within(0x41C3, I2, "Int Coeff 2",  -32768, 32767, "Num").unproven(),
         P::int(0x41C5, I2, "Int Coeff 3",  -32768, 32767, -12324, "Num").unproven(),
-        P::any(0x41C7, I2, "Int Coeff 4",  "Num").unproven(),
+        P::within(0x41C7, I2, "Int Coeff 4",  -32768, 32767, "Num").unproven(),
         P::any(0x41C9, I2, "Int Min AD",   "").unproven(),
         P::any(0x41CB, I2, "Int Max Temp", "").unproven(),
         P::any(0x41CD, I2, "Ext Coeff 1",  "").unproven(),
@@ -443,16 +443,16 @@ static SUBCLASSES: &[Subclass] = &[
                parameters: &[
         // Bit names in the layout of TI's other CEDV gauges; the words that drivers write fit.
         P::within(0x41FD, H2, "SOC Flag Config A", 0x0000, 0x0FFF, "hex").bits(SOC_FLAG_CONFIG_A),
-        P::any(0x41FF, H1, "SOC Flag Config B", "hex").bits(SOC_FLAG_CONFIG_B),
+        P::within(0x41FF, H1, "SOC Flag Config B", 0x00, 0xFF, "hex").bits(SOC_FLAG_CONFIG_B),
     ] },
     Subclass { class: "EOS", name: "Configuration", id: FLAT, length: 15, kind: Plain,
                parameters: &[
-        P::any(0x4218, H1, "EOS Configuration",       "hex").bits(EOS_CONFIG),
+        P::within(0x4218, H1, "EOS Configuration",       0x00, 0xFF, "hex").bits(EOS_CONFIG),
         P::any(0x4225, I2, "Learn Discharge Current", "mA"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Profile", id: FLAT, length: 46, kind: Plain,
                parameters: &[
-        P::any(0x424B, H2, "CEDV Gauging Configuration", "hex"),
+        P::within(0x424B, H2, "CEDV Gauging Configuration", 0x0000, 0xFFFF, "hex"),
         // The order of the sister CEDV gauges fills the bytes up to Fixed EDV 0 exactly.
         P::any(0x424D, I2, "EMF",                        "").unproven(),
         P::any(0x424F, I2, "C0",                         "").unproven(),
@@ -469,17 +469,17 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x425F, U1, "EDV 1 Hold Time",            "s").unproven(),
         P::within(0x4260, I2, "Fixed EDV 2",                0, 32767, "mV"),
         P::any(0x4262, U1, "EDV 2 Hold Time",            "s").unproven(),
-        P::any(0x4263, I2, "Voltage 0% DOD",             "mV/cell"),
-        P::any(0x4265, I2, "Voltage 10% DOD",            "mV/cell"),
-        P::any(0x4267, I2, "Voltage 20% DOD",            "mV/cell"),
-        P::any(0x4269, I2, "Voltage 30% DOD",            "mV/cell"),
-        P::any(0x426B, I2, "Voltage 40% DOD",            "mV/cell"),
-        P::any(0x426D, I2, "Voltage 50% DOD",            "mV/cell"),
-        P::any(0x426F, I2, "Voltage 60% DOD",            "mV/cell"),
-        P::any(0x4271, I2, "Voltage 70% DOD",            "mV/cell"),
-        P::any(0x4273, I2, "Voltage 80% DOD",            "mV/cell"),
-        P::any(0x4275, I2, "Voltage 90% DOD",            "mV/cell"),
-        P::any(0x4277, I2, "Voltage 100% DOD",           "mV/cell"),
+        P::within(0x4263, I2, "Voltage 0% DOD",             -32768, 32767, "mV/cell"),
+        P::within(0x4265, I2, "Voltage 10% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4267, I2, "Voltage 20% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4269, I2, "Voltage 30% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x426B, I2, "Voltage 40% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x426D, I2, "Voltage 50% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x426F, I2, "Voltage 60% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4271, I2, "Voltage 70% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4273, I2, "Voltage 80% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4275, I2, "Voltage 90% DOD",            -32768, 32767, "mV/cell"),
+        P::within(0x4277, I2, "Voltage 100% DOD",           -32768, 32767, "mV/cell"),
     ] },
     Subclass { class: "Gas Gauging", name: "CEDV Config", id: FLAT, length: 7, kind: Plain,
                parameters: &[

@@ -167,12 +167,12 @@ pub(super) static CALIBRATION: Calibration = Calibration {
 };
 
 /// Found by laying Table 7-11 over an image of firmware 0.16 (github.com/tibms/kernel-4.4,
-/// drivers/power/bq34z100/bq34z100_dffs.h): all 198 rows are in their ranges there. The places of 56 and 107 are not
-/// known.
+/// drivers/power/bq34z100/bq34z100_dffs.h): all 198 rows are in their ranges there. The place of 56 is not known;
+/// 107 begins with the bytes of the BQ27426's.
 #[rustfmt::skip]
 const ROM_IMAGE: RomImage = RomImage {
     subclasses: &[
-        (104, 0), (82, 68), (80, 85), (32, 400), (34, 406), (36, 420), (64, 447), (68, 459),
+        (104, 0), (107, 49), (82, 68), (80, 85), (32, 400), (34, 406), (36, 420), (64, 447), (68, 459),
         (81, 471), (112, 482), (67, 506), (59, 507), (60, 519), (66, 521), (2, 571), (48, 602),
         (49, 662), (58, 684), (88, 768), (89, 832),
     ],

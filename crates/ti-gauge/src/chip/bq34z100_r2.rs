@@ -150,11 +150,12 @@ pub static CHIP: Chip = Chip {
 };
 
 /// Found by laying this table over an image of firmware 2.02 (github.com/DmitrijSarychev/Handy_Files,
-/// BQ34Z100_DFI.c): 197 of 198 rows are in their ranges there. The places of 56 and 107 are not known.
+/// BQ34Z100_DFI.c): 197 of 198 rows are in their ranges there. The place of 56 is not known; 107 begins with the
+/// bytes of the BQ27426's.
 #[rustfmt::skip]
 const ROM_IMAGE: RomImage = RomImage {
     subclasses: &[
-        (104, 0), (82, 68), (80, 85), (32, 405), (34, 411), (36, 425), (64, 452), (68, 464),
+        (104, 0), (107, 49), (82, 68), (80, 85), (32, 405), (34, 411), (36, 425), (64, 452), (68, 464),
         (81, 476), (112, 487), (67, 511), (59, 512), (60, 524), (66, 526), (2, 576), (48, 607),
         (49, 669), (58, 691), (88, 768), (89, 832),
     ],
@@ -520,8 +521,8 @@ static SUBCLASSES: &[Subclass] = &[
     ] },
     Subclass { class: "Calibration", name: "Current", id: 107, length: 2, kind: Reset,
                parameters: &[
-        // Among bytes without a name in the image.
-        P::int(1, U1, "Deadband", 0, 255, 5, "mA").unproven(),
+        // The default, among 19 bytes that the image of a bq34z100-G1 has as well; a class 107 of the BQ27426 begins with them.
+        P::int(1, U1, "Deadband", 0, 255, 5, "mA"),
     ] },
     Subclass { class: "Security", name: "Codes", id: 112, length: 24, kind: Keys,
                parameters: &[

@@ -70,6 +70,8 @@ pub struct Parameter {
     pub name: &'static str,
     /// Range of the manual.
     pub range: Range,
+    /// No source prints that range: it is that of the type, or a sibling's.
+    pub unprinted: bool,
     /// Unit as the manual prints it; empty for none.
     pub unit: &'static str,
     /// Names of its bits, if it is a flag word.
@@ -93,6 +95,7 @@ impl Parameter {
             kind,
             name,
             range,
+            unprinted: false,
             unit,
             bits: &[],
             flavour: None,
@@ -148,7 +151,7 @@ impl Parameter {
     /// An integer row without a printed range or default: whatever the type can hold.
     pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
         let (min, max) = kind.bounds().expect("an integer type");
-        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
+        Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit).unprinted()
     }
 
     /// Whether it is there to distinguish packs: serial number, date and lots.
@@ -159,6 +162,13 @@ impl Parameter {
     /// Whether it holds a date.
     pub fn is_date(&self) -> bool {
         self.unit == date::UNIT
+    }
+
+    /// No source prints its range.
+    #[must_use]
+    pub const fn unprinted(mut self) -> Self {
+        self.unprinted = true;
+        self
     }
 
     /// Sources disagree about the default, or none is known.

@@ -73,6 +73,7 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
     };
     let (default, min, max) = match &parameter.range {
         // An image does not have the DM_CODE.
+        Range::Int { .. } if parameter.unprinted => (parameter.int_default(None).map(Value::Int), None, None),
         Range::Int { min, max, .. } => {
             (parameter.int_default(None).map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
         }

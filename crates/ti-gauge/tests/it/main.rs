@@ -9,6 +9,7 @@ mod firmware;
 mod flips;
 mod gate;
 mod gauge;
+mod image;
 mod journal;
 mod keychange;
 mod learning;
