@@ -544,6 +544,9 @@ pub enum Scheme {
     None,
 }
 
+/// The addresses of data flash on the flash parts with ManufacturerAccessControl() (SLUUBH1C 12.1.3).
+pub const FLAT_FLASH: std::ops::Range<u16> = 0x4000..0x4400;
+
 impl Scheme {
     /// Whether data flash is one flat address space, without subclasses.
     pub fn is_flat(self) -> bool {

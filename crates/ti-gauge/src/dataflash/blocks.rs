@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::schemes::sequence;
 use super::{Change, Place};
-use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
+use crate::chip::{Chip, FLAT, FLAT_FLASH, Kind, Parameter, Safe, Scheme};
 use crate::codec::{self, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
@@ -189,6 +189,19 @@ pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
     learned
         .map(|parameter| place.covers(parameter.offset, parameter.kind.size()))
         .fold(Bytes::default(), Bytes::with)
+}
+
+/// Whether data flash of a part with a flat address space has a row at an address. Beyond its ends the same word is a
+/// subcommand, or nothing that a manual names.
+pub(super) fn has_address(chip: &Chip, base: u16) -> bool {
+    match chip.access.scheme {
+        Scheme::Mac => FLAT_FLASH.contains(&base),
+        // Where this data memory ends is not documented.
+        _ => chip.subclasses.iter().filter(|row| row.id == FLAT).any(|row| {
+            let end = row.start() + row.length;
+            base < end && row.start() < base.saturating_add(WINDOW as u16)
+        }),
+    }
 }
 
 /// The bytes of a window that belong to keys. Only a flat window can extend beyond its own subclass.

@@ -6,8 +6,8 @@ use std::time::Duration;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use ti_gauge::authentication::Order;
-use ti_gauge::chip::{CHIPS, Chip, FLAT};
-use ti_gauge::dataflash::Outcome;
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind};
+use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
@@ -313,6 +313,41 @@ fn flat_windows_are_rows() {
     });
     let bases: Vec<u16> = bases.collect();
     assert!(!bases.is_empty() && bases.iter().all(|base| base % 32 == 0), "{bases:x?}");
+}
+
+/// Beyond the ends of flash, a word that selects a block is a subcommand or unknown.
+#[test]
+fn regression_blocks_beyond_the_ends_of_flash_were_selected() {
+    for name in ["bq34110", "bq35100", "bq27220"] {
+        let chip = Chip::by_name(name).expect("a chip in the tables");
+        let rows = chip.subclasses.iter().filter(|row| row.kind != Kind::Security);
+        let rows = rows.flat_map(|row| row.parameters.iter().map(move |parameter| (row, parameter)));
+        let rows: Vec<_> = rows.collect();
+        let first = rows.iter().min_by_key(|(_, parameter)| parameter.offset).expect("a parameter");
+        let last = rows.iter().max_by_key(|(_, parameter)| parameter.offset).expect("a parameter");
+        for &(subclass, parameter) in [first, last] {
+            let mut rig = Rig::new(name);
+            let mut bytes = rig.read(FLAT, parameter.offset).expect("a value");
+            bytes[0] ^= 1;
+            rig.sim.clear_log();
+            let change = Change::of_bytes((subclass, parameter), bytes);
+            let written = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
+            written.unwrap_or_else(|error| panic!("{name} {}: {error}", parameter.name));
+            let selected = rig.sim.log().into_iter().filter_map(|record| match record.write[..] {
+                [0x3e, low, high] => Some(u16::from_le_bytes([low, high])),
+                _ => None,
+            });
+            let selected: Vec<u16> = selected.collect();
+            let ends = match name {
+                "bq27220" => first.1.offset & !31..last.1.offset + 32,
+                _ => 0x4000..0x4400,
+            };
+            assert!(
+                selected.len() > 2 && selected.iter().all(|base| ends.contains(base)),
+                "{name}: {selected:x?}"
+            );
+        }
+    }
 }
 
 /// Its power is lost when everything is done but for the answer.

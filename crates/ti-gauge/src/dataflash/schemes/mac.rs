@@ -3,7 +3,7 @@
 
 use super::{Sequence, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::blocks::{Dirty, Window, holds_keys};
+use crate::dataflash::blocks::{Dirty, Window, has_address, holds_keys};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -97,6 +97,11 @@ fn sum(address: u16, data: &[u8]) -> u8 {
 }
 
 fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
+    if !has_address(gauge.chip, place.base) {
+        // A neighbour of the first or the last row, or what a journal of another kind of part names.
+        let why = format!("{}: data flash has no such address", place.name(0));
+        return Err(Error::new("", Cause::Invalid(why)).at(Step::ReadBlock));
+    }
     gauge.write(MAC, &place.base.to_le_bytes()).map_err(|error| error.at(Step::ReadBlock))
 }
 
