@@ -8,7 +8,8 @@ use ti_gauge::dataflash::{DataFlash, Limits};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::Seal;
 
-use crate::journal::{Folder, host};
+use crate::journal::{Folder, host, restart};
+use crate::recovery::programs;
 use crate::rig::{Rig, cause};
 
 /// A board, and a calibration of it.
@@ -390,4 +391,42 @@ fn a_host_that_dies_in_calibration_mode_leaves_a_gauge_that_says_so() {
     }
     assert!(left_on > 0 && between > 0, "{left_on} left on, {between} between the transactions");
     println!("{runs} runs: {left_on} left in calibration mode and led out, {between} with the limit at 0");
+}
+
+#[test]
+fn a_calibration_that_changes_a_divider_by_more_than_a_fifth_is_refused() {
+    for factor in [0.75, 1.25] {
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        let actual = f64::from(signed(&mut rig, 0x08)) * factor;
+        let flash = rig.sim.flash();
+        let job = Job::Voltage(actual);
+        let error = run(&mut rig.dataflash, &mut rig.gauge, &job, Duration::ZERO, &mut |_| {});
+        let error = error.expect_err("no tolerance explains it");
+        assert_eq!(cause(&error), "OutOfRange", "{error}");
+        assert!(error.to_string().contains("20 %") && rig.sim.flash() == flash, "{error}");
+    }
+}
+
+/// The host is gone in the middle of a bring-up, and no one has heard of calibration mode but its journal.
+#[test]
+fn a_host_that_starts_again_leaves_the_calibration_mode_of_an_interrupted_write() {
+    let folder = Folder::new("left-calibrating");
+    let case = Case { chip: "bq34z100-g1", knobs: NEW_BOARD, job: BRING_UP, found: Seal::Sealed };
+    let work = |rig: &Rig, cut| {
+        host(rig, &folder, cut, |dataflash, gauge| {
+            run(dataflash, gauge, &case.job, Duration::ZERO, &mut |_| {})
+        })
+    };
+    let plain = case.rig();
+    plain.sim.clear_log();
+    work(&plain, None).0.expect("no cut").expect("no fault");
+    let commit = plain.sim.log().iter().position(|record| programs(&record.write));
+    let number = commit.expect("it is written") as u64 + 1;
+    let mut rig = case.rig();
+    assert!(work(&rig, Some((number, true))).0.is_none(), "the host loses power");
+    rig.clock.sleep(Duration::from_secs(5));
+    assert_ne!(rig.gauge.control_status().expect("it answers").1 & 0x1000, 0, "[CALEN]");
+    restart(&rig, &folder, None);
+    let (seal, status) = rig.gauge.control_status().expect("it answers");
+    assert_eq!((seal, status & 0x1000), (Seal::Sealed, 0));
 }

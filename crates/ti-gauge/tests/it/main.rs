@@ -21,6 +21,7 @@ mod rescue;
 mod rig;
 mod rules;
 mod rules_gauge;
+mod rules_kept;
 mod rules_settling;
 mod tables;
 mod write;
