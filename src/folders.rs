@@ -11,6 +11,8 @@ use nix::unistd::{User, geteuid};
 pub(crate) const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
 /// Root's folder for locks, in which the services are mounted.
 pub(crate) const RUN: &str = "/run/gaugefs";
+/// The account of the services (`udev/sysusers.conf`).
+const SERVICE: &str = "gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 
@@ -31,6 +33,13 @@ pub(crate) fn state() -> Option<PathBuf> {
     let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.dir);
     let home = || named("HOME").or_else(account).map(|home| home.join(".local/state"));
     named("XDG_STATE_HOME").or_else(home).map(|state| state.join("gaugefs"))
+}
+
+/// The account of the services, whose folders root uses as well. `None` for other users, who trust only themselves and
+/// root.
+pub(crate) fn service() -> Option<u32> {
+    let account = || User::from_name(SERVICE).ok().flatten().map(|user| user.uid.as_raw());
+    geteuid().is_root().then(account).flatten()
 }
 
 /// The folder that an environment variable names.

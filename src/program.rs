@@ -15,7 +15,7 @@ use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Chip, Kind};
 use ti_gauge::dataflash::Row;
 use ti_gauge::image::{Group, Image};
-use ti_gauge::journal::Disk;
+use ti_gauge::journal::{Disk, Journal};
 use ti_gauge::keys::{Keys, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
@@ -333,9 +333,10 @@ impl Bench {
         Ok(settings)
     }
 
-    /// The file of its journal.
-    fn journal(&self) -> PathBuf {
-        self.place.0.join(format!("{}.journal", self.place.1))
+    /// Where the journals of its packs are.
+    fn journals(&self, disk: &Arc<dyn Disk>) -> Journal {
+        let (folder, key) = self.place.clone();
+        Journal::new(folder, key, self.subject.clone()).on(disk.clone())
     }
 
     fn allow_unproven(&self) -> bool {
@@ -383,8 +384,8 @@ impl Station {
         let mut record = self.record();
         for entry in record.unfinished() {
             let bench = benches.iter().find(|bench| bench.name == entry.gauge);
-            let journal = bench.map(|bench| bench.journal()).filter(|path| self.disk.exists(path));
-            let state = match journal {
+            let journals = bench.map(|bench| bench.journals(&self.disk).unsettled()).unwrap_or_default();
+            let state = match journals.first() {
                 Some(path) => format!(
                     "its write is in the journal {}, and is settled when that pack answers",
                     path.display()

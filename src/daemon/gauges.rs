@@ -12,6 +12,7 @@ use super::journal_dir;
 use super::source::{Opened, SimKnobs, Source};
 use crate::config::GaugeOptions;
 use crate::error::{Cause, Error, Result};
+use crate::folders;
 use crate::fs::{Knobs, MountedGauge};
 use crate::key_file;
 use crate::lock::Lock;
@@ -201,7 +202,9 @@ pub(crate) fn settings(
         limits: gauge.limits(),
         auth_order: gauge.auth_order.unwrap_or_default(),
         restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
-        journal: place.clone().map(|(folder, key)| Journal::new(folder, key, subject.into())),
+        journal: place
+            .clone()
+            .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),
         backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
     })
 }

@@ -109,6 +109,8 @@ impl Task<'_> {
         self.open(slot)?;
         self.settle_before()?;
         let before = self.first_look(slot)?;
+        // Only an open gauge shows that a journal waits for it.
+        self.settle_before()?;
         let asked = self.begin(&before)?;
         if self.gauge.handle.published().seal == Seal::Unsealed {
             // A write may end with a reset, which seals it: the key has to be tried before.
@@ -169,7 +171,7 @@ impl Task<'_> {
     /// What an earlier pack, or a station that was stopped, has left is settled first.
     fn settle_before(&mut self) -> Result<()> {
         let Some((why, needs_decision)) = self.gauge.settle(PATIENCE) else {
-            self.keep_journal();
+            self.keep_journals();
             return Ok(());
         };
         if !needs_decision
@@ -182,20 +184,20 @@ impl Task<'_> {
             return Err(Error::new("journal", Cause::Busy(what)));
         }
         self.gauge.ask(|done| Request::Settle(Some(Decision::Discard), done))?;
-        self.keep_journal();
+        self.keep_journals();
         Ok(())
     }
 
-    /// Puts a journal that was dismissed beside the images, so that the next one does not replace it.
-    fn keep_journal(&self) {
-        let dismissed = self.bench.journal().with_extension("dismissed");
-        if !self.station.disk.exists(&dismissed) {
-            return;
-        }
-        let kept = self.station.plan.setup.images.join(format!("{}.journal", self.name("found")));
-        if let Err(error) = self.station.disk.rename(&dismissed, &kept) {
-            let what = format!("{} cannot be moved to {}: {error}", dismissed.display(), kept.display());
-            self.station.prompt(&self.bench.name, &what);
+    /// Puts journals that were dismissed beside the images. They replace nothing there.
+    fn keep_journals(&self) {
+        for (number, dismissed) in self.bench.journals(&self.station.disk).dismissed().iter().enumerate() {
+            let number = if number == 0 { String::new() } else { format!("-{number}") };
+            let name = format!("{}{number}.journal", self.name("found"));
+            let kept = self.station.plan.setup.images.join(name);
+            if let Err(error) = self.station.disk.rename_new(dismissed, &kept) {
+                let what = format!("{} cannot be moved to {}: {error}", dismissed.display(), kept.display());
+                self.station.prompt(&self.bench.name, &what);
+            }
         }
     }
 
@@ -486,8 +488,7 @@ impl Task<'_> {
         if let Some((why, _)) = self.gauge.settle(PATIENCE) {
             return Err(Error::new("pack", Cause::StateUnknown(why)));
         }
-        let journal = self.bench.journal();
-        if self.station.disk.exists(&journal) {
+        if let Some(journal) = self.bench.journals(&self.station.disk).unsettled().first() {
             let why = format!("{} is not settled", journal.display());
             return Err(Error::new("journal", Cause::StateUnknown(why)));
         }
@@ -526,12 +527,10 @@ impl Task<'_> {
         if !self.begun {
             reason += "; nothing was changed";
         } else if let Some((why, _)) = self.gauge.settle(PATIENCE) {
-            let journal = self.bench.journal();
-            let journal = if self.station.disk.exists(&journal) {
-                format!("; its journal is {}", journal.display())
-            } else {
-                String::new()
-            };
+            let journals = self.bench.journals(&self.station.disk).unsettled();
+            let journal = journals.first();
+            let journal =
+                journal.map_or(String::new(), |journal| format!("; its journal is {}", journal.display()));
             reason += &format!("; still to settle: {why}{journal}");
         } else if let Ok(flash) = self.look() {
             self.entry.fingerprint = Some(flash.fingerprint());

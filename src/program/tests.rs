@@ -173,6 +173,22 @@ impl Disk for Memory {
         self.0.call(|| Host.rename(from, to))
     }
 
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.0.call(|| Host.rename_new(from, to))
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
+        Host.list(folder)
+    }
+
+    fn is_locked(&self, path: &Path) -> io::Result<bool> {
+        Host.is_locked(path)
+    }
+
+    fn check(&self, path: &Path, trusted: Option<u32>) -> io::Result<()> {
+        Host.check(path, trusted)
+    }
+
     fn remove(&self, path: &Path) -> io::Result<()> {
         self.0.call(|| Host.remove(path))
     }
@@ -215,6 +231,10 @@ impl File for Opened {
 
     fn truncate(&mut self, length: u64) -> io::Result<()> {
         self.1.call(|| self.0.truncate(length))
+    }
+
+    fn lock(&mut self) -> io::Result<bool> {
+        self.0.lock()
     }
 }
 

@@ -270,6 +270,9 @@ fn journals_are_listed() {
     let says = ["in progress, or was interrupted", "Mount the gauge"];
     system.says("warning", "/var/lib/gaugefs/i2c-1-55.journal", &says);
     system.says("warning", "/home/ann/.local/state/gaugefs/i2c-2-55.journal", &says);
+    system.write("var/lib/gaugefs/i2c-1-55.1.waiting", "");
+    let says = ["may be another one", "until its pack has come back"];
+    system.says("warning", "/var/lib/gaugefs/i2c-1-55.1.waiting", &says);
 }
 
 #[test]

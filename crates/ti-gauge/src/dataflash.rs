@@ -15,6 +15,7 @@
 //! certain is undone; the journal stays until the outcome has been read back; in doubt nothing is touched.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::time::Duration;
 
 pub use crate::chip::Row;
@@ -22,7 +23,7 @@ use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Entry, Identity, Journal};
+use crate::journal::{Entry, Identity, Journal, OpenJournal};
 use crate::value::Value;
 
 mod anonymous;
@@ -48,8 +49,8 @@ pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack, has_lost_memory};
 use schemes::sequence;
 use session::{Session, in_time};
-use settle::Pending;
 pub use settle::{Decision, Owed};
+use settle::{Pending, Searched};
 use wear::Wear;
 
 /// A place in data flash.
@@ -134,6 +135,11 @@ pub struct DataFlash {
     fingerprint: Known,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
+    /// Its journal, locked while this process may go on with it.
+    held: Option<OpenJournal>,
+    /// How far the journals of other gauges have been compared with this one, and those that are not of it.
+    searched: Searched,
+    judged: Vec<PathBuf>,
     /// The journal of a read could not be written, which has been reported.
     unrecorded: bool,
 }
@@ -212,6 +218,12 @@ impl DataFlash {
         waited: Duration,
         allowed: impl Fn(Seal) -> bool,
     ) -> Result<Option<Vec<Vec<u8>>>> {
+        let begun = gauge.clock.now();
+        if !allowed(Seal::Sealed) && gauge.seal_anew()? == Seal::Sealed {
+            return Ok(None);
+        }
+        self.search_waiting(gauge, waited);
+        let waited = waited + (gauge.clock.now() - begun);
         let outcome = in_time(gauge, waited, |gauge, asked| {
             let found = gauge.seal_anew()?;
             if !allowed(found) {
@@ -224,7 +236,7 @@ impl DataFlash {
                     Ok(()) => self.unrecorded = false,
                     // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it
                     // leaves the gauge unsealed.
-                    Err(error) if matches!(error.cause(), Cause::Io(..)) => {
+                    Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
                         if !std::mem::replace(&mut self.unrecorded, true) {
                             log::warn!("{error}");
                         }
@@ -358,7 +370,7 @@ impl DataFlash {
     fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.identity(gauge)?;
         gauge.watch();
-        let entry = session.entry.insert(Entry { identity, found: session.found, plan: None });
+        let entry = session.entry.insert(Entry { identity, machine: None, found: session.found, plan: None });
         if let Some(journal) = &self.journal {
             session.journal = Some(journal.begin(&entry.identity, session.found, blocks)?);
         }
@@ -371,7 +383,10 @@ impl DataFlash {
         self.in_calibration |= session.calibrating.is_some();
         match left {
             None => session.remove_journal(),
-            Some(left) => self.keep(session.entry.take(), left),
+            Some(left) => {
+                let journal = session.journal.take();
+                self.keep(session.entry.take(), journal, left);
+            }
         }
         outcome
     }

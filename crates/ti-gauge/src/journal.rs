@@ -6,8 +6,19 @@
 //!
 //! The file is created before the gauge is touched; the plan is appended before the first block is written.
 //! A power cut in between leaves a plan without its last line, which is ignored because nothing had been
-//! written yet. There is one file for each place where a gauge can be connected, and it is never replaced
-//! while it is there: no other write is begun at that place until it has been settled or dismissed.
+//! written yet.
+//!
+//! A journal belongs to a pack, and a pack can come back at any place. So the folder is searched as a whole, and a
+//! journal leaves it only with its own pack, or because a person says so:
+//!
+//! * `KEY.journal` is a write at the place that KEY stands for. No other write is begun there until it has been settled
+//!   or set aside. Other hosts may use the same folder and the same keys: theirs are left alone, and a number keeps the
+//!   names apart.
+//! * `KEY.waiting` and `KEY.N.waiting` are of packs that may have been exchanged for another one. They stop nothing,
+//!   and wait for their packs.
+//! * `KEY.dismissed` and `KEY.N.dismissed` were put aside by a person.
+//!
+//! Whoever works on a journal holds its lock, so that it is never taken for one that was left behind.
 
 use std::fmt::Debug;
 use std::io::{self, ErrorKind};
@@ -24,24 +35,36 @@ use crate::gauge::Seal;
 use crate::text::{hex, unhex};
 
 pub use disk::{Disk, File, Host, save, save_on};
+pub(crate) use machine::Machine;
 
 mod disk;
+mod machine;
 
-const HEAD: &str = "gaugefs journal 2";
+const HEAD: &str = "gaugefs journal 3";
+/// The version before, without the host.
+const HEAD_2: &str = "gaugefs journal 2";
 /// Follows a plan once its reset is about to be sent.
 const RESET_SENT: &str = "reset sent\n";
 /// Upper limit for the length of a block's line, and of the other lines together.
 const LINE: usize = 160;
+
+/// Names of files in the folder: the end of one that is pending, one that waits for its pack, and one put aside.
+const PENDING: &str = "journal";
+const WAITING: &str = "waiting";
+const DISMISSED: &str = "dismissed";
 
 /// Where a gauge's journal is kept.
 #[derive(Clone, Debug)]
 pub struct Journal {
     disk: Arc<dyn Disk>,
     folder: PathBuf,
-    /// Where the gauge is connected; name of the file.
+    /// Where the gauge is connected; beginning of the file's name.
     key: String,
     /// Name of the gauge in the file.
     gauge: String,
+    machine: Machine,
+    /// An account, besides this one and root, whose journals are believed.
+    trusted: Option<u32>,
 }
 
 /// Part, firmware and, if the part reports one, serial number.
@@ -71,6 +94,8 @@ impl Identity {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Entry {
     pub(crate) identity: Identity,
+    /// The host that has begun it; `None` in a journal of an earlier version.
+    pub(crate) machine: Option<Machine>,
     /// Seal state before.
     pub(crate) found: Seal,
     /// `None` if no block had been touched yet.
@@ -116,86 +141,283 @@ pub(crate) struct OpenJournal {
     path: PathBuf,
 }
 
+/// A file of the folder.
+#[derive(Debug)]
+pub(crate) struct Found {
+    pub(crate) path: PathBuf,
+    /// It was begun at this place, and is not set aside.
+    pub(crate) is_here: bool,
+    /// What is in it.
+    pub(crate) content: Content,
+}
+
+/// What is in a journal.
+#[derive(Debug)]
+pub(crate) enum Content {
+    Entry(Entry),
+    /// Another process works on it.
+    InUse(String),
+    Unreadable(Error),
+}
+
 impl Journal {
-    /// A journal in a folder. `key` identifies where the gauge is connected and must be unique; `gauge` names
-    /// it in the file.
+    /// A journal in a folder. `key` identifies where the gauge is connected and must be unique on this host; `gauge`
+    /// names it in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
-        Self { disk: Arc::new(disk::Host), folder, key, gauge }
+        let machine = Machine::this().clone();
+        Self { disk: Arc::new(disk::Host), folder, key, gauge, machine, trusted: None }
     }
 
-    /// The same journal on another disk.
+    /// Keeps the journal on another disk.
     pub fn on(self, disk: Arc<dyn Disk>) -> Self {
         Self { disk, ..self }
     }
 
-    /// The file of this place.
+    /// Names another host, for tests.
+    #[must_use]
+    pub fn of_host(self, name: &str) -> Self {
+        Self { machine: Machine::named(name), ..self }
+    }
+
+    /// Also believes journals of that account: a service's, for example, whose folder root uses.
+    #[must_use]
+    pub fn trusting(self, account: Option<u32>) -> Self {
+        Self { trusted: account, ..self }
+    }
+
+    /// The file of a write at this place, unless another host has one of that name.
     pub fn path(&self) -> PathBuf {
-        self.folder.join(format!("{}.journal", self.key))
+        self.numbered(PENDING, 0)
     }
 
-    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk. An entry
-    /// that is there already is not replaced.
-    pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
-        let path = self.path();
-        if self.disk.exists(&path) {
-            let why = "an interrupted write is not settled yet; see gaugefs settle";
-            return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
+    /// Journals of this place and this host that are not settled.
+    pub fn unsettled(&self) -> Vec<PathBuf> {
+        let paths = self.files(PENDING).unwrap_or_default();
+        paths.into_iter().filter(|path| self.is_key_of(path) && !self.is_of_other_host(path)).collect()
+    }
+
+    /// Journals of this place that a person has put aside.
+    pub fn dismissed(&self) -> Vec<PathBuf> {
+        let paths = self.files(DISMISSED).unwrap_or_default();
+        paths.into_iter().filter(|path| self.is_key_of(path)).collect()
+    }
+
+    /// `KEY.END`, `KEY.1.END` ...
+    fn numbered(&self, end: &str, number: u32) -> PathBuf {
+        self.folder.join(match number {
+            0 => format!("{}.{end}", self.key),
+            number => format!("{}.{number}.{end}", self.key),
+        })
+    }
+
+    /// The files of the folder with names of that end.
+    fn files(&self, end: &str) -> io::Result<Vec<PathBuf>> {
+        let mut paths = match self.disk.list(&self.folder) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            paths => paths?,
+        };
+        paths.retain(|path| path.extension().is_some_and(|found| found == end));
+        paths.sort();
+        Ok(paths)
+    }
+
+    /// Whether a file has the key of this place.
+    fn is_key_of(&self, path: &Path) -> bool {
+        let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
+        let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+        match stem.strip_prefix(&self.key).map(|rest| rest.strip_prefix('.').ok_or(rest)) {
+            Some(Ok(number)) => is_number(number),
+            Some(Err(rest)) => rest.is_empty(),
+            None => false,
         }
-        self.replace(identity, found, blocks)
     }
 
-    /// Starts an entry in place of one of which only the seal state is still owed.
-    pub(crate) fn replace(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
-        let path = self.path();
+    /// Whether another host has written a journal. One that cannot be read may be ours.
+    fn is_of_other_host(&self, path: &Path) -> bool {
+        let entry = self.disk.read(path).ok().and_then(|text| parse(&text));
+        entry.is_some_and(|entry| !self.is_ours(&entry))
+    }
+
+    fn is_ours(&self, entry: &Entry) -> bool {
+        entry.machine.as_ref().is_none_or(|machine| machine.is(&self.machine))
+    }
+
+    /// Makes sure that nobody else can have written, or can replace, what is read from the folder.
+    fn check_folder(&self) -> Result<()> {
+        let checked = self.disk.check(&self.folder, self.trusted);
+        checked.map_err(|error| untrusted(&self.folder, &error))
+    }
+
+    /// All journals of the folder, those of this place first. `skip` are known already.
+    pub(crate) fn search(&self, waiting: bool, skip: &[PathBuf]) -> Result<Vec<Found>> {
+        let unlisted =
+            |error| Error::io(self.folder.display().to_string(), "cannot look for journals", &error);
+        let mut paths = self.files(if waiting { WAITING } else { PENDING }).map_err(unlisted)?;
+        paths.retain(|path| !skip.contains(path));
+        if paths.is_empty() {
+            return Ok(Vec::new());
+        }
+        self.check_folder()?;
+        let mut found = Vec::with_capacity(paths.len());
+        for path in paths {
+            let Some(content) = self.content(&path) else { continue };
+            let is_ours = match &content {
+                Content::Entry(entry) => self.is_ours(entry),
+                Content::InUse(_) | Content::Unreadable(_) => true,
+            };
+            let is_here = !waiting && self.is_key_of(&path) && is_ours;
+            found.push(Found { path, is_here, content });
+        }
+        found.sort_by_key(|found| !found.is_here);
+        Ok(found)
+    }
+
+    /// What is in a file; `None` if it is gone, or none of this gauge's host's business: another host works on it.
+    fn content(&self, path: &Path) -> Option<Content> {
+        let name = path.display().to_string();
+        if let Err(error) = self.disk.check(path, self.trusted) {
+            return (error.kind() != ErrorKind::NotFound)
+                .then(|| Content::Unreadable(untrusted(path, &error)));
+        }
+        let text = match self.disk.read(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return None,
+            read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error)),
+        };
+        let entry = text.and_then(|text| {
+            let why =
+                "not a whole journal of this version of gaugefs; inspect it, and move it away or discard it";
+            parse(&text).ok_or_else(|| Error::new(&name, Cause::BadChecksum(why.into())))
+        });
+        let other = entry.as_ref().ok().and_then(|entry| entry.machine.as_ref()).filter(|machine| {
+            // Where locks do not work, another host may be at work on it.
+            !machine.is(&self.machine)
+        });
+        match (self.disk.is_locked(path), other) {
+            (Ok(false), _) | (Err(_), None) => {}
+            (_, Some(_)) => return None,
+            (Ok(true), None) => {
+                let why = format!("{name}: another gaugefs is writing to the gauge at this place");
+                return Some(Content::InUse(why));
+            }
+        }
+        Some(match entry {
+            Ok(entry) => Content::Entry(entry),
+            Err(error) => Content::Unreadable(error),
+        })
+    }
+
+    /// What is in a journal of this place now; `None` if it is gone.
+    pub(crate) fn look(&self, path: &Path) -> Option<Content> {
+        self.content(path)
+    }
+
+    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk, and locked. One
+    /// of this place that is there already is not replaced.
+    pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
+        if self.disk.exists(&self.folder) {
+            self.check_folder()?;
+        }
+        for number in 0.. {
+            let path = self.numbered(PENDING, number);
+            if self.disk.exists(&path) {
+                if self.is_of_other_host(&path) {
+                    continue;
+                }
+                let why = "an interrupted write is not settled yet; see gaugefs settle";
+                return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
+            }
+            match self.store(&path, true, identity, found, blocks) {
+                Err(error) if error.kind() == ErrorKind::AlreadyExists && self.disk.exists(&path) => {}
+                stored => return stored.map_err(|error| refused(&path, &error)),
+            }
+        }
+        unreachable!("there are enough numbers")
+    }
+
+    /// Writes an entry in place of one of which only the seal state is still owed.
+    pub(crate) fn replace(&self, path: &Path, identity: &Identity, found: Seal) -> Result<OpenJournal> {
+        self.store(path, false, identity, found, 0).map_err(|error| refused(path, &error))
+    }
+
+    fn store(
+        &self,
+        path: &Path,
+        is_new: bool,
+        identity: &Identity,
+        found: Seal,
+        blocks: usize,
+    ) -> io::Result<OpenJournal> {
         let Identity { chip, device_type, firmware, serial } = identity;
+        let Machine { name, id, boot } = &self.machine;
         let text = format!(
-            "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n",
+            "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n\
+             host {name} {id} {boot}\n",
             self.gauge,
             found.as_str()
         );
+        // Nobody else writes to a file of that name.
+        let mut random = [0; 4];
+        getrandom::fill(&mut random).map_err(io::Error::other)?;
+        let temporary = self.folder.join(format!("{}.{}.new", self.key, hex(&random)));
         // Marks, and a neighbour on either side of each block.
-        match disk::store(&*self.disk, &path, &path.with_extension("new"), &text, LINE * (3 * blocks + 8)) {
-            Ok(file) => Ok(OpenJournal { disk: self.disk.clone(), file, path }),
-            Err(error) => Err(refused(&path, &error)),
-        }
+        let how = disk::How::Journal { is_new, room: LINE * (3 * blocks + 8) };
+        let file = disk::store(&*self.disk, path, &temporary, &text, how)?;
+        Ok(OpenJournal { disk: self.disk.clone(), file, path: path.into() })
     }
 
-    /// The entry of an interrupted write, if there is one.
-    pub(crate) fn pending(&self) -> Result<Option<Entry>> {
-        let path = self.path();
-        let name = path.display().to_string();
-        let text = match self.disk.read(&path) {
+    /// Opens the entry of an interrupted write again, and locks it. `None` if it is gone.
+    pub(crate) fn open(&self, path: &Path) -> Result<Option<OpenJournal>> {
+        let mut file = match self.disk.open(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-            read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error))?,
+            file => file.map_err(|error| refused(path, &error))?,
         };
-        let why = "not a journal of this version of gaugefs; inspect it and move it away";
-        parse(&text).map(Some).ok_or_else(|| Error::new(name, Cause::BadChecksum(why.into())))
-    }
-
-    /// Whether there is an entry.
-    pub(crate) fn exists(&self) -> bool {
-        self.disk.exists(&self.path())
-    }
-
-    /// Opens the entry of an interrupted write again.
-    pub(crate) fn reopen(&self) -> Result<OpenJournal> {
-        let path = self.path();
-        match self.disk.open(&path) {
-            Ok(file) => Ok(OpenJournal { disk: self.disk.clone(), file, path }),
-            Err(error) => Err(refused(&path, &error)),
+        if !file.lock().map_err(|error| refused(path, &error))? {
+            let why = "another gaugefs works on this journal";
+            return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
         }
+        Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }
 
-    /// Takes the entry out of the way and keeps it under another name, which is returned.
-    pub(crate) fn dismiss(&self) -> Result<PathBuf> {
-        let (path, aside) = (self.path(), self.folder.join(format!("{}.dismissed", self.key)));
-        let moved = self.disk.rename(&path, &aside).and_then(|()| self.disk.sync(&self.folder));
-        moved.map_err(|error| Error::io(path.display().to_string(), "cannot move the journal", &error))?;
-        Ok(aside)
+    /// Sets an entry aside until its pack comes back, under another name, which is returned.
+    pub(crate) fn wait(&self, path: &Path) -> Result<PathBuf> {
+        self.set_aside(path, WAITING)
+    }
+
+    /// Takes an entry out of the way for good and keeps it under another name, which is returned.
+    pub(crate) fn dismiss(&self, path: &Path) -> Result<PathBuf> {
+        self.set_aside(path, DISMISSED)
+    }
+
+    /// Renames an entry. The new name is a free one: no journal replaces another.
+    fn set_aside(&self, path: &Path, end: &str) -> Result<PathBuf> {
+        let failed = |error| Error::io(path.display().to_string(), "cannot move the journal", &error);
+        for number in 0.. {
+            let aside = self.numbered(end, number);
+            match self.disk.rename_new(path, &aside) {
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                moved => {
+                    return moved.and_then(|()| self.disk.sync(&self.folder)).map(|()| aside).map_err(failed);
+                }
+            }
+        }
+        unreachable!("there are enough numbers")
     }
 }
 
+fn untrusted(path: &Path, error: &io::Error) -> Error {
+    let why = format!(
+        "{error}, so what is there is not believed, and nothing is written to the gauge: make it your own and only yours \
+         to write (chown, chmod go-w), or choose another folder with --state-dir"
+    );
+    Error::new(path.display().to_string(), Cause::NotPermitted(why))
+}
+
 impl OpenJournal {
+    /// Its file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Appends what is about to be written. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
         let text = render(plan);
@@ -242,32 +464,50 @@ fn sum(text: &str) -> String {
     hex(&Sha1::digest(text))
 }
 
+/// `None` if it is no journal, or a complete plan that is not what was written.
 fn parse(text: &str) -> Option<Entry> {
     let (head, rest) = text.split_once('\n')?;
     let (gauge, rest) = rest.split_once('\n')?;
     let (part, rest) = rest.split_once('\n')?;
-    let (found, plan) = rest.split_once('\n')?;
-    if head != HEAD || !gauge.starts_with("gauge ") {
+    let (found, rest) = rest.split_once('\n')?;
+    let (machine, plan) = match head {
+        HEAD_2 => (None, rest),
+        HEAD => {
+            let (host, plan) = rest.split_once('\n')?;
+            (Some(Machine::parse(host)?), plan)
+        }
+        _ => return None,
+    };
+    if !gauge.starts_with("gauge ") {
         return None;
     }
     let identity = parse_identity(part.strip_prefix("part ")?)?;
     let word = found.strip_prefix("found ")?;
     let found =
         [Seal::Sealed, Seal::Unsealed, Seal::FullAccess].into_iter().find(|seal| seal.as_str() == word)?;
-    let nothing = Entry { identity, found, plan: None };
-    let (plan, reset_sent) = match plan.strip_suffix(RESET_SENT) {
-        Some(plan) => (plan, true),
-        None => (plan, false),
-    };
-    // A page of the last line that did not reach the disk leaves the plan complete.
-    let Some((plan, rest)) = plan.rsplit_once("\nend ") else { return Some(nothing) };
-    let plan = format!("{plan}\n");
-    let (end, rest) = rest.split_once('\n').unwrap_or((rest, "-"));
-    if end != sum(&plan) || rest == "-" {
-        return Some(nothing);
+    let nothing = Entry { identity, machine, found, plan: None };
+    // What is behind the last line, or a part of that, says that the reset may have been sent.
+    let ended = plan.rsplit_once("\nend ").and_then(|(text, end)| Some((text, end.split_once('\n')?)));
+    let Some((text, (end, rest))) = ended else { return is_begun(plan).then_some(nothing) };
+    let text = format!("{text}\n");
+    if end != sum(&text) {
+        return (is_torn(&text) || is_torn(end)).then_some(nothing);
     }
-    let plan = Plan { reset_sent: reset_sent || !rest.is_empty(), ..parse_plan(&plan)? };
+    let plan = Plan { reset_sent: !rest.is_empty(), ..parse_plan(&text)? };
     Some(Entry { plan: Some(plan), ..nothing })
+}
+
+/// Whether a page of it did not reach the disk. No block had been written then.
+fn is_torn(text: &str) -> bool {
+    text.contains('\0')
+}
+
+/// Whether it is the beginning of a plan, whose rest did not reach the disk.
+fn is_begun(text: &str) -> bool {
+    let (lines, last) = text.rsplit_once('\n').unwrap_or(("", text));
+    let is_last = |word: &str| word.starts_with(last) || last.starts_with(word);
+    let is_plan = || lines.is_empty() || parse_plan(lines).is_some();
+    is_torn(text) || is_plan() && ["reset ", "by gauge", "mark ", "block ", "end "].into_iter().any(is_last)
 }
 
 fn parse_identity(text: &str) -> Option<Identity> {
@@ -326,11 +566,14 @@ mod tests {
         let plan = Plan { reset: true, reset_sent: false, marks, blocks: vec![block.clone(), block] };
         let identity =
             Identity { chip: "bq34z100-g1".into(), device_type: 0x100, firmware: 0x202, serial: 1 };
-        let head =
-            format!("{HEAD}\ngauge i2c-1 address 0x55\npart bq34z100-g1 0100 0202 0001\nfound sealed\n");
+        let machine = Machine::named("bench");
+        let head = format!(
+            "{HEAD}\ngauge i2c-1 address 0x55\npart bq34z100-g1 0100 0202 0001\nfound sealed\n\
+             host bench bench bench\n"
+        );
         let text = head.clone() + &render(&plan);
         assert!(text.len() < LINE * 8, "room for two blocks: {}", text.len());
-        let nothing = Entry { identity, found: Seal::Sealed, plan: None };
+        let nothing = Entry { identity, machine: Some(machine), found: Seal::Sealed, plan: None };
         let entry = Entry { plan: Some(plan.clone()), ..nothing.clone() };
         assert_eq!(parse(&text), Some(entry));
         for length in 0..text.len() {

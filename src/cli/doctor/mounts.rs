@@ -66,13 +66,24 @@ fn journals(host: &Host) -> Vec<Finding> {
     let own = format!("{}/.local/state/gaugefs", host.home());
     let folders = if host.is_root() { vec![JOURNALS.to_string()] } else { vec![JOURNALS.to_string(), own] };
     let paths = folders.iter().flat_map(|folder| {
-        let names = host.names(folder).into_iter().filter(|name| name.ends_with(".journal"));
-        names.map(move |name| format!("{folder}/{name}"))
+        let ours = |name: &String| name.ends_with(".journal") || name.ends_with(".waiting");
+        host.names(folder).into_iter().filter(ours).map(move |name| format!("{folder}/{name}"))
     });
-    let says = "a write to this gauge is in progress, or was interrupted";
-    let remedy = "Mount the gauge, with its key file if it has one: that settles the write, or gauge/last_error says why \
-                  not. Keep this file.";
-    paths.map(|path| warning(path, says, remedy)).collect()
+    let pending = (
+        "a write to this gauge is in progress, or was interrupted",
+        "Mount the gauge, with its key file if it has one: that settles the write, or gauge/last_error says why \
+         not. Keep this file.",
+    );
+    let waiting = (
+        "a write was interrupted, and the pack that was then found may be another one",
+        "Keep this file until its pack has come back: what it lacks is settled when its data flash is read. If that pack \
+         is lost, or was the one that was found, remove the file.",
+    );
+    let finding = |path: String| {
+        let (says, remedy) = if path.ends_with(".waiting") { waiting } else { pending };
+        warning(path, says, remedy)
+    };
+    paths.map(finding).collect()
 }
 
 /// Locks that are held, and whether their holders have mounted the gauge.

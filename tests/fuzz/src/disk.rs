@@ -7,12 +7,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ti_gauge::journal::{Disk, File, Journal};
 
+/// The content of a file, whatever its name is.
+type Content = Arc<Mutex<Vec<u8>>>;
+
 /// Its files by name. Clones are the same disk.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Memory(Arc<Mutex<BTreeMap<PathBuf, Vec<u8>>>>);
+pub(crate) struct Memory(Arc<Mutex<BTreeMap<PathBuf, Content>>>);
 
 impl Memory {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<PathBuf, Vec<u8>>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<PathBuf, Content>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -22,11 +25,11 @@ impl Memory {
     }
 
     pub(crate) fn put(&self, path: PathBuf, bytes: &[u8]) {
-        self.lock().insert(path, bytes.to_vec());
+        self.lock().insert(path, Arc::new(Mutex::new(bytes.to_vec())));
     }
 
     pub(crate) fn get(&self, path: &Path) -> Option<Vec<u8>> {
-        self.lock().get(path).cloned()
+        self.lock().get(path).map(|file| file.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 }
 
@@ -54,13 +57,18 @@ impl Disk for Memory {
     }
 
     fn open(&self, path: &Path) -> io::Result<Box<dyn File>> {
-        Ok(Box::new(Opened { disk: self.clone(), path: path.into() }))
+        self.lock().get(path).cloned().map(|file| Box::new(Opened(file)) as _).ok_or_else(missing)
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        let bytes = self.lock().remove(from).ok_or_else(missing)?;
-        self.put(to.into(), &bytes);
+        let mut files = self.lock();
+        let file = files.remove(from).ok_or_else(missing)?;
+        files.insert(to.into(), file);
         Ok(())
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
+        Ok(self.lock().keys().filter(|path| path.parent() == Some(folder)).cloned().collect())
     }
 
     fn remove(&self, path: &Path) -> io::Result<()> {
@@ -73,21 +81,11 @@ impl Disk for Memory {
 }
 
 #[derive(Debug)]
-struct Opened {
-    disk: Memory,
-    path: PathBuf,
-}
+struct Opened(Content);
 
 impl File for Opened {
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        // A file that was renamed goes on growing under its new name.
-        let mut files = self.disk.lock();
-        let path = if files.contains_key(&self.path) {
-            self.path.clone()
-        } else {
-            self.path.with_extension("journal")
-        };
-        files.entry(path).or_default().extend(bytes);
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend(bytes);
         Ok(())
     }
 

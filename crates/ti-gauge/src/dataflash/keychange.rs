@@ -114,7 +114,8 @@ impl DataFlash {
                     && gauge.seal() != Ok(Seal::Sealed) =>
             {
                 let left = Left { data: false, why: error.to_string() };
-                self.keep(session.entry.take(), left);
+                let journal = session.journal.take();
+                self.keep(session.entry.take(), journal, left);
             }
             _ => session.remove_journal(),
         }

@@ -141,6 +141,22 @@ pub(super) fn compare<E>(
     Ok(if certain { Match::Certain } else { Match::Weak })
 }
 
+/// Whether the serial number that the gauge shows is not that of a plan, nor one that the plan may have left.
+pub(super) fn shows_another(chip: &'static Chip, then: &Identity, now: &Identity, plan: &Plan) -> bool {
+    let number = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first());
+    let Some((place, _)) = number.map(|&(id, offset)| locate(id, offset)) else { return false };
+    let is_planned =
+        plan.blocks.iter().any(|block| (block.subclass, block.base) == (place.subclass, place.base));
+    now.serial != then.serial && !is_planned
+}
+
+/// Whether the gauge shows a serial number that not every new pack has.
+pub(super) fn is_named(chip: &'static Chip, now: &Identity) -> bool {
+    let number = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first());
+    let row = number.and_then(|&(id, offset)| row(chip, id, offset));
+    row.is_some_and(|row| now.serial != 0 && distinguishes(row, &now.serial.to_be_bytes()))
+}
+
 fn word(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0, |word, &byte| word << 8 | u16::from(byte))
 }

@@ -6,11 +6,12 @@
 //! nothing is written unless the pack is certainly the one, and every byte of its blocks is old, new, erased or
 //! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
-use super::pack::{Match, compare};
+use super::pack::{Match, compare, is_named, shows_another};
 use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
 use super::session::{Left, Session, in_time};
@@ -19,7 +20,7 @@ use crate::chip::{Chip, Kind, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
-use crate::journal::{Entry, Identity, Mark, Plan, PlannedBlock};
+use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan, PlannedBlock};
 use crate::text;
 
 /// The unseal key of a gauge whose row of keys has been erased.
@@ -28,13 +29,33 @@ const ERASED_KEY: [u16; 2] = [0xffff; 2];
 /// What is still to be settled.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
-    /// `None` if the journal cannot be read.
+    /// `None` if the journal cannot be read, or another process works on it.
     entry: Option<Entry>,
+    /// Its journal; `None` if there is none.
+    file: Option<PathBuf>,
+    /// Its journal is of another place, or waits for its pack: this gauge is not the first one to think of.
+    elsewhere: bool,
     why: String,
     /// The gauge has been watched since: while it has not been silent for long it is the same one.
     watched: bool,
     /// Only a person can decide.
     undecided: bool,
+}
+
+/// What of the folder of journals has been compared with this gauge since it arrived.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Searched {
+    /// Those of other places.
+    places: bool,
+    /// Those that wait for their packs.
+    waiting: bool,
+}
+
+/// Which journals of other gauges are compared with this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Where {
+    Places,
+    Waiting,
 }
 
 /// What is owed to a gauge, for everybody else.
@@ -75,8 +96,10 @@ enum Verdict {
     /// It has been settled; the text says how.
     Done(String),
     /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
-    /// write was begun on is not certain, so its journal is kept under another name.
+    /// write was begun on is not certain, so its journal waits for that.
     Plausible(String),
+    /// The write was begun on another gauge, whose journal is left alone.
+    Another,
     /// Nothing was touched; the text says why.
     Undecided(String),
 }
@@ -86,6 +109,8 @@ enum Doubt {
     None,
     /// Nothing shows that this is another pack, and nothing that it is the one.
     Weak,
+    /// The write was begun elsewhere, and nothing of it shows here.
+    Another,
     Because(String),
 }
 
@@ -119,55 +144,153 @@ impl DataFlash {
     }
 
     /// Keeps what a session has left to be settled.
-    pub(super) fn keep(&mut self, entry: Option<Entry>, left: Left) {
+    pub(super) fn keep(&mut self, entry: Option<Entry>, opened: Option<OpenJournal>, left: Left) {
         let Some(mut entry) = entry else {
             // A read while something was pending already.
             return;
         };
+        self.held = opened;
         if !left.data && entry.plan.take().is_some() {
             // Data flash has been read back: only the seal is owed, to whatever gauge of this kind it is.
-            let replaced =
-                self.journal.as_ref().map(|journal| journal.replace(&entry.identity, entry.found, 0));
-            if let Some(Err(error)) = replaced {
-                log::warn!("{error}");
+            let replaced = self.journal.as_ref().zip(self.held.as_ref());
+            match replaced.map(|(journal, held)| journal.replace(held.path(), &entry.identity, entry.found)) {
+                Some(Ok(replaced)) => self.held = Some(replaced),
+                Some(Err(error)) => log::warn!("{error}"),
+                None => {}
             }
         }
-        self.pending = Some(Pending { entry: Some(entry), why: left.why, watched: true, undecided: false });
+        let file = self.held.as_ref().map(|held| held.path().to_path_buf());
+        let pending = Pending { file, watched: true, ..Pending::of(Some(entry), left.why) };
+        self.pending = Some(pending);
     }
 
     /// Another gauge may be there now.
     pub(super) fn look_again(&mut self) {
-        if let Some(pending) = &mut self.pending {
-            (pending.watched, pending.undecided) = (false, false);
+        // The pack may come back elsewhere, where its journal must not be taken for one in use.
+        self.held = None;
+        (self.searched, self.judged) = (Searched::default(), Vec::new());
+        match &mut self.pending {
+            Some(pending) if pending.elsewhere => self.pending = None,
+            Some(pending) => (pending.watched, pending.undecided) = (false, false),
+            None => {}
         }
     }
 
-    /// Finds what an earlier process has left.
+    /// The files that need not be looked at: what they say of this gauge is known.
+    fn known_files(&self) -> Vec<PathBuf> {
+        let held = self.held.iter().map(|held| held.path().to_path_buf());
+        held.chain(self.judged.iter().cloned()).collect()
+    }
+
+    /// Whether what is pending has been settled at another place, or its journal was moved away.
+    fn is_over(&self, pending: &Pending) -> bool {
+        let Some((journal, file)) = self.journal.as_ref().zip(pending.file.as_ref()) else {
+            return pending.entry.is_none();
+        };
+        self.held.is_none() && (pending.entry.is_none() || journal.look(file).is_none())
+    }
+
+    /// Finds what an earlier process has left at this place.
     pub(super) fn find_pending(&mut self) -> Option<Pending> {
+        if self.pending.as_ref().is_some_and(|pending| self.is_over(pending)) {
+            self.pending = None;
+        }
         if self.pending.is_none()
             && let Some(journal) = &self.journal
         {
-            let pending = match journal.pending() {
-                Ok(None) => None,
-                Ok(Some(entry)) => {
-                    let why = "a write was interrupted and is not settled yet".to_string();
-                    Some(Pending { entry: Some(entry), why, watched: false, undecided: false })
-                }
-                Err(error) => {
-                    Some(Pending { entry: None, why: error.to_string(), watched: false, undecided: true })
-                }
+            self.pending = match journal.search(false, &self.known_files()) {
+                Ok(found) => found.into_iter().find(|found| found.is_here).map(Pending::found),
+                Err(error) => Some(Pending { undecided: true, ..Pending::of(None, error.to_string()) }),
             };
-            self.pending = pending;
         }
         self.pending.clone()
     }
 
     /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least
-    /// as it was before. Returns a message for the log; `None` if there was nothing to settle. After an error it
-    /// is still owed.
+    /// as it was before. Also looks for what was begun on this gauge at other places. Returns a message for the log;
+    /// `None` if there was nothing to settle. After an error it is still owed.
     pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
-        let Some(pending) = self.find_pending() else { return Ok(None) };
-        self.resolve(gauge, &pending, None, waited).map(Some)
+        let begun = gauge.clock.now();
+        let mut told = self.settle_here(gauge, waited)?;
+        let waited = waited + (gauge.clock.now() - begun);
+        match self.search(gauge, Where::Places, waited) {
+            Ok(found) => told.extend(found),
+            Err(_) if self.pending.is_some() => {}
+            // A write looks again.
+            Err(error) => log::warn!("{}: {error}", gauge.chip.name),
+        }
+        if self.pending.as_ref().is_some_and(|pending| pending.undecided) {
+            told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
+            let why = self.pending.as_ref().map_or(String::new(), |pending| pending.why.clone());
+            return Err(Error::new("", Cause::Busy(why)));
+        }
+        Ok((!told.is_empty()).then(|| told.join("; ")))
+    }
+
+    /// Settles what was begun at this place.
+    fn settle_here(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Vec<String>> {
+        let (begun, mut told, mut last) = (gauge.clock.now(), Vec::new(), None);
+        while let Some(pending) = self.find_pending() {
+            // One that could not be removed is settled again before the next write.
+            if last.is_some() && pending.file == last {
+                self.pending = None;
+                break;
+            }
+            let waited = waited + (gauge.clock.now() - begun);
+            let settled = self.resolve(gauge, &pending, None, waited);
+            told.extend(settled.inspect_err(|_| {
+                told.iter().for_each(|told: &String| log::warn!("{}: {told}", gauge.chip.name));
+            })?);
+            last = pending.file;
+        }
+        Ok(told)
+    }
+
+    /// Settles what was begun on this gauge at another place, or was set aside because it was not certain that the pack
+    /// was the one.
+    fn search(&mut self, gauge: &mut Gauge, place: Where, waited: Duration) -> Result<Vec<String>> {
+        let (begun, mut told) = (gauge.clock.now(), Vec::new());
+        let done = match place {
+            Where::Places => self.searched.places,
+            Where::Waiting => self.searched.waiting,
+        };
+        let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
+            return Ok(told);
+        };
+        let found = journal.search(place == Where::Waiting, &self.known_files())?;
+        for found in found.into_iter().filter(|found| !found.is_here) {
+            let file = found.path.clone();
+            let pending = Pending { elsewhere: true, ..Pending::found(found) };
+            if pending.entry.is_none() {
+                continue;
+            }
+            let waited = waited + (gauge.clock.now() - begun);
+            let settled = self.resolve(gauge, &pending, None, waited);
+            if self.pending.is_some() {
+                return settled.map(|_| told);
+            }
+            told.extend(settled?);
+            self.judged.push(file);
+        }
+        match place {
+            Where::Places => self.searched.places = true,
+            Where::Waiting => self.searched.waiting = true,
+        }
+        Ok(told)
+    }
+
+    /// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
+    /// that is no reason not to read: a write looks again.
+    pub(super) fn search_waiting(&mut self, gauge: &mut Gauge, waited: Duration) {
+        if self.find_pending().is_some() {
+            return;
+        }
+        for place in [Where::Places, Where::Waiting] {
+            match self.search(gauge, place, waited) {
+                Ok(told) => told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name)),
+                Err(error) => log::warn!("{}: {error}", gauge.chip.name),
+            }
+        }
     }
 
     /// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
@@ -197,13 +320,14 @@ impl DataFlash {
             return Err(Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into())));
         };
         if decision != Decision::Discard {
-            return self.resolve(gauge, &pending, Some(decision), waited);
+            let told = self.resolve(gauge, &pending, Some(decision), waited)?;
+            return Ok(told.unwrap_or_else(|| "there is nothing to settle".into()));
         }
-        let aside = match &self.journal {
-            Some(journal) if journal.exists() => Some(journal.dismiss()?),
+        let aside = match self.journal.as_ref().zip(pending.file.as_ref()) {
+            Some((journal, file)) if journal.look(file).is_some() => Some(journal.dismiss(file)?),
             _ => None,
         };
-        self.pending = None;
+        (self.pending, self.held) = (None, None);
         let left = match pending.entry {
             Some(entry) => self.leave_as_it_is(gauge, entry, waited),
             None => Ok(()),
@@ -224,6 +348,9 @@ impl DataFlash {
             if wrote {
                 session.inherit_modes(gauge)?;
             }
+            if let Some(journal) = self.journal.as_ref().filter(|_| owes) {
+                session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
+            }
             (session.now, session.entry) = (None, Some(entry));
             self.end(session, gauge, Ok(()))
         });
@@ -233,7 +360,7 @@ impl DataFlash {
             // The next write ends a mode that may still be on.
             self.ours |= wrote;
             if owes {
-                self.keep(Some(kept), Left { data: false, why: error.to_string() });
+                self.keep(Some(kept), None, Left { data: false, why: error.to_string() });
             }
         }
         ended
@@ -245,14 +372,17 @@ impl DataFlash {
         pending: &Pending,
         decision: Option<Decision>,
         waited: Duration,
-    ) -> Result<String> {
+    ) -> Result<Option<String>> {
         let verdict = match &pending.entry {
-            Some(entry) => self.counted(gauge, |dataflash, gauge| {
+            Some(_) => self.counted(gauge, |dataflash, gauge| {
                 let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
                 let watched = pending.watched && gauge.longest_silence() <= patience;
-                in_time(gauge, waited, |gauge, asked| dataflash.act(gauge, entry, watched, decision, asked))
+                in_time(gauge, waited, |gauge, asked| {
+                    dataflash.act(gauge, &Pending { watched, ..pending.clone() }, decision, asked)
+                })
             }),
-            None => Ok(Verdict::Undecided(pending.why.clone())),
+            None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
+            None => Err(Error::new("", Cause::Busy(pending.why.clone()))),
         };
         self.identity = None;
         let (error, undecided) = match verdict {
@@ -262,14 +392,28 @@ impl DataFlash {
                 if let Some(known_pack) = &mut self.known_pack {
                     known_pack.rewritten();
                 }
-                return Ok(message);
+                return Ok(Some(message));
+            }
+            Ok(Verdict::Another) => {
+                self.pending = None;
+                return Ok(None);
             }
             Ok(Verdict::Undecided(why)) => {
+                self.held = None;
+                let file = pending.file.as_ref().filter(|_| pending.elsewhere);
+                let file = file.map_or(String::new(), |file| format!(" (journal {})", file.display()));
                 let why = format!(
-                    "an interrupted write is not settled: {why}; nothing was touched and nothing is written to \
+                    "an interrupted write is not settled: {why}{file}; nothing was touched and nothing is written to \
                      this gauge until somebody decides: gaugefs settle"
                 );
                 (Error::new(gauge.chip.name, Cause::Busy(why)), true)
+            }
+            Err(error) if pending.elsewhere => {
+                (self.pending, self.held) = (None, None);
+                let file = pending.file.as_ref().map_or(String::new(), |file| file.display().to_string());
+                let what =
+                    format!("cannot tell whether the interrupted write of {file} was begun on this gauge");
+                return Err(error.within(&what));
             }
             Err(error) => (error.within("cannot settle an interrupted write"), false),
         };
@@ -281,11 +425,12 @@ impl DataFlash {
     fn act(
         &mut self,
         gauge: &mut Gauge,
-        entry: &Entry,
-        watched: bool,
+        pending: &Pending,
         decision: Option<Decision>,
         asked: Duration,
     ) -> Result<Verdict> {
+        let Some(entry) = &pending.entry else { return Ok(Verdict::Another) };
+        let elsewhere = pending.elsewhere && decision.is_none();
         gauge.claim()?;
         gauge.confirm_identity()?;
         self.identity = None;
@@ -293,49 +438,74 @@ impl DataFlash {
         if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;
             let why = format!("it was begun on another part, a {chip} with firmware 0x{firmware:04x}");
-            return Ok(Verdict::Undecided(why));
+            return Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why) });
         }
         let now = gauge.seal_anew()?;
-        // A gauge that was unsealed and has been sealed since stays sealed.
-        let goal = if entry.found == Seal::Sealed { Seal::Sealed } else { now };
-        let mut session = Session::new(goal, asked);
+        if elsewhere && !may_be_of(gauge.chip, entry, &identity) {
+            return Ok(Verdict::Another);
+        }
+        let mut session = Session::new(now, asked);
         (session.now, session.decided) = (None, decision.is_some());
-        if self.in_calibration || entry.plan.is_some() {
-            session.inherit_modes(gauge)?;
-        }
         session.entry = Some(entry.clone());
-        if let Some(journal) = &self.journal
-            && journal.exists()
-        {
-            session.journal = Some(journal.reopen()?);
+        session.journal = match self.held.take() {
+            Some(held) => Some(held),
+            None => match self.journal.as_ref().zip(pending.file.as_ref()) {
+                Some((journal, file)) => match journal.open(file)? {
+                    Some(opened) => Some(opened),
+                    // It has been settled elsewhere.
+                    None => return Ok(Verdict::Another),
+                },
+                None => None,
+            },
+        };
+        if !elsewhere {
+            self.take_over(gauge, entry, &mut session)?;
         }
-        let outcome = match &entry.plan {
+        let mut outcome = match &entry.plan {
             None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
             Some(plan) => {
                 let open = if now == Seal::Sealed { unseal(gauge, plan) } else { Ok(()) };
                 open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
-                    let task = Task { plan, then: &entry.identity, now: &identity, watched, decision };
+                    let then = &entry.identity;
+                    let task =
+                        Task { plan, then, now: &identity, watched: pending.watched, decision, elsewhere };
                     task.run(gauge, &mut session)
                 })
             }
         };
+        if elsewhere && !matches!(outcome, Ok(Verdict::Another | Verdict::Undecided(_))) {
+            let taken = self.take_over(gauge, entry, &mut session);
+            outcome = outcome.and_then(|verdict| taken.map(|()| verdict));
+        }
         let (outcome, left) = session.close(gauge, outcome);
         self.in_calibration &= session.calibrating.is_some();
         match (&outcome, left) {
             (Ok(Verdict::Done(_)), None) => session.remove_journal(),
             (Ok(Verdict::Plausible(message)), None) => {
-                let Some(journal) = self.journal.as_ref().filter(|_| session.journal.is_some()) else {
+                let opened = session.journal.take();
+                let Some((journal, opened)) = self.journal.as_ref().zip(opened.as_ref()) else {
                     return outcome;
                 };
-                let kept = journal.dismiss()?;
-                return Ok(Verdict::Plausible(format!(
-                    "{message}; its journal is kept as {}",
-                    kept.display()
-                )));
+                let kept = journal.wait(opened.path())?;
+                let message = format!("{message}; its journal waits for its pack as {}", kept.display());
+                self.judged.push(kept);
+                return Ok(Verdict::Plausible(message));
             }
-            _ => {}
+            _ => self.held = session.journal.take().filter(|_| pending.watched),
         }
         outcome
+    }
+
+    /// The gauge is the one of an entry: the session leaves it as the entry demands.
+    fn take_over(&self, gauge: &mut Gauge, entry: &Entry, session: &mut Session) -> Result<()> {
+        // A gauge that was unsealed and has been sealed since stays sealed.
+        if entry.found == Seal::Sealed {
+            session.found = Seal::Sealed;
+        }
+        if self.in_calibration || entry.plan.is_some() {
+            session.inherit_modes(gauge)?;
+        }
+        Ok(())
     }
 
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
@@ -345,10 +515,42 @@ impl DataFlash {
         if let Some(Pending { why, undecided: true, .. }) = self.find_pending() {
             return Err(Error::new("", Cause::Busy(why)));
         }
-        if let Some(message) = self.settle(gauge, waited)? {
-            log::warn!("{}: {message}", gauge.chip.name);
+        let told = self.settle_here(gauge, waited)?;
+        told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
+        for place in [Where::Places, Where::Waiting] {
+            let told = self.search(gauge, place, waited + (gauge.clock.now() - begun))?;
+            told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
         }
         Ok(waited + (gauge.clock.now() - begun))
+    }
+}
+
+impl Pending {
+    fn of(entry: Option<Entry>, why: String) -> Self {
+        Self { entry, file: None, elsewhere: false, why, watched: false, undecided: false }
+    }
+
+    /// What an earlier process has left.
+    fn found(found: Found) -> Self {
+        let file = Some(found.path);
+        match found.content {
+            Content::Entry(entry) => {
+                let why = "a write was interrupted and is not settled yet".to_string();
+                Self { file, ..Self::of(Some(entry), why) }
+            }
+            Content::InUse(why) => Self { file, ..Self::of(None, why) },
+            Content::Unreadable(error) => Self { file, undecided: true, ..Self::of(None, error.to_string()) },
+        }
+    }
+}
+
+/// Whether a gauge, by what it shows without a key, may be the one on which something was begun elsewhere.
+fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> bool {
+    let then = &entry.identity;
+    match &entry.plan {
+        Some(plan) => !shows_another(chip, then, now, plan),
+        // Nobody seals a gauge that may have been opened on purpose.
+        None => then.serial == now.serial && is_named(chip, now),
     }
 }
 
@@ -444,12 +646,17 @@ struct Task<'a> {
     now: &'a Identity,
     watched: bool,
     decision: Option<Decision>,
+    /// It was begun at another place, or waits for its pack.
+    elsewhere: bool,
 }
 
 impl Task<'_> {
     fn run(&self, gauge: &mut Gauge, session: &mut Session) -> Result<Verdict> {
         let chip = gauge.chip;
         if has_lost_memory(gauge)? {
+            if self.elsewhere {
+                return Ok(Verdict::Another);
+            }
             let why =
                 "a write was interrupted, and the gauge has since lost power and with it its data memory";
             return Ok(Verdict::Done(why.into()));
@@ -469,6 +676,7 @@ impl Task<'_> {
                                another pack";
                     return Ok(Verdict::Undecided(why.into()));
                 }
+                Doubt::Another => return Ok(Verdict::Another),
                 Doubt::Because(why) => return Ok(Verdict::Undecided(why)),
             }
         }
@@ -513,6 +721,14 @@ impl Task<'_> {
             let seen = seen.iter().find(|seen| seen.block.place == place);
             seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
         })?;
+        if self.elsewhere && same != Match::Certain {
+            // What the interruption leaves: some of it new, or erased.
+            let erased = seen.iter().any(|seen| seen.block.is_erased(&seen.stored));
+            let explained = seen.iter().all(|seen| seen.held != Held::Unexplained);
+            let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
+            let shows = erased || explained && !all(Held::Old) && !all(Held::New);
+            return Ok(if same == Match::Weak && shows { Doubt::Weak } else { Doubt::Another });
+        }
         if let Match::Other(name) = &same {
             // RAM without a flag for its loss looks the same as another pack.
             let or_lost = match gauge.chip.volatile {

@@ -4,11 +4,15 @@ use std::fmt::Debug;
 use std::fs::{self, DirBuilder};
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use gauge_bus::regular;
-use rustix::fs::{FallocateFlags, fallocate};
+use rustix::fs::{CWD, FallocateFlags, FlockOperation, RenameFlags, fallocate, flock, renameat_with};
+use rustix::io::Errno;
 use rustix::process::geteuid;
+
+/// Attempts to lock a file.
+const LOCKS: u32 = 100;
 
 /// A file system.
 pub trait Disk: Debug + Send + Sync {
@@ -24,6 +28,21 @@ pub trait Disk: Debug + Send + Sync {
     fn open(&self, path: &Path) -> io::Result<Box<dyn File>>;
     /// Renames a file, in place of one that has the new name already.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Renames a file. If there is one of the new name, nothing happens, and the error says so.
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+        if self.exists(to) { Err(ErrorKind::AlreadyExists.into()) } else { self.rename(from, to) }
+    }
+    /// The files of a folder.
+    fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>>;
+    /// Whether a process has locked a file.
+    fn is_locked(&self, _path: &Path) -> io::Result<bool> {
+        Ok(false)
+    }
+    /// Makes sure that a file or folder belongs to this account, to root or to a trusted one, and that nobody else may
+    /// write to it.
+    fn check(&self, _path: &Path, _trusted: Option<u32>) -> io::Result<()> {
+        Ok(())
+    }
     /// Removes a file.
     fn remove(&self, path: &Path) -> io::Result<()>;
     /// Returns once the names in a folder are on disk.
@@ -42,24 +61,46 @@ pub trait File: Debug + Send {
     fn truncate(&mut self, _: u64) -> io::Result<()> {
         Err(ErrorKind::Unsupported.into())
     }
+
+    /// Locks it until it is closed. `false` if another process has it, or has removed it.
+    fn lock(&mut self) -> io::Result<bool> {
+        Ok(true)
+    }
 }
 
-/// Stores a file as a whole: it gets its name when its content is on disk. Reserves `room` more bytes to append.
-/// On return all of it is on disk, the folders above it included.
+/// How a file is stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum How {
+    /// In place of one of that name.
+    Plain,
+    /// Locked, with room for more bytes to append, and with `is_new` only if there is none of that name.
+    Journal { is_new: bool, room: usize },
+}
+
+/// Stores a file as a whole: it gets its name when its content is on disk. On return all of it is on disk, the folders
+/// above it included.
 pub(super) fn store(
     disk: &dyn Disk,
     path: &Path,
     temporary: &Path,
     text: &str,
-    room: usize,
+    how: How,
 ) -> io::Result<Box<dyn File>> {
     let folder = path.parent().unwrap_or(Path::new(""));
     create_folder(disk, folder)?;
     let stored = disk.create(temporary).and_then(|mut file| {
         file.append(text.as_bytes())?;
-        file.reserve((text.len() + room) as u64)?;
+        if let How::Journal { room, .. } = how {
+            if !file.lock()? {
+                return Err(ErrorKind::WouldBlock.into());
+            }
+            file.reserve((text.len() + room) as u64)?;
+        }
         file.sync()?;
-        disk.rename(temporary, path)?;
+        match how {
+            How::Journal { is_new: true, .. } => disk.rename_new(temporary, path)?,
+            How::Journal { .. } | How::Plain => disk.rename(temporary, path)?,
+        }
         Ok(file)
     });
     if stored.is_err() {
@@ -90,7 +131,7 @@ pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
 
 /// The same on another disk.
 pub fn save_on(disk: &dyn Disk, path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
-    store(disk, path, temporary, text, 0).map(drop)
+    store(disk, path, temporary, text, How::Plain).map(drop)
 }
 
 /// The file system of the host.
@@ -134,6 +175,42 @@ impl Disk for Host {
         fs::rename(from, to)
     }
 
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+            // Not every file system can do that in one step.
+            Err(Errno::INVAL | Errno::NOSYS) if self.exists(to) => Err(ErrorKind::AlreadyExists.into()),
+            Err(Errno::INVAL | Errno::NOSYS) => self.rename(from, to),
+            renamed => Ok(renamed?),
+        }
+    }
+
+    fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
+    }
+
+    fn is_locked(&self, path: &Path) -> io::Result<bool> {
+        let file = regular::open(fs::File::options().read(true), path)?;
+        match flock(&file, FlockOperation::NonBlockingLockShared) {
+            Ok(()) => Ok(false),
+            Err(Errno::WOULDBLOCK) => Ok(true),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn check(&self, path: &Path, trusted: Option<u32>) -> io::Result<()> {
+        let status = path.symlink_metadata()?;
+        let (uid, mode) = (status.uid(), status.mode());
+        let wrong = |why: String| Err(io::Error::new(ErrorKind::PermissionDenied, why));
+        if ![Some(0), Some(geteuid().as_raw()), trusted].contains(&Some(uid)) {
+            return wrong(format!("it belongs to another account (uid {uid})"));
+        }
+        // A link has every mode, and is not opened.
+        if mode & 0o022 != 0 && !status.is_symlink() {
+            return wrong(format!("others may write to it (mode {:03o})", mode & 0o7777));
+        }
+        Ok(())
+    }
+
     fn remove(&self, path: &Path) -> io::Result<()> {
         fs::remove_file(path)
     }
@@ -163,5 +240,17 @@ impl File for fs::File {
 
     fn truncate(&mut self, length: u64) -> io::Result<()> {
         self.set_len(length)
+    }
+
+    fn lock(&mut self) -> io::Result<bool> {
+        // Another gaugefs that looks at it holds it for a moment.
+        for _ in 0..LOCKS {
+            match flock(&*self, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => return Ok(self.metadata()?.nlink() > 0),
+                Err(Errno::WOULDBLOCK) => std::thread::yield_now(),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(false)
     }
 }

@@ -98,9 +98,21 @@ impl Folder {
         Journal::new(self.0.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into())
     }
 
+    /// The journal of another place in the same folder.
+    pub(crate) fn at(&self, key: &str) -> Journal {
+        Journal::new(self.0.clone(), key.into(), key.into())
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
+
     pub(crate) fn files(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).into_iter().flatten();
-        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
+        let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
+        let mut names: Vec<String> = names.collect();
+        names.sort();
+        names
     }
 }
 
@@ -353,6 +365,7 @@ fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
             }
             rig.sim.set("voltage_mv", "3900").expect("a knob");
             rig.clock.sleep(Duration::from_secs(5));
+            drop(dataflash);
             restart(&rig, &folder, None);
             check(case, &mut rig, &folder, &(old.clone(), new.clone()), &at);
         }

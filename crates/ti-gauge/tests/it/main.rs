@@ -13,6 +13,7 @@ mod image;
 mod journal;
 mod keychange;
 mod learning;
+mod places;
 mod power;
 mod preflight;
 mod probe;

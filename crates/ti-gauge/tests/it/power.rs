@@ -260,6 +260,10 @@ impl Disk for Memory {
         })
     }
 
+    fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
+        Ok(self.state().now.keys().filter(|path| path.parent() == Some(folder)).cloned().collect())
+    }
+
     fn remove(&self, path: &Path) -> io::Result<()> {
         self.power.run(|| {
             let mut state = self.state();

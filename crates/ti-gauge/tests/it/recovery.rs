@@ -327,10 +327,10 @@ fn a_factory_pack_that_holds_the_old_values_is_not_touched_and_the_journal_is_ke
     rig.start(&folder);
     let (flash, programmed, resets) = (rig.sim.flash(), rig.get("programmed"), rig.get("resets"));
     let said = rig.arrive().expect("nothing is in the way").expect("there is a journal");
-    assert!(said.contains("dismissed"), "{said}");
+    assert!(said.contains("i2c-1-55.waiting"), "{said}");
     assert!(rig.sim.flash() == flash);
     assert_eq!((rig.get("programmed"), rig.get("resets")), (programmed, resets));
-    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec!["i2c-1-55.dismissed".to_string()]));
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec!["i2c-1-55.waiting".to_string()]));
 }
 
 /// SerialNumber() then reads 0xFFFF.

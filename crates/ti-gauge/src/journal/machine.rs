@@ -1,0 +1,86 @@
+//! The machine that a journal was written on. Several may keep their journals in one folder.
+
+use std::fs;
+use std::sync::OnceLock;
+
+use sha1::{Digest as _, Sha1};
+
+use crate::text::hex;
+
+/// In place of what is not known.
+const UNKNOWN: &str = "-";
+
+/// A host, by its name, by what identifies it, and by its last start. None of them is secret.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Machine {
+    pub(crate) name: String,
+    pub(crate) id: String,
+    pub(crate) boot: String,
+}
+
+impl Machine {
+    /// The one that this process runs on.
+    pub(crate) fn this() -> &'static Self {
+        static THIS: OnceLock<Machine> = OnceLock::new();
+        THIS.get_or_init(|| {
+            let read = |path| fs::read_to_string(path).ok().as_deref().map(str::trim).map(word);
+            let or_unknown = |text: Option<String>| text.unwrap_or_else(|| UNKNOWN.into());
+            // machine-id(5) asks programs not to give it away.
+            let hashed = |text: String| hex(&Sha1::digest(format!("gaugefs {text}")))[..16].to_string();
+            Self {
+                name: or_unknown(read("/proc/sys/kernel/hostname")),
+                id: or_unknown(read("/etc/machine-id").filter(|id| id != UNKNOWN).map(hashed)),
+                boot: or_unknown(read("/proc/sys/kernel/random/boot_id")),
+            }
+        })
+    }
+
+    /// A machine that is known by its name only.
+    pub(crate) fn named(name: &str) -> Self {
+        let name = word(name);
+        Self { id: name.clone(), boot: name.clone(), name }
+    }
+
+    /// Whether it is the same one. Containers of one host differ in the first two, and share its start.
+    pub(crate) fn is(&self, other: &Self) -> bool {
+        let same = |one: &str, other: &str| one != UNKNOWN && one == other;
+        let nameless = self.id == UNKNOWN && other.id == UNKNOWN;
+        same(&self.boot, &other.boot) || same(&self.id, &other.id) || nameless && self.name == other.name
+    }
+
+    /// The line of a journal: `host NAME ID BOOT`.
+    pub(crate) fn parse(line: &str) -> Option<Self> {
+        let mut words = line.strip_prefix("host ")?.split(' ').map(word);
+        let machine = Self { name: words.next()?, id: words.next()?, boot: words.next()? };
+        words.next().is_none().then_some(machine)
+    }
+}
+
+/// One word for a line of a journal.
+fn word(text: &str) -> String {
+    let word: String = text.chars().filter(|letter| letter.is_ascii_graphic()).take(64).collect();
+    if word.is_empty() { UNKNOWN.into() } else { word }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_is_recognised_after_a_start_and_in_a_container() {
+        let machine = |name: &str, id: &str, boot: &str| Machine {
+            name: name.into(),
+            id: id.into(),
+            boot: boot.into(),
+        };
+        let bench = machine("bench", "a1", "b1");
+        assert!(bench.is(&machine("bench", "a1", "b2")), "after a start");
+        assert!(bench.is(&machine("5f2c", "-", "b1")), "in a container");
+        assert!(!bench.is(&machine("bench", "a2", "b2")), "another one of that name");
+        assert!(!machine("-", "-", "-").is(&bench) && machine("pi", "-", "-").is(&machine("pi", "-", "b9")));
+        let this = Machine::this();
+        let line = format!("host {} {} {}", this.name, this.id, this.boot);
+        assert_eq!(Machine::parse(&line).as_ref(), Some(this));
+        assert!(this.is(this));
+    }
+}
