@@ -275,7 +275,7 @@ fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, Strin
                  with {units}{same}"
             ))
         }
-        None if has_unit => Err(format!("{name}: `{shown}` is not a number with {units}")),
+        None if has_unit => Err(format!("{name}: `{shown}` is not a number of {units}")),
         None => Err(format!("{name}: `{shown}` is not a number")),
     }
 }
@@ -466,14 +466,14 @@ mod tests {
             ("zzz<3", "no gauge has a file `zzz`"),
             ("status==full up", "it is one of: Charging"),
             ("status<3", "is a text; compare it with == or !="),
-            ("capacity==Full", "`Full` is not a number with %"),
-            ("capacity<20V", "not a number with %"),
+            ("capacity==Full", "`Full` is not a number of %"),
+            ("capacity<20V", "not a number of %"),
             ("capacity has 3", "is a number"),
-            ("voltage_now<3.1A", "`3.1A` is not a number with uV, mV or V"),
+            ("voltage_now<3.1A", "`3.1A` is not a number of uV, mV or V"),
             ("voltage_now<3.1.1V", "is not a number"),
             ("voltage_now<3.1V/cell", "is not a number"),
-            ("gauge/age_ms==old", "is not a number with s, min or h"),
-            ("time_to_empty_now<3V", "not a number with s, min or h"),
+            ("gauge/age_ms==old", "is not a number of s, min or h"),
+            ("time_to_empty_now<3V", "not a number of s, min or h"),
             ("cycle_count>3x", "`3x` is not a number"),
             ("gauge/seal<sealed", "is not a number"),
             ("capacity", "no comparison"),

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::Subcommand;
 
+use crate::config;
 use crate::error::Result;
 
 mod alert;
@@ -50,8 +51,5 @@ impl Command {
 
 /// The value of `--interval`.
 fn seconds(text: &str) -> Result<Duration, String> {
-    match text.parse() {
-        Ok(seconds @ 0.1..=86400.0) => Ok(Duration::from_secs_f64(seconds)),
-        _ => Err("expected 0.1 to 86400 seconds".into()),
-    }
+    config::seconds(text, (0.1, 86400.0))
 }

@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::calibrate::request;
 use crate::error::Result;
-use crate::mounted;
+use crate::{config, mounted};
 
 const BRINGUP: &str = "\
 A new bq34z100 behind an external divider measures too little: below Flash Update OK Cell Volt it
@@ -17,10 +17,10 @@ cells in one transaction, leaves calibration mode, resets the gauge and reads Vo
 the pack's voltage, the old values are put back. Otherwise the divider is adjusted to the voltage that was
 measured, and the limit is set as the datasheet has it, 2800 x cells x 5000 / divider. Where that
 fails, flash stays open at any voltage: the message says so, and the same command completes it.
-Exit code 0: complete, 1: not, or put back.
+A number without a unit is in mV. Exit code 0: complete, 1: not, or put back.
 
 Example:
-  gaugefs bringup /run/gauges/BAT0 --cells 7 --divider 33000 --voltage-now 26985";
+  gaugefs bringup /run/gauges/BAT0 --cells 7 --divider 33V --voltage-now 26.985V";
 
 /// Set up a new gauge for several cells and an external voltage divider
 #[derive(Args, Debug)]
@@ -31,11 +31,12 @@ pub(super) struct BringUp {
     /// Cells in series
     #[arg(long, value_name = "N")]
     cells: u8,
-    /// Voltage Divider: the pack voltage at which the converter ends, in mV
-    #[arg(long, value_name = "MV")]
+    /// Voltage Divider: the pack voltage at which the converter ends, such as 33V or 33000 mV
+    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::divider)]
     divider: u16,
-    /// Voltage of the pack that a meter shows, in mV [default: 1500 to 4600 mV for each cell]
-    #[arg(long, value_name = "MV")]
+    /// Voltage of the pack that a meter shows, such as 26.985V or 26985 mV [default: 1500 to 4600 mV for
+    /// each cell]
+    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::pack_voltage)]
     voltage_now: Option<f64>,
 }
 

@@ -11,8 +11,8 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use crate::error::Result;
-use crate::mounted;
 use crate::output::print;
+use crate::{config, mounted};
 
 /// Time between two looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
@@ -25,9 +25,9 @@ Takes up to half a minute. Exit code 0: calibrated; 1: refused, or put back.
 
 Examples:
   gaugefs calibrate /run/gauges/BAT0 board-offset                no load, no charger
-  gaugefs calibrate /run/gauges/BAT0 voltage --actual 25200      a meter at the pack shows 25.2 V
-  gaugefs calibrate /run/gauges/BAT0 current --actual -2000      a load of 2 A discharges
-  gaugefs calibrate /run/gauges/BAT0 temperature --actual 23.5";
+  gaugefs calibrate /run/gauges/BAT0 voltage --actual 25.2V      what a meter at the pack shows
+  gaugefs calibrate /run/gauges/BAT0 current --actual -2000mA    a load of 2 A discharges
+  gaugefs calibrate /run/gauges/BAT0 temperature --actual 23.5C";
 
 /// Calibrate a mounted gauge against a meter
 #[derive(Args, Debug)]
@@ -47,20 +47,20 @@ enum What {
     CcOffset,
     /// Voltage Divider
     Voltage {
-        /// Voltage of the pack that a meter shows, in mV
-        #[arg(long, value_name = "MV")]
+        /// Voltage of the pack that a meter shows, such as 25.2V; without a unit, mV
+        #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::pack_voltage)]
         actual: f64,
     },
     /// CC Gain and CC Delta
     Current {
-        /// Current that a meter shows, in mA; negative while discharging
-        #[arg(long, value_name = "MA", allow_negative_numbers = true)]
+        /// Current that a meter shows, such as -2A; without a unit, mA; negative while discharging
+        #[arg(long, value_name = "CURRENT", allow_hyphen_values = true, value_parser = config::meter_current)]
         actual: f64,
     },
     /// Offset of the temperature sensor that Temperature() shows
     Temperature {
         /// Temperature of that sensor, in degrees Celsius
-        #[arg(long, value_name = "C", allow_negative_numbers = true)]
+        #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = config::celsius)]
         actual: f64,
     },
     /// Leave calibration mode, in which a program has left the gauge

@@ -51,6 +51,22 @@ pub(super) fn address<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u8>, 
     })
 }
 
+pub(super) fn celsius<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    word(from, values::celsius)
+}
+
+pub(super) fn divider<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u16>, D::Error> {
+    word(from, values::divider)
+}
+
+pub(super) fn meter_current<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    word(from, values::meter_current)
+}
+
+pub(super) fn pack_voltage<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    word(from, values::pack_voltage)
+}
+
 pub(super) fn chip<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static Chip>, D::Error> {
     word(from, values::chip)
 }

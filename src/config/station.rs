@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
-use super::{GaugeOptions, file, make_absolute};
+use super::{GaugeOptions, file, from_toml, make_absolute};
 use crate::error::Result;
 use ti_gauge::image::Group;
 use ti_gauge::{date, text};
@@ -57,8 +57,10 @@ pub(crate) struct StationOptions {
     /// Cells in series of a pack that is brought up
     pub(crate) cells: Option<u8>,
     /// Its Voltage Divider in mV
+    #[serde(deserialize_with = "from_toml::divider")]
     pub(crate) divider: Option<u16>,
     /// Its voltage in mV
+    #[serde(deserialize_with = "from_toml::pack_voltage")]
     pub(crate) pack_voltage: Option<f64>,
     /// Calibrate the offset of the board
     #[arg(long)]
@@ -67,10 +69,13 @@ pub(crate) struct StationOptions {
     #[arg(long)]
     pub(crate) cc_offset: bool,
     /// Calibrate Voltage() to that many mV
+    #[serde(deserialize_with = "from_toml::pack_voltage")]
     pub(crate) voltage: Option<f64>,
     /// Calibrate Current() to that many mA
+    #[serde(deserialize_with = "from_toml::meter_current")]
     pub(crate) current: Option<f64>,
     /// Calibrate Temperature() to that many degrees Celsius
+    #[serde(deserialize_with = "from_toml::celsius")]
     pub(crate) temperature: Option<f64>,
 
     /// Leave the packs sealed [default: true]

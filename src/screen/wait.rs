@@ -10,6 +10,7 @@ use nix::errno::Errno;
 
 use super::values::{self, Seen};
 use crate::condition::Condition;
+use crate::config;
 use crate::error::{Error, Result};
 use crate::output::say;
 
@@ -46,9 +47,7 @@ pub(crate) struct Wait {
 
 /// The value of `--timeout`.
 fn limit(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse().ok().filter(|seconds: &f64| seconds.is_finite());
-    let limit = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    limit.ok_or_else(|| "expected a number of seconds".into())
+    config::seconds(text, (0.0, 1e9))
 }
 
 impl Wait {

@@ -13,6 +13,7 @@ use crate::dataflash::{Change, DataFlash, Extras, Outcome, Place, Row};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::text;
+use crate::unit;
 use crate::value::Value;
 
 /// Readings for a mean, and the time between two. Gauges measure once a second, and the watchdog of some resets them
@@ -43,6 +44,8 @@ const FREEZING: f64 = 2731.0;
 const CELSIUS_STEP: f64 = 0.1;
 /// A cell's voltage, in mV, where nobody has measured it.
 const CELL_MV: (f64, f64) = (1500.0, 4600.0);
+/// No cell has less, in mV. A voltage that is given in volts is below it at any number of cells.
+const LEAST_CELL_MV: f64 = 100.0;
 /// Flash Update OK Cell Volt of a cell (SLUSBZ5D 8.2.2.1.3).
 const UPDATE_OK_MV: i64 = 2800;
 
@@ -441,6 +444,17 @@ impl Task<'_> {
         let Some((limit, divider_row, external, cells_row, cell_divider)) = gate else {
             return Err(not_documented(chip));
         };
+        // The gauge would be set up for it, and only then be found to measure something else.
+        for (name, given) in [("Voltage Divider", Some(divider.into())), ("Voltage()", voltage_mv)] {
+            if let Some(given) = given.filter(|given| *given < LEAST_CELL_MV * f64::from(cells)) {
+                let likely = unit::likely(given, "mV").unwrap_or_default();
+                let why = format!(
+                    "{given} mV is too little for {cells} cells; if it means {likely}, write that in mV; nothing was \
+                     changed"
+                );
+                return self.refuse(name, why);
+            }
+        }
         if voltage_mv.is_some_and(|voltage| voltage > f64::from(divider)) {
             let why = format!("the converter ends at {divider} mV, and the pack has more");
             return self.refuse("Voltage Divider", why);

@@ -26,7 +26,7 @@ fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
     assert_eq!(read(&gauge, "df/104/12"), "-30");
     assert_eq!(format!("{}\n", read(&gauge, "gauge/calibration")), told);
 
-    let refused = gaugefs(&["calibrate", &gauge, "current", "--actual", "20"]);
+    let refused = gaugefs(&["calibrate", &gauge, "current", "--actual", "20mA"]);
     refused.failed(&["Current()", "100 mA"]);
     let refused = gaugefs(&["calibrate", &gauge, "voltage", "--actual", "12600"]);
     assert!(refused.err.contains("gaugefs bringup") && refused.code == Some(1), "{}", refused.err);
@@ -35,7 +35,7 @@ fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
     set("cells", "7");
     set("board_divider", "33000");
     let bring_up = ["bringup", &gauge, "--cells", "7", "--divider", "33000", "--voltage-now"];
-    let wrong = gaugefs(&[&bring_up[..], &["20000"]].concat());
+    let wrong = gaugefs(&[&bring_up[..], &["20V"]].concat());
     assert!(wrong.err.contains("is the divider right") && wrong.code == Some(1), "{}", wrong.err);
     assert_eq!(read(&gauge, "df/104/14"), "5000");
     let told = gaugefs(&[&bring_up[..], &["26985"]].concat()).done();
@@ -46,6 +46,56 @@ fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
 
     gaugefs(&["mount", "--sim", "bq27441-g1", &at]).done();
     gaugefs(&["calibrate", &gauge, "board-offset"]).failed(&["knows no calibration of this part"]);
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn regression_volts_in_place_of_millivolts_are_refused_before_flash_is_touched() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["mount", "--sim", CHIP, "--state-dir", &folder.file("state"), &at]).done();
+    let bring_up = ["bringup", &gauge, "--cells", "4", "--divider"];
+    let calibrate = ["calibrate", &gauge];
+    let misused = |words: &[&str], says: &str| {
+        let ran = gaugefs(words);
+        assert!(ran.code == Some(2) && ran.err.contains(says), "{words:?}: {:?} {}", ran.code, ran.err);
+    };
+    let transfers = read(&gauge, "gauge/statistics/flash_writes");
+    misused(
+        &[&bring_up[..], &["20000", "--voltage-now", "15.42"]].concat(),
+        "write 15.42V if it means 15.42V",
+    );
+    misused(&[&bring_up[..], &["20", "--voltage-now", "15.42V"]].concat(), "write 20V if it means 20V");
+    misused(&[&bring_up[..], &["20000.5mV"]].concat(), "not rounded");
+    misused(&[&calibrate[..], &["voltage", "--actual", "15.42"]].concat(), "write 15.42V");
+    misused(&[&calibrate[..], &["current", "--actual", "-2"]].concat(), "write -2A");
+    misused(&[&calibrate[..], &["current", "--actual", "-2V"]].concat(), "expected a number with mA or A");
+    misused(&[&calibrate[..], &["temperature", "--actual", "235"]].concat(), "-40 to 125");
+    // Whoever writes the file gets the same answer from the daemon.
+    fs::write(format!("{gauge}/gauge/calibrate"), "bringup 4 20000 15.42").expect_err("volts");
+    let told = read(&gauge, "gauge/last_error");
+    assert!(told.contains("15.42 mV is too little for 4 cells; if it means 15.42V"), "{told}");
+    assert_eq!(
+        (read(&gauge, "gauge/statistics/flash_writes"), read(&gauge, "df/104/14")),
+        (transfers, "5000".into())
+    );
+
+    // Negative values need no `=`. These are accepted, and there is no gauge to calibrate.
+    for words in [
+        &["calibrate", "/no/such", "current", "--actual", "-2A"][..],
+        &["calibrate", "/no/such", "current", "--actual", "-2000"],
+        &["calibrate", "/no/such", "temperature", "--actual", "-5C"],
+        &["calibrate", "/no/such", "temperature", "--actual", "-5"],
+        &["calibrate", "/no/such", "voltage", "--actual", "-3V"],
+        &["bringup", "/no/such", "--cells", "4", "--divider", "20V", "--voltage-now", "-15.42V"],
+        &["bringup", "/no/such", "--cells", "4", "--divider", "20000mV", "--voltage-now", "15420"],
+    ] {
+        gaugefs(words).failed(&["/no/such: not a mounted gauge"]);
+    }
     gaugefs(&["umount", &at]).done();
 }
 

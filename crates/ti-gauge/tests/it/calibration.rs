@@ -132,6 +132,18 @@ fn what_is_noisy_or_out_of_range_is_refused() {
             "OutOfRange",
             "20000 mV",
         ),
+        (
+            NEW_BOARD,
+            Job::BringUp { cells: 7, divider: 33_000, voltage_mv: Some(26.985) },
+            "OutOfRange",
+            "26.985 mV is too little for 7 cells; if it means 26.985V,",
+        ),
+        (
+            NEW_BOARD,
+            Job::BringUp { cells: 7, divider: 33, voltage_mv: None },
+            "OutOfRange",
+            "33 mV is too little for 7 cells; if it means 33V,",
+        ),
     ] {
         let mut rig = Case { chip: "bq34z100-g1", knobs, job: job.clone(), found: Seal::Sealed }.rig();
         let flash = rig.sim.flash();
