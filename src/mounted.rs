@@ -1,7 +1,7 @@
 //! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
 
-use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::fs;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
@@ -13,6 +13,10 @@ use ti_gauge::text;
 use crate::daemon::mountpoint;
 use crate::error::{Cause, Error, Result, shown};
 use crate::output::say;
+
+mod file;
+
+pub(crate) use file::{Failure, GaugeFile, KEYS, send, text};
 
 /// What all commands that take a gauge say of a path that is none.
 const NO_GAUGE: &str = "not a mounted gauge";
@@ -161,33 +165,31 @@ pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -
 /// The chip of a mounted gauge, without reading its data flash.
 pub(crate) fn chip(gauge: &Path) -> Result<&'static Chip> {
     has(gauge, "df/index", "data flash")?;
-    part(gauge).map_err(|error| error.within(&gauge.display().to_string()))
+    part(gauge)
 }
 
 /// Polls a mounted gauge and reads its configuration anew.
 pub(crate) fn now(gauge: &Path) -> Result<Image> {
     poll(gauge)?;
-    read(gauge, chip(gauge)?).map_err(|error| error.within(&gauge.display().to_string()))
+    let chip = chip(gauge)?;
+    let index = text(gauge, "df/index").map_err(|failure| failure.told("its data flash cannot be read"))?;
+    read(gauge, chip, &index).map_err(|error| error.within(&gauge.display().to_string()))
 }
 
 /// Polls a mounted gauge, drops the values that were kept of its data flash, and prints on standard error which
 /// gauge it is: another pack may have taken the place of the one that was there at the last poll. A user who may
 /// not do that gets the values of the last poll, and their age.
 pub(crate) fn poll(gauge: &Path) -> Result<()> {
-    let failed = |error: io::Error| refused(gauge, "gauge/refresh: the gauge cannot be polled", &error);
-    let why = match File::options().write(true).open(gauge.join("gauge/refresh")) {
-        Ok(mut file) => {
-            file.write_all(b"1\n").map_err(failed)?;
-            String::new()
-        }
-        Err(error) => match error.raw_os_error().map(Errno::from_raw) {
+    let why = match send(gauge, "gauge/refresh", b"1\n") {
+        Ok(()) => String::new(),
+        Err(failure) => match failure.errno().filter(|_| failure.is_own()) {
             Some(Errno::ENOENT | Errno::ENOTDIR | Errno::ENOTCONN | Errno::ECONNABORTED) => {
                 return Err(not_a_gauge(gauge));
             }
             Some(errno @ (Errno::EACCES | Errno::EPERM | Errno::EROFS)) => {
                 format!("; not polled now, and values may be as old: gauge/refresh: {}", errno.desc())
             }
-            _ => return Err(failed(error)),
+            _ => return Err(failure.told("gauge/refresh: the gauge cannot be polled")),
         },
     };
     say(format_args!("gauge {}: {}{why}", gauge.display(), identity(gauge)));
@@ -234,17 +236,11 @@ fn word(text: &str) -> Option<u16> {
     text.starts_with("0x").then(|| text::unsigned(text)).flatten()
 }
 
-/// The text of a file that every mounted gauge with data flash has.
-fn text(folder: &Path, name: &str) -> Result<String> {
-    let failed = |error: io::Error| Error::io(name, "cannot be read; gauge/last_error says more", &error);
-    fs::read_to_string(folder.join(name)).map_err(failed)
-}
-
 fn part(folder: &Path) -> Result<&'static Chip> {
-    let model = text(folder, "model_name")?;
+    let model = text(folder, "model_name").map_err(|failure| failure.told("its part is unknown"))?;
     CHIPS.iter().copied().find(|chip| chip.model == model.trim()).ok_or_else(|| {
         let why = format!("no gauge that gaugefs knows: {}", model.trim());
-        Error::new("model_name", Cause::Gone(why))
+        Error::new("model_name", Cause::Gone(why)).within(&folder.display().to_string())
     })
 }
 
@@ -257,19 +253,19 @@ pub(crate) fn values(gauge: &Path, chip: &'static Chip, rows: &[Row]) -> Result<
         if subclass.kind == Kind::Security {
             return Err(Error::new(name, Cause::NotPermitted("keys are never read".into())));
         }
-        let text = fs::read_to_string(gauge.join("df/by-name").join(&name));
-        let text = text.map_err(|error| refused(gauge, &format!("{name} cannot be read"), &error))?;
+        let read = text(gauge, &format!("df/by-name/{name}"));
+        let text = read.map_err(|failure| failure.told(&format!("{name} cannot be read")))?;
         let value = text::parse_stored(parameter, text.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     Ok(image)
 }
 
-/// Reads the configuration of a mounted gauge.
-fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
+/// The configuration of a mounted gauge, from its `df/index`.
+fn read(folder: &Path, chip: &'static Chip, index: &str) -> Result<Image> {
     let firmware = text(folder, "gauge/firmware_version").ok().and_then(|text| word(text.trim()));
     let mut image = Image::new(chip, firmware);
-    for (number, line) in (1..).zip(text(folder, "df/index")?.lines()).skip(1) {
+    for (number, line) in (1..).zip(index.lines()).skip(1) {
         let fields: Vec<&str> = line.split('\t').collect();
         let [id, offset, .., value] = fields.as_slice() else {
             return Err(at_line(number, "not a line of df/index"));
@@ -296,17 +292,14 @@ fn read(folder: &Path, chip: &'static Chip) -> Result<Image> {
 
 /// What a mounted gauge answers to a subcommand that it answers with a word.
 pub(crate) fn ask(gauge: &Path, code: u16) -> Result<u16> {
-    let path = gauge.join("gauge/control");
-    let name = path.display().to_string();
-    let file = File::options().write(true).open(&path);
-    let mut file = file.map_err(|error| Error::io(&name, "cannot be written", &error))?;
-    file.write_all(format!("0x{code:04x}").as_bytes())
-        .map_err(|error| refused(gauge, "the gauge does not answer the subcommand", &error))?;
-    let text = fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+    let file = "gauge/control";
+    let failed = |failure: Failure| failure.told("the gauge does not answer the subcommand");
+    send(gauge, file, format!("0x{code:04x}").as_bytes()).map_err(failed)?;
+    let text = text(gauge, file).map_err(failed)?;
     let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
     answer.and_then(|(_, answer)| word(answer.trim())).ok_or_else(|| {
         let why = "holds the answer to another subcommand: somebody else has written it; try again";
-        Error::new(name, Cause::Busy(why.into()))
+        Error::new(gauge.join(file).display().to_string(), Cause::Busy(why.into()))
     })
 }
 
@@ -374,26 +367,18 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
         lines += &format!("{} {}\n", new.name(), new.text());
     }
     lines += "commit\n";
-    let name = gauge.display().to_string();
-    let file = File::options().write(true).open(gauge.join("df/transaction"));
-    let mut file = file.map_err(|error| Error::io(&name, "df/transaction cannot be opened", &error))?;
+    let failed = |failure: Failure| failure.told("nothing was written");
+    let mut file = GaugeFile::to_write(gauge, "df/transaction").map_err(failed)?;
     // One write: what is refused of it is refused as a whole, and leaves no transaction open.
-    let outcome = match file.write(lines.as_bytes()) {
-        Ok(length) => file.write_all(&lines.as_bytes()[length..]).inspect_err(|_| {
-            // The first piece has opened it; a commit that failed has ended it already.
-            let _ = file.write(b"abort\n");
-        }),
-        Err(error) => Err(error),
-    };
-    outcome.map_err(|error| refused(gauge, "df/transaction", &error))
-}
-
-/// The error of a gauge that did not do `what`. Its `gauge/last_error` gives a better reason than the errno.
-pub(crate) fn refused(gauge: &Path, what: &str, error: &io::Error) -> Error {
-    let name = gauge.display().to_string();
-    let reason = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-    match (reason.trim(), error.raw_os_error().map(Errno::from_raw)) {
-        ("", _) | (_, None) => Error::io(name, what, error),
-        (reason, Some(errno)) => Error::host(name, errno, reason),
+    let mut sent = 0;
+    while sent < lines.len() {
+        sent += file.send(&lines.as_bytes()[sent..]).map_err(|failure| {
+            if sent > 0 {
+                // The first piece has opened it; a commit that failed has ended it already.
+                let _ = file.send(b"abort\n");
+            }
+            failed(failure)
+        })?;
     }
+    Ok(())
 }

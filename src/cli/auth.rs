@@ -1,6 +1,5 @@
 //! `gaugefs auth`: checks with a challenge whether a pack knows the authentication key.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -104,13 +103,8 @@ fn order(gauge: &Path) -> Result<Order> {
 
 /// Writes the challenge and reads the digest.
 fn exchange(gauge: &Path, challenge: &str) -> Result<String> {
-    let path = gauge.join("gauge/authenticate");
-    let name = path.display().to_string();
-    let mut file = std::fs::File::options()
-        .write(true)
-        .open(&path)
-        .map_err(|error| Error::io(&name, "cannot write a challenge", &error))?;
-    file.write_all(challenge.as_bytes())
-        .map_err(|error| mounted::refused(gauge, "the gauge does not answer the challenge", &error))?;
-    std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the digest", &error))
+    const FILE: &str = "gauge/authenticate";
+    let failed = |failure: mounted::Failure| failure.told("the gauge does not answer the challenge");
+    mounted::send(gauge, FILE, challenge.as_bytes()).map_err(failed)?;
+    mounted::text(gauge, FILE).map_err(failed)
 }

@@ -1,7 +1,6 @@
 //! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -85,7 +84,6 @@ impl Calibrate {
 
 /// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them.
 pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
-    let path = gauge.join("gauge/calibrate");
     mounted::has(gauge, "gauge/calibrate", "calibration")?;
     let file = gauge.join("gauge/calibration");
     let told = move || fs::read_to_string(&file).unwrap_or_default();
@@ -109,12 +107,10 @@ pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
             last = ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout);
         }
     });
-    // One write(2) is one request.
-    let written =
-        fs::File::options().write(true).open(&path).and_then(|mut file| file.write(line.as_bytes()));
+    let sent = mounted::send(gauge, "gauge/calibrate", line.as_bytes());
     drop(end);
     let printed = follow.join();
-    written.map_err(|error| mounted::refused(gauge, failure, &error))?;
+    sent.map_err(|refused| refused.told(failure))?;
     // A panic there was told by itself.
     printed.unwrap_or(Ok(())).map_err(|error| error.within("done, but its steps were not printed"))
 }

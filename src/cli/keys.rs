@@ -14,8 +14,9 @@ use zeroize::Zeroizing;
 
 use super::folder_name;
 use crate::error::{Cause, Error, Result};
+use crate::key_file;
+use crate::mounted::{self, GaugeFile};
 use crate::output::print;
-use crate::{key_file, mounted};
 use ti_gauge::keys::{Name, Secret};
 
 const CHANGE: &str = "\
@@ -81,8 +82,7 @@ impl Change {
     fn run(&self) -> Result<String> {
         let name = Name::ALL.into_iter().find(|name| name.as_str() == self.key);
         let name = name.expect("clap accepts only names of keys");
-        let path = self.gauge.join("gauge/keys");
-        mounted::has(&self.gauge, "gauge/keys", "keys")?;
+        mounted::has(&self.gauge, mounted::KEYS, "keys")?;
         mounted::poll(&self.gauge)?;
         let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
@@ -91,22 +91,19 @@ impl Change {
         for part in [word, " ", &old, " ", &new, "\n"] {
             line.push_str(part);
         }
-        // One write(2) is one change.
-        let mut file = File::options()
-            .write(true)
-            .open(&path)
-            .map_err(|error| Error::io(path.display().to_string(), "cannot write it", &error))?;
-        let written = file.write(line.as_bytes());
+        let failed = |failure: mounted::Failure| failure.told("the key was not changed");
+        let mut file = GaugeFile::to_write(&self.gauge, mounted::KEYS).map_err(failed)?;
+        let sent = file.send(line.as_bytes());
         // The daemon reads its next request into the same buffer, so this overwrites the keys there. Its
         // failure is harmless.
-        let _ = file.write(" ".repeat(line.len()).as_bytes());
-        match written {
+        let _ = file.send(" ".repeat(line.len()).as_bytes());
+        match sent {
             Ok(_) => Ok(format!(
                 "The {word} key is changed and was tested. The mount uses it now; before the next mount, put the\n\
                  new key into the key file, as the line `{} = ...`.\n",
                 name.line()
             )),
-            Err(error) => Err(mounted::refused(&self.gauge, "the key was not changed", &error)),
+            Err(failure) => Err(failed(failure)),
         }
     }
 

@@ -102,28 +102,26 @@ impl Report {
 
 /// Asks the daemon of a mounted gauge for a report.
 fn of_mounted(gauge: &Path) -> Result<String> {
-    let path = gauge.join("gauge/report");
+    const FILE: &str = "gauge/report";
     let name = gauge.display().to_string();
-    let file = File::options().write(true).open(&path);
-    let mut file = file.map_err(|error| match error.raw_os_error().map(Errno::from_raw) {
-        Some(errno @ (Errno::ENOENT | Errno::ENOTDIR)) => {
-            let error = mounted::not_a_gauge(gauge);
-            Error::host(
-                gauge.display().to_string(),
-                errno,
-                format!("{}; or give a bus with --bus", error.cause()),
-            )
+    mounted::send(gauge, FILE, b"1\n").map_err(|failure| {
+        match failure.errno().filter(|_| failure.is_own()) {
+            Some(errno @ (Errno::ENOENT | Errno::ENOTDIR)) => {
+                let error = mounted::not_a_gauge(gauge);
+                Error::host(
+                    gauge.display().to_string(),
+                    errno,
+                    format!("{}; or give a bus with --bus", error.cause()),
+                )
+            }
+            Some(Errno::EROFS) => {
+                let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
+                Error::host(&name, Errno::EROFS, why)
+            }
+            _ => failure.told("the gauge cannot be polled for a report"),
         }
-        Some(Errno::ENOTCONN | Errno::ECONNABORTED) => mounted::not_a_gauge(gauge),
-        Some(Errno::EROFS) => {
-            let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
-            Error::host(&name, Errno::EROFS, why)
-        }
-        _ => Error::io(&name, "cannot ask for a report; only the mount's owner and group may", &error),
     })?;
-    file.write_all(b"1\n").map_err(|error| mounted::refused(gauge, "the gauge cannot be polled", &error))?;
-    let text =
-        std::fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read the report", &error))?;
+    let text = mounted::text(gauge, FILE).map_err(|failure| failure.told("cannot read the report"))?;
     if text.is_empty() {
         return Err(Error::host(name, Errno::EAGAIN, "another request has failed meanwhile; try again"));
     }

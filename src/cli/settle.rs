@@ -1,12 +1,11 @@
 //! `gaugefs settle`: shows an interrupted write, and carries out what somebody decides about it.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::mounted;
 use crate::output::print;
 
@@ -63,14 +62,8 @@ impl Settle {
 
 /// Writes a word to `gauge/settle` and reads the answer.
 fn exchange(gauge: &Path, word: &str) -> Result<String> {
-    let path = gauge.join("gauge/settle");
-    let name = gauge.display().to_string();
-    mounted::has(gauge, "gauge/settle", "data flash")?;
-    // One write(2) is one request.
-    let written = fs::File::options().write(true).open(&path).and_then(|mut file| {
-        use std::io::Write;
-        file.write(word.as_bytes())
-    });
-    written.map_err(|error| mounted::refused(gauge, "cannot be settled", &error))?;
-    fs::read_to_string(&path).map_err(|error| Error::io(&name, "cannot read what is to settle", &error))
+    const FILE: &str = "gauge/settle";
+    mounted::has(gauge, FILE, "data flash")?;
+    mounted::send(gauge, FILE, word.as_bytes()).map_err(|failure| failure.told("cannot be settled"))?;
+    mounted::text(gauge, FILE).map_err(|failure| failure.told("cannot read what is to settle"))
 }

@@ -4,7 +4,7 @@
 //! owner notices that a mount has stopped reporting.
 
 use std::fs;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
@@ -16,7 +16,7 @@ use super::sample::Sample;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use crate::mounted;
-use ti_gauge::chip::{Chip, Parameter, Subclass, kebab_case};
+use ti_gauge::chip::{Chip, Parameter, Subclass};
 use ti_gauge::learning::Limits;
 
 /// TI's name for the subclass with the values that a gauge has learned.
@@ -156,11 +156,9 @@ fn watch(
         };
         let listening = listening
             && match orders.recv_timeout(every.unwrap_or(next)) {
-                Ok(Order::Refresh(gauge)) => match refresh(&gauge) {
+                Ok(Order::Refresh(gauge)) => match mounted::send(&gauge, "gauge/refresh", b"1\n") {
                     Ok(()) => true,
-                    Err(error) => {
-                        report(&gauge, Seen::Refused(format!("refresh: {}", refusal(&gauge, &error))))
-                    }
+                    Err(failure) => report(&gauge, Seen::Refused(format!("refresh: {}", failure.reason()))),
                 },
                 Ok(Order::ReadLearned(gauge)) => {
                     report(&gauge, Seen::Learned(learned(&gauge)))
@@ -204,32 +202,15 @@ pub(super) fn trouble(root: &Path, error: &io::Error) -> String {
     }
 }
 
-fn refresh(gauge: &Path) -> io::Result<()> {
-    fs::File::options().write(true).open(gauge.join("gauge/refresh"))?.write_all(b"1\n")
-}
-
-/// Why a write was refused.
-fn refusal(gauge: &Path, error: &io::Error) -> String {
-    match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::EACCES) => "only the owner of the mount may do this".into(),
-        Some(Errno::EROFS) => "mounted read-only".into(),
-        errno => {
-            let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
-            let why = why.trim().to_string();
-            if why.is_empty() { errno.map_or("failed", Errno::desc).to_string() } else { why }
-        }
-    }
-}
-
 /// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
 /// Parameters whose address is uncertain are left out.
-pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, PathBuf)> {
+pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
     let Some(chip) = Chip::by_model(model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
     let rows = states.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
     rows.filter(|(_, row)| row.learned && !row.unproven)
         .map(|(subclass, row)| {
-            let place = Path::new("df/by-name").join(chip.class_dir(subclass)).join(kebab_case(row.name));
+            let place = format!("df/by-name/{}", chip.name_of((subclass, row)));
             (subclass, row, place)
         })
         .collect()
@@ -255,12 +236,9 @@ fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
     }
     let mut values = Vec::new();
     for (_, row, place) in rows {
-        let value = fs::read_to_string(gauge.join(place)).map_err(|error| {
-            match error.raw_os_error().map(Errno::from_raw) {
-                Some(Errno::EPERM) => "sealed: no key".into(),
-                Some(Errno::EACCES) => "only the owner of the mount may read data flash".into(),
-                _ => refusal(gauge, &error),
-            }
+        let value = mounted::text(gauge, &place).map_err(|failure| match failure.errno() {
+            Some(Errno::EPERM) if !failure.is_own() => "sealed: no key".into(),
+            _ => failure.reason(),
         })?;
         values.push(Learned { name: row.name, value: value.trim_end().to_string(), unit: row.unit });
     }

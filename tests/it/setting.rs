@@ -152,6 +152,60 @@ fn what_the_mount_refuses_is_told_and_leaves_no_transaction_open() {
     assert_eq!(gaugefs(&["get", &gauge.path(), NAME]).done(), format!("{NAME}: 3000 mV\n"));
 }
 
+/// Somebody's failure is there already, and the next one has no rights: another cause.
+#[test]
+fn regression_a_user_without_rights_is_told_so_and_not_the_last_error() {
+    if !nix::unistd::geteuid().is_root() {
+        eprintln!("SKIPPED: without root there is no other user to be refused");
+        return;
+    }
+    let Some(gauge) = Gauge::new(&[]) else { return };
+    let path = gauge.path();
+    let program = gauge.folder.file("gaugefs");
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that everybody may run");
+    let image = gauge.folder.file("pack.toml");
+    gaugefs(&["export", &path, "-o", &image]).done();
+    let word = format!("{NAME}=3100");
+    let actions = [
+        &["get", &path, NAME][..],
+        &["get", &path],
+        &["set", &path, &word],
+        &["set", "--dry-run", &path, &word],
+        &["settle", &path],
+        &["settle", &path, "--undo"],
+        &["settle", &path, "--discard"],
+        &["export", &path],
+        &["import", &path, &image],
+        &["diff", &path, &image],
+        &["report", &path, "-o", "/dev/null/none"],
+        &["calibrate", &path, "voltage", "--actual", "4V"],
+        &["calibrate", &path, "leave"],
+        &["bringup", &path, "--cells", "4", "--divider", "20V"],
+    ];
+    for arguments in actions {
+        // It is as new as it can be.
+        fs::write(format!("{path}/df/80/53"), "9999").expect_err("out of range");
+        assert!(read(&path, "gauge/last_error").contains("outside 1000 to 3700"));
+        let mut command = std::process::Command::new(&program);
+        command.args(arguments).current_dir("/").env_remove("XDG_RUNTIME_DIR");
+        std::os::unix::process::CommandExt::uid(&mut command, 65534);
+        std::os::unix::process::CommandExt::gid(&mut command, 65534);
+        let ran = run(command);
+        let last = ran.err.lines().last().unwrap_or_default();
+        assert!([Some(1), Some(2)].contains(&ran.code), "{arguments:?}: {}", ran.err);
+        assert!(
+            last.contains("Permission denied; only the mount's owner and group may"),
+            "{arguments:?}: {}",
+            ran.err
+        );
+        assert!(!ran.err.contains("outside"), "{arguments:?}: {}", ran.err);
+    }
+    // Whoever may is told why the daemon refuses.
+    gauge.set(&[&format!("{NAME}=3999mV")]).failed(&["outside 1000 to 3700"]);
+    fs::write(format!("{path}/sim/power"), "off").expect("a knob");
+    gaugefs(&["get", &path, NAME]).failed(&["Z: ", "not acknowledged"]);
+}
+
 #[test]
 fn several_gauges_are_each_done_for_themselves() {
     let Some(gauges) = two([CHIP, "bq27441-g1"]) else { return };

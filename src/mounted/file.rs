@@ -1,0 +1,185 @@
+//! One file of a mounted gauge's folder, and why it did not do what was asked of it.
+//!
+//! An error of opening it is the caller's own, and is told as such: the daemon has not heard of it. What the daemon has
+//! refused it explains in `gauge/last_error`. That file is quoted only if it is about this request: an older failure would
+//! be taken for the cause.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use nix::errno::Errno;
+
+use super::not_a_gauge;
+use crate::error::Error;
+
+/// The file that changes keys, which a mount's group may not.
+pub(crate) const KEYS: &str = "gauge/keys";
+
+/// A file of a gauge's folder that is open.
+pub(crate) struct GaugeFile {
+    gauge: PathBuf,
+    file: File,
+    opened: Timestamp,
+}
+
+/// Why a request to a file of a gauge has failed.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    gauge: PathBuf,
+    error: io::Error,
+    why: Why,
+}
+
+#[derive(Debug)]
+enum Why {
+    /// The file could not be opened, and what may be said about that beside the errno.
+    Own { file: String, hint: &'static str },
+    /// What the daemon says.
+    Daemon(String),
+    /// Nothing that is certain to be about this request.
+    Unknown,
+}
+
+impl GaugeFile {
+    /// Opens a file to write to it.
+    pub(crate) fn to_write(gauge: &Path, name: &str) -> Result<Self, Failure> {
+        Self::open(gauge, name, true)
+    }
+
+    fn to_read(gauge: &Path, name: &str) -> Result<Self, Failure> {
+        Self::open(gauge, name, false)
+    }
+
+    fn open(gauge: &Path, name: &str, write: bool) -> Result<Self, Failure> {
+        let (path, opened) = (gauge.join(name), Timestamp::now());
+        match File::options().read(!write).write(write).open(&path) {
+            Ok(file) => Ok(Self { gauge: gauge.into(), file, opened }),
+            Err(error) => {
+                let hint = match errno(&error) {
+                    Some(Errno::EACCES | Errno::EPERM) if name == KEYS => "; only the mount's owner may",
+                    Some(Errno::EACCES | Errno::EPERM) => "; only the mount's owner and group may",
+                    Some(Errno::EROFS) => "; it is mounted read-only",
+                    _ => "",
+                };
+                Err(Failure { gauge: gauge.into(), error, why: Why::Own { file: name.into(), hint } })
+            }
+        }
+    }
+
+    /// Writes a request. One write(2) is one request. Returns how much of it was taken.
+    pub(crate) fn send(&mut self, request: &[u8]) -> Result<usize, Failure> {
+        self.file.write(request).map_err(|error| self.refused(error))
+    }
+
+    fn text(&mut self) -> Result<String, Failure> {
+        let mut text = String::new();
+        self.file.read_to_string(&mut text).map_err(|error| self.refused(error)).map(|_| text)
+    }
+
+    /// What the daemon says of an error that it has answered with.
+    fn refused(&self, error: io::Error) -> Failure {
+        let read = |name: &str| fs::read_to_string(self.gauge.join(name)).unwrap_or_default();
+        let told = read("gauge/last_error");
+        let time = told.split_once(": ").and_then(|(time, _)| time.parse::<Timestamp>().ok());
+        // It has whole seconds. What is owed is the state of the gauge, however long it has been.
+        let is_new = time.is_some_and(|time| time.as_second() >= self.opened.as_second());
+        let is_owed = || read("gauge/owed").trim() == "1";
+        let why = match told.trim() {
+            told if !told.is_empty() && (is_new || is_owed()) => Why::Daemon(told.into()),
+            _ => Why::Unknown,
+        };
+        Failure { gauge: self.gauge.clone(), error, why }
+    }
+}
+
+impl Failure {
+    /// The errno, where there is one.
+    pub(crate) fn errno(&self) -> Option<Errno> {
+        errno(&self.error)
+    }
+
+    /// Whether the file could not even be opened.
+    pub(crate) fn is_own(&self) -> bool {
+        matches!(self.why, Why::Own { .. })
+    }
+
+    /// What the system or the daemon says, in one line.
+    pub(crate) fn reason(&self) -> String {
+        let desc = self.errno().map_or_else(|| self.error.to_string(), |errno| errno.desc().to_string());
+        match &self.why {
+            Why::Own { hint, .. } => desc + hint,
+            Why::Daemon(why) => why.clone(),
+            Why::Unknown => desc,
+        }
+    }
+
+    /// The error of a gauge that did not do `what`.
+    pub(crate) fn told(&self, what: &str) -> Error {
+        let (name, reason) = (self.gauge.display().to_string(), self.reason());
+        let text = match &self.why {
+            Why::Own { file, .. } => format!("{what}: {file}: {reason}"),
+            Why::Daemon(why) => why.clone(),
+            Why::Unknown => format!("{what}: {reason}"),
+        };
+        match self.errno() {
+            Some(Errno::ENOTCONN | Errno::ECONNABORTED) => not_a_gauge(&self.gauge),
+            Some(errno) => Error::host(name, errno, text),
+            None => Error::io(name, what, &self.error),
+        }
+    }
+}
+
+fn errno(error: &io::Error) -> Option<Errno> {
+    error.raw_os_error().map(Errno::from_raw)
+}
+
+/// Writes a request to a file of a gauge's folder.
+pub(crate) fn send(gauge: &Path, name: &str, request: &[u8]) -> Result<(), Failure> {
+    GaugeFile::to_write(gauge, name)?.send(request).map(drop)
+}
+
+/// The text of a file of a gauge's folder.
+pub(crate) fn text(gauge: &Path, name: &str) -> Result<String, Failure> {
+    GaugeFile::to_read(gauge, name)?.text()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[test]
+    fn regression_an_old_failure_is_not_told_as_the_cause() {
+        let gauge = std::env::temp_dir().join(format!("gaugefs-told.{}", std::process::id()));
+        let file = |name: &str, text: &str| fs::write(gauge.join("gauge").join(name), text).expect("a file");
+        fs::create_dir_all(gauge.join("gauge")).expect("a folder");
+        symlink("/dev/full", gauge.join("gauge/settle")).expect("a file that refuses what is written");
+        let told = |name: &str| {
+            let failure = send(&gauge, name, b"undo").expect_err("refused");
+            (failure.errno(), failure.told("cannot be settled").to_string())
+        };
+        let name = gauge.display();
+        let alone = (Some(Errno::ENOSPC), format!("{name}: cannot be settled: No space left on device"));
+        assert_eq!(told("gauge/settle"), alone);
+        let now = Timestamp::now();
+        let before = now - jiff::SignedDuration::from_secs(2);
+        file("last_error", &format!("{before:.0}: of somebody else\n"));
+        assert_eq!(told("gauge/settle"), alone);
+        let missing = (
+            Some(Errno::ENOENT),
+            format!("{name}: cannot be settled: gauge/none: No such file or directory"),
+        );
+        assert_eq!(told("gauge/none"), missing);
+        // What is owed has not become old.
+        file("owed", "1\n");
+        assert!(told("gauge/settle").1.ends_with("Z: of somebody else"));
+        assert_eq!(told("gauge/none"), missing);
+        file("owed", "0\n");
+        file("last_error", &format!("{:.0}: of this request\n", now + jiff::SignedDuration::from_secs(5)));
+        assert!(told("gauge/settle").1.ends_with("Z: of this request"));
+        fs::remove_dir_all(&gauge).expect("a folder");
+    }
+}
