@@ -346,12 +346,16 @@ impl Reading<'_> {
         self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown)
     }
 
-    /// Negative while discharging, as the current. An unsigned register has the power of the discharge, and 0 for any
-    /// other.
+    /// Negative while discharging, as the current. A register that measures discharges only has no value while the
+    /// average current says that another one flows, and no 0 while any does.
     fn power(&self) -> Option<i64> {
         let power = self.energy(Role::PowerAvg)?;
-        let register = self.chip.register(Role::PowerAvg)?;
-        Some(if register.signed || register.positive != 0 { power } else { -power })
+        if !self.chip.register(Role::PowerAvg)?.discharge {
+            return Some(power);
+        }
+        let current = self.value(self.first_of([Role::CurrentAvg, Role::CurrentNow])?)?;
+        let is_so = if power == 0 { current == 0 } else { current <= 0 };
+        is_so.then_some(-power)
     }
 
     /// A register in minutes, of which 65535 means that there is no such time.
@@ -387,11 +391,14 @@ impl Reading<'_> {
         (mask & !shown == 0).then_some(false)
     }
 
-    /// Whether the gauge answers and has a battery. Parts without a flag for it have one whenever they answer.
+    /// Whether the gauge answers and has a battery. Parts without a flag for it have one whenever they answer, unless all
+    /// flags say that nothing does.
     pub(super) fn is_present(&self) -> bool {
-        let mask = self.chip.condition.present;
+        let condition = &self.chip.condition;
+        let mask = condition.present;
         let flag = |flags| flags & i64::from(mask) != 0;
-        self.snapshot.is_some() && (mask == 0 || self.flags().is_some_and(flag))
+        let is_absent = condition.absent != 0 && self.flags() == Some(i64::from(condition.absent));
+        self.snapshot.is_some() && !is_absent && (mask == 0 || self.flags().is_some_and(flag))
     }
 
     /// By the current that `current_now` shows. The full flag counts more than a charging current, which hardly ever is

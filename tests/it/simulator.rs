@@ -47,6 +47,7 @@ fn is_one_of(chip: &Chip, gauges: &str) -> bool {
         "data flash" => has_flash,
         "block access" => has_flash && !is_mac,
         "MAC" => is_mac,
+        "in the unit of a resistor" => ["bq27000", "bq27010"].contains(&chip.name),
         other => panic!("no gauges are called `{other}`"),
     }
 }

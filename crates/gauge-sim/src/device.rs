@@ -514,7 +514,8 @@ impl Gauge {
             | (Of::Block, Scheme::Block(_))
             | (Of::Mac, Scheme::Mac(_)) => true,
             (Of::Gauge, Scheme::Registers(_)) => register::KNOBS.contains(&knob.name),
-            (Of::Block | Of::Mac, _) => false,
+            (Of::Volts, Scheme::Registers(part)) => part.in_volts,
+            (Of::Block | Of::Mac | Of::Volts, _) => false,
         }
     }
 

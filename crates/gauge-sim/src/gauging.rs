@@ -59,6 +59,8 @@ pub(super) enum Quantity {
     AtRateTimeToEmpty,
     AverageCurrent,
     AveragePower,
+    /// The same in 10 mW.
+    AverageCentiwatts,
     AvailableEnergy,
     ChargeCurrent,
     ChargeVoltage,
@@ -638,6 +640,9 @@ impl Gauging {
             Quantity::AtRateTimeToEmpty => self.minutes_at(f64::from(self.ram.at_rate_ma)),
             Quantity::AverageCurrent => signed(self.ram.average_ma),
             Quantity::AveragePower => signed(self.ram.average_ma * f64::from(self.voltage_mv()) / 1000.0),
+            Quantity::AverageCentiwatts => {
+                signed(self.ram.average_ma * f64::from(self.voltage_mv()) / 10_000.0)
+            }
             Quantity::AvailableEnergy => {
                 let counted = self.counted();
                 let reserve = self.battery.energy_mwh(counted - self.remaining());

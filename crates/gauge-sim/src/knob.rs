@@ -26,6 +26,8 @@ pub(super) enum Of {
     Block,
     /// A gauge with ManufacturerAccessControl().
     Mac,
+    /// A gauge that counts in the voltage of its sense resistor.
+    Volts,
 }
 
 impl Of {
@@ -139,6 +141,7 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("bus_free_us", "time after STOP in microseconds within which START is not acknowledged"),
     Of::Gauge.set("endurance", "how often a block can be programmed until some of its bits stay 0; 0 always"),
     Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
+    Of::Volts.set("battery", "`out`: nothing is behind the registers, and all of them read 0xff; `in`"),
     Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
     Of::Gauge.set("full_access_quiet_ms", "the same for the key to FULL ACCESS"),
     Of::Gauge.set("refused_quiet_ms", "the same after a key was refused"),
@@ -228,6 +231,7 @@ impl Dial for Option<u16> {
 pub(super) struct Switch([&'static str; 2]);
 
 pub(super) const POWER: Switch = Switch(["off", "on"]);
+pub(super) const BATTERY: Switch = Switch(["in", "out"]);
 pub(super) const PROTOCOL: Switch = Switch(["i2c", "hdq"]);
 pub(super) const SEALED_WRITES: Switch = Switch(["nack", "ignore"]);
 pub(super) const CC_GAIN_INVERTED: Switch = Switch(["off", "on"]);

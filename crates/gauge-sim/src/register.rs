@@ -4,9 +4,10 @@
 use std::time::Duration;
 
 use super::device::{Device, Gauge};
-use super::error::{Error, Kind, Result};
+use super::error::Result;
 use super::flash::Flash;
 use super::gauging::{Gauging, Quantity};
+use super::knob;
 use super::model::{Model, Registers};
 use super::part::{Part, RegisterPart};
 use super::seal::Level;
@@ -42,6 +43,8 @@ pub(super) struct Register {
     /// The low byte of a word for Control(), and what Control() answers with.
     low: u8,
     answer: u16,
+    /// The pack has been taken out, and the lines are pulled up.
+    out: bool,
     /// The registers as they were measured for this message.
     registers: Option<Registers>,
 }
@@ -55,7 +58,7 @@ impl Register {
     ) -> Result<Gauge> {
         let device = Device::new(part, options, now, |_| {})?;
         let gauging = Gauging::new(&scheme.map, &device.flash, 60.0);
-        let gauge = Self { part: scheme, gauging, low: 0, answer: 0, registers: None };
+        let gauge = Self { part: scheme, gauging, low: 0, answer: 0, out: false, registers: None };
         Ok(Gauge::new(device, gauge, options.envelope))
     }
 
@@ -124,6 +127,9 @@ impl Wire for Register {
     }
 
     fn read(&mut self, device: &Device, register: u8) -> u8 {
+        if self.out {
+            return 0xFF;
+        }
         if let (Some(_), 0x00 | 0x01) = (self.part.control, register) {
             return self.answer.to_le_bytes()[usize::from(register)];
         }
@@ -179,11 +185,12 @@ impl Wire for Register {
         "normal"
     }
 
-    fn knob(&self, _: &Device, _: &str) -> Option<String> {
-        None
+    fn knob(&self, _: &Device, name: &str) -> Option<String> {
+        (name == "battery").then(|| knob::BATTERY.show(self.out))
     }
 
-    fn set_knob(&mut self, _: &mut Device, name: &str, _: &str) -> Result<()> {
-        Err(Error::new(name, Kind::Invalid, "there is no such knob"))
+    fn set_knob(&mut self, _: &mut Device, name: &str, text: &str) -> Result<()> {
+        self.out = knob::BATTERY.read(name, text)?;
+        Ok(())
     }
 }

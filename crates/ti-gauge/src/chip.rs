@@ -291,6 +291,8 @@ pub struct Register {
     pub role: Option<Role>,
     /// One step in the unit of its role, as numerator and denominator.
     pub step: (i64, i64),
+    /// Whether it measures discharges only, without a sign, and is 0 while another current flows.
+    pub discharge: bool,
     /// The bit of the flags that is clear while the value is negative, where the register itself has no sign; else 0.
     pub positive: u16,
     /// The bit of the flags that is set while a reading of 0 is a value; 0 where it always is one.
@@ -353,6 +355,8 @@ pub struct Condition {
     pub under_voltage: u16,
     /// Set while a battery is present; 0 where the gauge does not detect it.
     pub present: u16,
+    /// What all flags read while no battery is behind them; 0 where no value says that.
+    pub absent: u16,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
     pub uncertain: u16,
     /// The bit of CONTROL_STATUS that is set once values are valid after power-up or a reset; 0 where none is
@@ -639,6 +643,7 @@ impl Register {
             tier,
             role: None,
             step: (1, 1),
+            discharge: false,
             positive: 0,
             empty: 0,
             bits: &[],
@@ -656,6 +661,13 @@ impl Register {
     #[must_use]
     pub const fn step(mut self, numerator: i64, denominator: i64) -> Self {
         self.step = (numerator, denominator);
+        self
+    }
+
+    /// It measures discharges only, and has no sign.
+    #[must_use]
+    pub const fn of_discharges(mut self) -> Self {
+        self.discharge = true;
         self
     }
 

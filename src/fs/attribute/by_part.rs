@@ -85,13 +85,11 @@ impl Source {
 
     /// Its unit, and how a reading becomes the attribute.
     fn conversion(&self, chip: &Chip, role: Role, units: i64, less: i64) -> String {
-        let (unit, (numerator, denominator), unsigned) = match self {
-            Source::Register(register) => {
-                (register.unit, register.step, !register.signed && register.positive == 0)
-            }
+        let (unit, (numerator, denominator), discharge) = match self {
+            Source::Register(register) => (register.unit, register.step, register.discharge),
             Source::Stored(_, parameter) => (parameter.unit, (1, 1), false),
         };
-        let sign = if role == Role::PowerAvg && unsigned { -1 } else { 1 };
+        let sign = if discharge { -1 } else { 1 };
         let (numerator, denominator) = (sign * units * numerator, denominator);
         let common = divisor(numerator.abs(), denominator);
         let mut text = unit.to_string();
@@ -103,6 +101,9 @@ impl Source {
         }
         if less != 0 {
             write!(text, " - {less}").expect("a string");
+        }
+        if discharge {
+            text += ", while discharging";
         }
         if let Some((subclass, parameter)) = chip.stored(Role::Cells) {
             let cells = place(subclass, parameter);

@@ -56,6 +56,7 @@ pub(super) static PARTS: &[&Part] = &[
     &const { named("bq27425", const { &of(BQ27411, UTOT, 0x0425, 0x0205) }) },
     &const { named("bq27z561", const { &of(BQ27Z561, Z561, 0x1561, 0x0100) }) },
     &const { named("bq28z610", const { &of(BQ27Z561, Z561, 0x2610, 0x0100) }) },
+    &const { named("bq28z620", const { &of(BQ27Z561, Z561, 0x2620, 0x0100) }) },
     &const { named("bq78z100", const { &of(BQ27Z561, Z561, 0x2610, 0x0100) }) },
 ];
 
@@ -152,10 +153,11 @@ static BQ27411: &[Row] = &[
     (0x1C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
 ];
 
+/// SLUUA65E has the power of the bq28z610 in cW; the others of this map are taken to be like it.
 #[rustfmt::skip]
 static BQ27Z561: &[Row] = &[
     (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x10, 2, Q::Remaining), (0x12, 2, Q::Full),
-    (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty), (0x18, 2, Q::TimeToFull), (0x22, 2, Q::AveragePower),
+    (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty), (0x18, 2, Q::TimeToFull), (0x22, 2, Q::AverageCentiwatts),
     (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
 ];
 

@@ -57,6 +57,7 @@ pub static CHIP: Chip = Chip {
         over_voltage: 0,
         under_voltage: 0,
         present: 0x0008, // [BATTPRES]
+        absent: 0,
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), not in CONTROL_STATUS.
         complete: 0,

@@ -111,6 +111,7 @@ pub(super) const CONDITION: Condition = Condition {
     over_voltage: 0,
     under_voltage: 0,
     present: 0x0008, // [BAT_DET]
+    absent: 0,
     uncertain: 0,
     complete: 0x0080, // [INITCOMP]
     primary: None,

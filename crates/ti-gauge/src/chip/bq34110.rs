@@ -50,6 +50,7 @@ pub static CHIP: Chip = Chip {
         over_voltage: 0x0200,  // [BATHIGH]
         under_voltage: 0x0100, // [BATLOW]
         present: 0,
+        absent: 0,
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
         complete: 0,

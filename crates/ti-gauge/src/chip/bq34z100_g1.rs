@@ -50,6 +50,7 @@ pub static CHIP: Chip = Chip {
         over_voltage: 0x2000,  // [BATHI]
         under_voltage: 0x1000, // [BATLOW]
         present: 0,
+        absent: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
         complete: 0,
@@ -203,7 +204,7 @@ static REGISTERS: &[Register] = &[
     // Table 7-8 says 10 mWh and 10 mW, the text of 7.3.2.5 and 7.3.2.6 mWh and mW: the unit is that
     // times Design Energy Scale (Table 7-15). The text has no negative power.
     Register::new(0x24, U2, "AvailableEnergy", "mWh", Poll).role(Role::EnergyNow),
-    Register::new(0x26, U2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
+    Register::new(0x26, U2, "AveragePower", "mW", Poll).role(Role::PowerAvg).of_discharges(),
     Register::new(0x28, U2, "SerialNumber", "", Poll).role(Role::SerialNumber),
     Register::new(0x2A, U2, "InternalTemperature", "0.1K", Poll),
     Register::new(0x2C, U2, "CycleCount", "Counts", Poll).role(Role::CycleCount),

@@ -52,6 +52,7 @@ pub static CHIP: Chip = Chip {
         over_voltage: 0x2000,  // [BATHI]
         under_voltage: 0x1000, // [BATLOW]
         present: 0,
+        absent: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
         complete: 0,
@@ -188,7 +189,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x21, U1, "CurrScale", "", Poll),
     Register::new(0x22, U1, "EnergyScale", "", Poll),
     Register::new(0x24, U2, "AvailableEnergy", "cWh", Poll).role(Role::EnergyNow).step(10, 1),
-    Register::new(0x26, U2, "AveragePower", "cW", Poll).role(Role::PowerAvg).step(10, 1),
+    Register::new(0x26, U2, "AveragePower", "cW", Poll).role(Role::PowerAvg).step(10, 1).of_discharges(),
     Register::new(0x28, U2, "SerialNumber", "", Poll).role(Role::SerialNumber),
     Register::new(0x2A, U2, "InternalTemperature", "0.1K", Poll),
     Register::new(0x2C, U2, "CycleCount", "Counts", Poll).role(Role::CycleCount),

@@ -56,6 +56,7 @@ pub static CHIP: Chip = Chip {
         over_voltage: 0,
         under_voltage: 0x80, // [BATLOW]
         present: 0,
+        absent: 0,
         uncertain: 0,
         complete: 0x0080, // [INITCOMP]
         primary: Some(Primary {

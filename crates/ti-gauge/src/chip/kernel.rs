@@ -4,14 +4,18 @@
 //! which parts share a map. Registers that feed no attribute are left out, except those that keep a read in one piece.
 //! No manual was at hand, so nothing is sent to these parts but register pointers.
 //!
-//! Three things differ from the driver, because documents show them otherwise:
+//! Some things differ from the driver, because documents show them otherwise:
 //!
-//! - `power_avg` is AveragePower() in mW (SLUS914A for the bq27500; SLUSAB7A for the bq27520-G3 says the same). The
-//!   driver takes it for 10 mW.
+//! - `power_avg` is AveragePower() in mW: SLUS914A (bq27500), SLUS927 (bq27510-G1), SLUSAB7A (bq27520), SLUSAL5
+//!   (bq27530-G1), SLUS861 and SLUSAL6C (bq27541), SLUSAT0E (bq27545); the others have the map of one of these. The driver
+//!   takes it for 10 mW. That is right for the bq28z610 (SLUUA65E), and of bq27z561, bq28z620 and bq78z100 nobody says
+//!   what it is, so these have no `power_avg`.
 //! - `charge_now` is RemainingCapacity() where there is one, because StateOfCharge() is that divided by
-//!   FullChargeCapacity(). The driver shows NominalAvailableCapacity(), which is not compensated for the load and may
-//!   be above `charge_full`.
-//! - bq27000 and bq27010: a step of charge is 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
+//!   FullChargeCapacity() (SLUSAL6C). The driver shows NominalAvailableCapacity(), which is not compensated for the load and
+//!   may be above `charge_full`.
+//! - `capacity_level` is `Critical` with the final threshold, which is below the first (SLUS914A): the driver asks for the
+//!   first one first, and never says `Critical`. `health` is `Dead` with the final one only.
+//! - bq27000 and bq27010: a step of charge is 3.57 µVh (SLUS556), 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, Scaling, Security, Tier,
@@ -23,7 +27,7 @@ use crate::value::Type::{self, I, U};
 pub static GAUGES: &[&Chip] = &[
     &BQ27000, &BQ27010, &BQ2750X, &BQ2751X, &BQ2752X, &BQ27500, &BQ27510_G1, &BQ27510_G2, &BQ27510_G3,
     &BQ27520_G1, &BQ27520_G2, &BQ27520_G4, &BQ27521, &BQ27530, &BQ27531, &BQ27541, &BQ27542, &BQ27546,
-    &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z610, &BQ78Z100,
+    &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z610, &BQ28Z620, &BQ78Z100,
 ];
 
 /// The driver's names (its I2C ids, which follow `ti,` in a device tree), and what gaugefs has for each.
@@ -57,6 +61,8 @@ pub static DRIVER: &[(&str, &str)] = &[
     ("bq27621", "bq27621-g1"),
     ("bq27z561", "bq27z561"),
     ("bq28z610", "bq28z610"),
+    // In trees for the release after 6.19, with the map of the bq28z610.
+    ("bq28z620", "bq28z620"),
     ("bq34z100", "bq34z100-g1"),
     ("bq78z100", "bq78z100"),
 ];
@@ -106,6 +112,8 @@ impl Flavour {
             over_voltage: 0,
             under_voltage: 0,
             present: 0,
+            // Nothing pulls the lines of a gauge that is not there.
+            absent: if matches!(self, Zero) { 0xff } else { 0 },
             uncertain,
             complete: 0,
             primary: None,
@@ -203,7 +211,8 @@ static BQ27545: Chip = gauge("bq27545", "bq27545", REGISTERS_27545, Otdc);
 static BQ27411: Chip = gauge("bq27411", "bq27411", REGISTERS_27411, Utot);
 static BQ27425: Chip = gauge("bq27425", "bq27425", REGISTERS_27411, Utot);
 pub(super) static BQ27Z561: Chip = gauge("bq27z561", "bq27z561", REGISTERS_27Z561, Z561);
-static BQ28Z610: Chip = gauge("bq28z610", "bq28z610", REGISTERS_27Z561, Z561);
+static BQ28Z610: Chip = gauge("bq28z610", "bq28z610", REGISTERS_28Z610, Z561);
+static BQ28Z620: Chip = gauge("bq28z620", "bq28z620", REGISTERS_27Z561, Z561);
 static BQ78Z100: Chip = gauge("bq78z100", "bq78z100", REGISTERS_27Z561, Z561);
 
 /// The words of the otdc parts with TimeToFull() and energy.
@@ -263,14 +272,20 @@ static REGISTERS_27545: &[Register] = &[
 #[rustfmt::skip]
 static REGISTERS_27411: &[Register] = &[
     temperature(0x02), voltage(0x04), flags(0x06, Utot), nominal(0x08), remaining(0x0c), full(0x0e), current(0x10),
-    power_without_role(0x18), percent(0x1c), design(0x3c),
+    power_without_role(0x18, "mW"), percent(0x1c), design(0x3c),
 ];
 
 /// The charge is RemainingCapacity() in the driver, too.
 #[rustfmt::skip]
 static REGISTERS_27Z561: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Z561), remaining(0x10), full(0x12), current(0x14), to_empty(0x16),
-    to_full(0x18), power(0x22), cycles(0x2a), percent(0x2c), design(0x3c),
+    to_full(0x18), power_without_role(0x22, ""), cycles(0x2a), percent(0x2c), design(0x3c),
+];
+
+#[rustfmt::skip]
+static REGISTERS_28Z610: &[Register] = &[
+    temperature(0x06), voltage(0x08), flags(0x0a, Z561), remaining(0x10), full(0x12), current(0x14), to_empty(0x16),
+    to_full(0x18), centiwatts(0x22), cycles(0x2a), percent(0x2c), design(0x3c),
 ];
 
 // The bq27000 counts in units of its sense resistor's voltage; the steps are for 20 mΩ, as in the driver. With
@@ -347,9 +362,13 @@ const fn power(code: u8) -> Register {
     word(code, I(2), "AveragePower", "mW", Role::PowerAvg)
 }
 
-/// AveragePower(), which the driver does not show for these parts though its map has it.
-const fn power_without_role(code: u8) -> Register {
-    Register::new(code, I(2), "AveragePower", "mW", Tier::Slow)
+const fn centiwatts(code: u8) -> Register {
+    word(code, I(2), "AveragePower", "cW", Role::PowerAvg).step(10, 1)
+}
+
+/// AveragePower() that is not shown: the driver does not, though its map has it, or its unit is not known.
+const fn power_without_role(code: u8, unit: &'static str) -> Register {
+    Register::new(code, I(2), "AveragePower", unit, Tier::Slow)
 }
 
 const fn cycles(code: u8) -> Register {
@@ -395,8 +414,9 @@ const fn zero_energy(code: u8) -> Register {
     word(code, U(2), "AvailableEnergy", "29.2 uV2h", Role::EnergyNow).step(146, 100)
 }
 
+/// Without a sign, as in the driver.
 const fn zero_power(code: u8) -> Register {
-    word(code, U(2), "AveragePower", "29.2 uV2", Role::PowerAvg).step(146, 100).positive(CHGS)
+    word(code, U(2), "AveragePower", "29.2 uV2", Role::PowerAvg).step(146, 100)
 }
 
 /// The high byte of a charge.
@@ -422,7 +442,7 @@ mod tests {
 
     #[test]
     fn all_of_the_drivers_names_are_listed_and_every_gauge_has_one() {
-        assert_eq!(DRIVER.len(), 31);
+        assert_eq!(DRIVER.len(), 32);
         for (name, _) in DRIVER {
             assert!(by_driver_name(name).is_some(), "{name}");
         }
@@ -466,6 +486,6 @@ mod tests {
         assert_eq!(reads("bq27521"), [(0x08, 8)]);
         assert_eq!(reads("bq27411"), [(0x02, 16), (0x1c, 2)]);
         assert_eq!(reads("bq2750x"), [(0x06, 18), (0x2a, 4)]);
-        assert_eq!(reads("bq27z561"), [(0x06, 6), (0x10, 10), (0x22, 2), (0x2a, 4)]);
+        assert_eq!(reads("bq28z610"), [(0x06, 6), (0x10, 10), (0x22, 2), (0x2a, 4)]);
     }
 }
