@@ -56,16 +56,15 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
 
     let (mountpoint, device) = match mode {
         Mode::Service => (setup.mountpoint().to_path_buf(), Some(service::device()?)),
-        Mode::Background | Mode::Foreground => {
-            preflight::mount(&setup.mount)?;
-            (mountpoint::prepare(setup.mountpoint())?, None)
-        }
+        Mode::Background | Mode::Foreground => (mountpoint::prepare(setup.mountpoint())?, None),
     };
-    let Setup { mount, gauges, configured } = setup;
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let names = names(&gauges, &taken);
-    gauges.iter().try_for_each(gauges::check_trace)?;
+    let names = names(&setup.gauges, &taken);
+    if let Some(first) = preflight::mount(&setup, &names, &taken, mode == Mode::Service).into_iter().next() {
+        return Err(first);
+    }
+    let Setup { mount, gauges, configured } = setup;
     let mains = mains_name(&mount, &names, &taken)?;
 
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
@@ -123,7 +122,6 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             mounted
         }
         None => {
-            preflight::device()?;
             let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
             let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;
             shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));

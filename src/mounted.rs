@@ -1,13 +1,14 @@
 //! A configuration through the files of a mounted gauge: read from `df/index`, written through `df/transaction`.
 
 use std::fs;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
+use gauge_bus::regular;
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
 use ti_gauge::dataflash::Place;
-use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
+use ti_gauge::image::{self, Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
 use crate::daemon::mountpoint;
@@ -132,14 +133,13 @@ impl Source {
         if path != Path::new(STANDARD_INPUT) {
             return Self::read_file(path);
         }
-        let mut bytes = Vec::new();
-        let read = io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes);
+        let read = regular::read_from(io::stdin().lock(), image::LONGEST);
         Self::of("standard input".into(), read)
     }
 
     /// Reads a file, whatever its name.
     pub(crate) fn read_file(path: &Path) -> Result<Self> {
-        Self::of(path.display().to_string(), fs::read(path))
+        Self::of(path.display().to_string(), regular::read(path, image::LONGEST))
     }
 
     fn of(name: String, bytes: io::Result<Vec<u8>>) -> Result<Self> {

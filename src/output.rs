@@ -12,6 +12,7 @@
 use std::fmt::Display;
 use std::io::{self, IsTerminal};
 use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,6 +23,7 @@ use serde::Serialize;
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
+use gauge_bus::regular::{self, Replace};
 
 /// The reader of standard output has closed the pipe.
 static CLOSED: AtomicBool = AtomicBool::new(false);
@@ -61,6 +63,36 @@ pub(crate) fn print_file(bytes: &[u8]) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Writes a file that a person has named, as a whole, or leaves what is there: see [`regular::replace`]. `-` and the
+/// names of standard output are standard output.
+pub(crate) fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
+    match is_standard_output(path) {
+        true => print_file(bytes),
+        false => regular::replace(path, bytes, how).map_err(|error| cannot_write(path, &error)),
+    }
+}
+
+/// Whether [`write_file`] would be allowed, before the work for it is done.
+pub(crate) fn check_file(path: &Path, how: Replace) -> Result<()> {
+    match is_standard_output(path) {
+        true => Ok(()),
+        false => regular::check_replace(path, how).map_err(|error| cannot_write(path, &error)),
+    }
+}
+
+/// A regular file behind one of these names has a position, and other writers.
+pub(crate) fn is_standard_output(path: &Path) -> bool {
+    ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].map(Path::new).contains(&path)
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Error {
+    let errno = match error.kind() {
+        io::ErrorKind::AlreadyExists => Errno::EEXIST,
+        _ => return Error::io(path.display().to_string(), "cannot write it", error),
+    };
+    Error::host(path.display().to_string(), errno, "it is there already")
 }
 
 /// Whether the reader of standard output has closed the pipe: a command that prints until it is stopped ends.

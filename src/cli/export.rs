@@ -7,9 +7,10 @@ use clap::{Args, ValueEnum};
 
 use super::batch::{Batch, FAILED, Report, TROUBLE};
 use super::folder_name;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::mounted;
-use crate::output::{print_file, say};
+use crate::output::{print_file, say, write_file};
+use gauge_bus::regular::Replace;
 use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
@@ -83,7 +84,7 @@ impl Export {
             None => print_file(text.as_bytes())?,
             Some(file) => {
                 let name = file.display().to_string();
-                std::fs::write(file, text).map_err(|error| Error::io(&name, "cannot write it", &error))?;
+                write_file(file, text.as_bytes(), Replace::Kept)?;
                 report.file = Some(name);
             }
         }

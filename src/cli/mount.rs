@@ -7,9 +7,8 @@ use clap::{ArgGroup, Args};
 
 use super::align;
 use crate::config::{GaugeOptions, MountOptions, Setup};
-use crate::daemon::{self, Mode, Source, background, mountpoint, preflight, service};
+use crate::daemon::{self, Mode, Source, background, preflight, service};
 use crate::error::Result;
-use crate::fs::Covered;
 use crate::output::{print, say};
 
 const MOUNT: &str = "\
@@ -89,11 +88,8 @@ impl Attach {
 
 /// Prints the gauges that a configuration would mount, and each thing that the mount would stumble over.
 fn check(setup: &Setup) -> Result<ExitCode> {
-    let covered = mountpoint::covered(setup.mountpoint())?;
-    let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
-    let names = daemon::names(&setup.gauges, &taken);
+    let (names, found) = preflight::check(setup);
     print(&plan(setup, &names))?;
-    let found = preflight::check(setup, &names);
     for error in &found {
         say(error);
     }

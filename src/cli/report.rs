@@ -1,7 +1,5 @@
 //! `gaugefs report`: one file about a gauge, for a bug report.
 
-use std::fs::File;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -11,8 +9,9 @@ use nix::errno::Errno;
 use super::PASSED_OVER;
 use crate::config::{GaugeOptions, address, chips};
 use crate::error::{Error, Result};
-use crate::output::{print, say};
+use crate::output::{check_file, print, say, write_file};
 use crate::{daemon, mounted, report};
+use gauge_bus::regular::Replace;
 use ti_gauge::chip::Chip;
 
 const REPORT: &str = "\
@@ -65,8 +64,16 @@ pub(super) struct Report {
 
 impl Report {
     pub(super) fn run(self) -> Result<ExitCode> {
-        if let Some(file) = self.output.as_deref().filter(|file| !self.force && file.exists()) {
-            return Err(exists(file));
+        let refused = |file: &Path, error: Error| match error.errno() {
+            Errno::EEXIST => exists(file),
+            _ => error,
+        };
+        if let Some(file) = &self.output {
+            // What else is wrong with it is less important than what is wrong with the gauge.
+            match check_file(file, how(self.force)) {
+                Err(error) if error.errno() == Errno::EEXIST => return Err(exists(file)),
+                _ => {}
+            }
         }
         let text = match &self.gauge {
             Some(gauge) => of_mounted(&mounted::gauge(gauge)?)?,
@@ -74,7 +81,7 @@ impl Report {
         };
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
         let file = self.output.clone().unwrap_or_else(name);
-        write(&file, self.force, &text)?;
+        write_file(&file, text.as_bytes(), how(self.force)).map_err(|error| refused(&file, error))?;
         print(&format!("{}\n", file.display()))?;
         Ok(match report::without_data_flash(&text) {
             None => ExitCode::SUCCESS,
@@ -128,26 +135,9 @@ fn of_mounted(gauge: &Path) -> Result<String> {
     Ok(text)
 }
 
-/// Writes the file. One that is new and could not be written as a whole is removed.
-fn write(file: &Path, force: bool, text: &str) -> Result<()> {
-    let failed = |error: io::Error| match error.kind() {
-        io::ErrorKind::AlreadyExists => exists(file),
-        _ => Error::io(file.display().to_string(), "cannot write it", &error),
-    };
-    let mut options = File::options();
-    options.write(true);
-    if force {
-        options.create(true).truncate(true);
-    } else {
-        options.create_new(true);
-    }
-    let mut opened = options.open(file).map_err(failed)?;
-    opened.write_all(text.as_bytes()).map_err(|error| {
-        if !force {
-            let _ = std::fs::remove_file(file);
-        }
-        failed(error)
-    })
+/// How a file that is there is treated.
+fn how(force: bool) -> Replace {
+    if force { Replace::Kept } else { Replace::Never }
 }
 
 fn exists(file: &Path) -> Error {

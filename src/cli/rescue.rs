@@ -1,6 +1,5 @@
 //! `gaugefs rescue`: brings back a gauge that is left in ROM mode. What is written is decided in [`ti_gauge::rom`].
 
-use std::fs;
 use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -16,10 +15,12 @@ use crate::lock::Lock;
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Gauge;
+use ti_gauge::image;
 use ti_gauge::keys::Keys;
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
 use ti_gauge::rom::{self, Firmware};
@@ -71,7 +72,8 @@ impl Rescue {
     pub(super) fn run(self) -> Result<ExitCode> {
         let chip = Chip::by_name(&self.chip).expect("clap accepts only names of chips");
         let name = self.file.display().to_string();
-        let bytes = fs::read(&self.file).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        let bytes = regular::read(&self.file, image::LONGEST)
+            .map_err(|error| Error::io(&name, "cannot be read", &error))?;
         let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
         let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;
         let adapter = Adapter::find(&self.bus)?;

@@ -5,7 +5,6 @@
 //! line and key, and no gauge is opened before the whole file has been understood.
 
 use std::collections::HashMap;
-use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -20,6 +19,7 @@ use super::station::StationOptions;
 use super::{AlertOptions, GaugeOptions, MountOptions, make_absolute, values};
 use crate::daemon::Source;
 use crate::error::{Cause, Error, Result};
+use gauge_bus::regular;
 
 /// What a file says of gauges.
 #[derive(Default, Deserialize)]
@@ -61,6 +61,8 @@ impl Head {
     }
 }
 
+/// Longer than a configuration of thousands of gauges.
+const LONGEST: u64 = 4 << 20;
 /// Keys that belong to one gauge, and are no defaults for many.
 const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace", "trace-replace"];
 /// Keys of one gauge, and those that cannot be combined with them. The command line refuses the same.
@@ -120,7 +122,7 @@ pub(super) fn read_station(path: &Path) -> Result<(StationOptions, Vec<GaugeOpti
 
 fn text(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path.display().to_string(), "cannot read it", &error);
-    fs::read_to_string(path).map_err(failed)
+    regular::read_text(path, LONGEST).map_err(failed)
 }
 
 /// The folder at which the relative paths of a file begin.
@@ -419,7 +421,7 @@ fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     match Source::of(gauge) {
         Source::Bus { bus, address, .. } => {
             // Two names of one adapter are the same bus.
-            let bus = fs::canonicalize(bus).unwrap_or_else(|_| bus.into());
+            let bus = std::fs::canonicalize(bus).unwrap_or_else(|_| bus.into());
             marks.push(("address", Mark::Address(bus, address)));
         }
         Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state.into()))),

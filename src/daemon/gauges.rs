@@ -1,5 +1,6 @@
 //! Opening the gauges of a mount: one that has to answer, or many at the same time, of which some may not.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -20,7 +21,7 @@ use crate::output::say;
 use crate::owner::{self, Backup, Origin, Settings, Signal, Startup};
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
-use gauge_bus::trace::Trace;
+use gauge_bus::trace::{self, Trace};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
 use ti_gauge::image::Image;
@@ -168,18 +169,18 @@ impl Opening {
     }
 }
 
-/// Refuses to record over a file that is there, before any gauge is opened.
+/// Whether the trace of a gauge can be recorded. A file that is there is not recorded over.
 pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
-    let Some(path) = gauge.trace.as_deref().filter(|_| gauge.trace_replace != Some(true)) else {
-        return Ok(());
-    };
-    // What is no file is refused when it is opened.
-    if !path.symlink_metadata().is_ok_and(|status| status.is_file() && status.len() > 0) {
-        return Ok(());
-    }
-    let why =
-        "the trace is there already; move it away, choose another name, or replace it with --trace-replace";
-    Err(Error::host(path.display().to_string(), Errno::EEXIST, why))
+    let Some(path) = &gauge.trace else { return Ok(()) };
+    trace::check(path, gauge.trace_replace.unwrap_or_default()).map_err(|error| {
+        let name = path.display().to_string();
+        if error.kind() == ErrorKind::AlreadyExists {
+            let why =
+                "the trace is there already; move it away, choose another name, or replace it with --trace-replace";
+            return Error::host(name, Errno::EEXIST, why);
+        }
+        Error::io(name, "cannot write the trace", &error)
+    })
 }
 
 /// How a gauge is run, as its options have it. `place` is the folder of its journals and backups, and its name there.

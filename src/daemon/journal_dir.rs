@@ -5,8 +5,23 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
+use nix::unistd::{AccessFlags, access};
+
 use crate::error::{Error, Result};
 use crate::folders;
+
+/// Whether journals can be kept in a folder that was given; it is created when something is written to it.
+pub(super) fn check(folder: &Path) -> Result<()> {
+    let failed = |error: &std::io::Error| {
+        let what = "cannot keep journals there; name another folder with --state-dir";
+        Error::io(folder.display().to_string(), what, error)
+    };
+    let there = folder.ancestors().find(|above| above.symlink_metadata().is_ok()).unwrap_or(folder);
+    if !there.metadata().map_err(|error| failed(&error))?.is_dir() {
+        return Err(failed(&Errno::ENOTDIR.into()));
+    }
+    access(there, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|errno| failed(&errno.into()))
+}
 
 /// The folder, and the name of the gauge in it. A gauge that ends with this process has no name, since there is
 /// nothing to settle later; it has one only if a folder was given.

@@ -3,7 +3,7 @@
 //! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart
 //! at any time. Without a syslog the line is lost.
 
-use std::fs::File;
+use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::net::UnixDatagram;
@@ -41,10 +41,7 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             builder.format(|out, record| writeln!(out, "gaugefs: {}{}", word(record), message(record)));
         }
         Destination::File(path) => {
-            let failed = |error| Error::io(path.display().to_string(), "cannot write the log", &error);
-            let mut options = File::options();
-            options.append(true).create(true).mode(0o640);
-            let file = regular::open(&options, path).map_err(failed)?;
+            let file = regular::open(&options(), path).map_err(|error| cannot_write(path, &error))?;
             builder.target(Target::Pipe(Box::new(file)));
             builder.format(|out, record| {
                 writeln!(out, "{:.0} {}{}", Timestamp::now(), word(record), message(record))
@@ -63,6 +60,21 @@ pub fn start(to: Destination<'_>) -> Result<()> {
     std::panic::set_hook(Box::new(|panic| log::error!("{panic}; please report it")));
     // It fails only if the process has a logger already.
     builder.try_init().map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
+}
+
+/// Whether a log can be written to a file, as far as that can be seen without a change.
+pub(super) fn check(path: &Path) -> Result<()> {
+    regular::check_open(&options(), path).map_err(|error| cannot_write(path, &error))
+}
+
+fn options() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    options.append(true).create(true).mode(0o640);
+    options
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Error {
+    Error::io(path.display().to_string(), "cannot write the log", error)
 }
 
 /// The prefix of a line: its level, unless that is info.

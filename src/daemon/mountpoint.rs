@@ -6,13 +6,13 @@
 //! without its server, holds up nobody.
 
 use std::ffi::OsString;
-use std::fs;
 use std::io::ErrorKind;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
+use std::{fmt, fs};
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
@@ -23,6 +23,7 @@ use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
+use crate::lock;
 use gauge_bus::clock::{Clock, RealClock};
 
 const TABLE: &str = "/proc/self/mountinfo";
@@ -130,10 +131,39 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
 /// it, in which it is created.
 fn may_be_made(path: &Path) -> Result<()> {
     let Some(there) = path.ancestors().find(|folder| folder.exists()) else { return Ok(()) };
+    if there == path && geteuid().is_root() {
+        return Ok(());
+    }
+    if !there.is_dir() {
+        return Err(forbidden(path, CANNOT_CREATE, Errno::ENOTDIR));
+    }
+    if let Some(mount) =
+        containing(&table()?, there).filter(|mount| there != path && NO_FOLDERS.contains(&&*mount.kind))
+    {
+        let why = format!("{CANNOT_CREATE}: nobody can in a {}; choose another place", mount.kind);
+        return Err(Error::host(path.display().to_string(), Errno::EPERM, why));
+    }
     access(there, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|errno| {
         forbidden(path, if there == path { "cannot be mounted on" } else { CANNOT_CREATE }, errno)
     })
 }
+
+/// File systems of the kernel's own, in which no folder can be created, whatever its permissions show.
+const NO_FOLDERS: [&str; 13] = [
+    "autofs",
+    "binfmt_misc",
+    "debugfs",
+    "devpts",
+    "efivarfs",
+    "fusectl",
+    "mqueue",
+    "nsfs",
+    "proc",
+    "pstore",
+    "securityfs",
+    "sysfs",
+    "tracefs",
+];
 
 const CANNOT_CREATE: &str = "cannot create the folder";
 
@@ -225,13 +255,14 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// Unmounts a gaugefs. One whose daemon does not answer is removed by force.
-pub fn unmount(path: &Path) -> Result<()> {
+/// Unmounts a gaugefs. One whose daemon does not answer is removed by force. Returns who keeps its daemon running all
+/// the same, as far as this user may see that.
+pub fn unmount(path: &Path) -> Result<Option<String>> {
     let (path, mounted) = examine(path)?;
     let subject = path.display().to_string();
-    let owner = topmost(&table()?, &path)
-        .filter(|mount| ours(&mount.kind, &mount.source))
-        .and_then(|mount| mount.owner);
+    let mount = topmost(&table()?, &path).filter(|mount| ours(&mount.kind, &mount.source));
+    let (owner, connection) = mount.map(|mount| (mount.owner, mount.connection)).unwrap_or_default();
+    let elsewhere = connection.map_or_else(Vec::new, |connection| Elsewhere::all(connection, &path));
     if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid()) {
         let name = User::from_uid(owner).ok().flatten().map_or_else(|| owner.to_string(), |user| user.name);
         let why =
@@ -250,21 +281,77 @@ pub fn unmount(path: &Path) -> Result<()> {
             let lazily = if geteuid().is_root() { "umount -l" } else { "fusermount3 -uz" };
             let why = format!("in use{who}; try again {until}, or detach it with: {lazily} {subject}");
             Error::new(&subject, Cause::Busy(why))
-        }),
-        Mounted::Dead | Mounted::Hung => force(&path),
+        })?,
+        Mounted::Dead | Mounted::Hung => force(&path)?,
         Mounted::Nothing => {
             let there: Vec<_> = list().iter().map(|path| shown(path)).collect();
             let why = match there.len() {
                 0 => "no gaugefs is mounted there, or anywhere else".to_string(),
                 _ => format!("no gaugefs is mounted there; there is one at {}", there.join(", ")),
             };
-            Err(Error::host(subject, Errno::EINVAL, why))
+            return Err(Error::host(subject, Errno::EINVAL, why));
         }
-        Mounted::Other(what) => Err(Error::host(
-            subject,
-            Errno::EINVAL,
-            format!("{what} is mounted there, not gaugefs; umount(8) removes it"),
-        )),
+        Mounted::Other(what) => {
+            let why = format!("{what} is mounted there, not gaugefs; umount(8) removes it");
+            return Err(Error::host(subject, Errno::EINVAL, why));
+        }
+    }
+    Ok(elsewhere.iter().find(|other| other.remains()).map(ToString::to_string))
+}
+
+/// A mount of a gaugefs besides the one that is removed: in the table of a process, or of this one.
+struct Elsewhere {
+    process: Option<i32>,
+    connection: u64,
+    path: PathBuf,
+}
+
+impl Elsewhere {
+    /// Those of a connection, as far as this user may see them. `path` is the one that is removed.
+    fn all(connection: u64, path: &Path) -> Vec<Self> {
+        let namespace = |process: &str| fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
+        let own = namespace("self");
+        let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+        let processes = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+        let mut seen = vec![own];
+        let foreign = processes.filter(|process| {
+            let namespace = namespace(&process.to_string());
+            let is_new = !seen.contains(&namespace);
+            seen.push(namespace);
+            is_new
+        });
+        let tables: Vec<Option<i32>> = [None].into_iter().chain(foreign.map(Some)).collect();
+        let mounts = tables.into_iter().flat_map(|process| {
+            let mounts = mounts_of(process, connection);
+            mounts.into_iter().map(move |path| Self { process, connection, path })
+        });
+        mounts.filter(|other| other.process.is_some() || other.path != path).collect()
+    }
+
+    /// Whether it is still there: the kernel gives the number of a connection again.
+    fn remains(&self) -> bool {
+        mounts_of(self.process, self.connection).contains(&self.path)
+    }
+}
+
+/// Where a process has a gaugefs of a connection mounted; `None` is this process.
+fn mounts_of(process: Option<i32>, connection: u64) -> Vec<PathBuf> {
+    let table = process.map_or_else(|| TABLE.into(), |process| format!("/proc/{process}/mountinfo"));
+    let table = fs::read(table).unwrap_or_default();
+    let mounts = entries(&table)
+        .filter(|mount| mount.connection == Some(connection) && ours(&mount.kind, &mount.source));
+    mounts.map(|mount| mount.path).collect()
+}
+
+impl fmt::Display for Elsewhere {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "it is mounted at {}, too", shown(&self.path))?;
+        match self.process {
+            Some(process) => {
+                write!(f, ", in the mount namespace of {}", lock::process(Path::new("/"), process))
+            }
+            None => Ok(()),
+        }
     }
 }
 

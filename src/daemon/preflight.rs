@@ -1,6 +1,8 @@
-//! What a mount needs of the machine. What the mount itself would stumble over is found before any gauge is opened;
-//! `gaugefs mount --check` also looks at what each gauge needs, and lists all of it.
+//! What a mount needs of the machine: one list of checks, of which the mount reports the first that fails, before any
+//! gauge is opened, and `gaugefs mount --check` all. That also looks at what each gauge needs, with the functions that
+//! open it.
 
+use std::collections::HashSet;
 use std::env;
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -9,15 +11,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::unistd::{AccessFlags, Gid, Group, User, access, getegid, geteuid, getgroups};
+use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
-use super::gauges::{keys, saved};
-use super::source::recorded;
-use super::{Source, mountpoint};
+use super::gauges::{check_trace, keys, saved};
+use super::{Source, journal_dir, log, mountpoint};
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use gauge_bus::clock::RealClock;
-use gauge_bus::linux::{Adapter, LinuxBus};
+use crate::fs::Covered;
+use gauge_bus::clock::{Clock, RealClock};
 
 const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
@@ -26,24 +27,54 @@ const SHARED: &str = "user_allow_other";
 /// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
 const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
 
-/// What prevents a mount whatever its gauges are.
-pub(super) fn mount(options: &MountOptions) -> Result<()> {
-    group(options)?;
-    can_mount()
+/// What prevents a mount as a whole, whatever its gauges are. `names` are those of the gauges, `taken` those of the
+/// kernel's supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
+pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_service: bool) -> Vec<Error> {
+    let Setup { mount, gauges, .. } = setup;
+    let mut found: Vec<Result<()>> = Vec::new();
+    if !is_service {
+        found.extend([group(mount), device(), can_mount()]);
+    }
+    found.extend(mount.log.as_deref().map(log::check));
+    // Nothing is written there without a write to a gauge.
+    found.extend(mount.state_dir.as_deref().filter(|_| !mount.read_only).map(journal_dir::check));
+    found.push(super::mains_name(mount, names, taken).map(drop));
+    found.push(distinct(setup));
+    found.extend(gauges.iter().map(check_trace));
+    found.into_iter().filter_map(Result::err).collect()
 }
 
-/// Everything that a setup would stumble over. Nothing is mounted, written or sent on a bus.
-pub(crate) fn check(setup: &Setup, names: &[String]) -> Vec<Error> {
-    let MountOptions { log, state_dir, .. } = &setup.mount;
-    let needs = [group(&setup.mount), device(), can_mount()];
-    let mut found: Vec<Error> = needs.into_iter().filter_map(Result::err).collect();
-    found.extend(mountpoint::check(setup.mountpoint()).err());
-    found.extend(log.iter().filter_map(|path| can_be_written(path).err()));
-    found.extend(state_dir.iter().filter_map(|path| can_be_written(path).err()));
+/// Everything that a setup would stumble over, and the names of its gauges. Nothing is mounted, written or sent on a bus.
+pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
+    let mut found: Vec<Error> = Vec::new();
+    let mountpoint = mountpoint::check(setup.mountpoint()).unwrap_or_else(|error| {
+        found.push(error);
+        setup.mountpoint().to_path_buf()
+    });
+    let covered = mountpoint::covered(&mountpoint).unwrap_or_else(|error| {
+        found.push(error);
+        None
+    });
+    let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
+    let names = super::names(&setup.gauges, &taken);
+    found.extend(mount(setup, &names, &taken, false));
     for (name, gauge) in names.iter().zip(&setup.gauges) {
-        found.extend(needs_of(name, gauge).into_iter().map(|error| error.within(name)));
+        found.extend(needs_of(name, gauge, &mountpoint).into_iter().map(|error| error.within(name)));
     }
-    found
+    (names, found)
+}
+
+/// Whether every file that is written has a name of its own.
+fn distinct(setup: &Setup) -> Result<()> {
+    let of_gauges = setup.gauges.iter().flat_map(|gauge| [&gauge.trace, &gauge.sim_state]).flatten();
+    let mut seen = HashSet::new();
+    match setup.mount.log.iter().chain(of_gauges).find(|file| !seen.insert(*file)) {
+        Some(twice) => {
+            let why = "it is to be written for two purposes; give each of log, trace and sim-state a file of its own";
+            Err(Error::new(twice.display().to_string(), Cause::Invalid(why.into())))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Whether the kernel's end of a mount can be opened.
@@ -121,7 +152,7 @@ fn group(options: &MountOptions) -> Result<()> {
 }
 
 /// What one gauge would stumble over.
-fn needs_of(name: &str, gauge: &GaugeOptions) -> Vec<Error> {
+fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
     let mut found: Vec<Error> = Vec::new();
     match keys(gauge, name) {
         Err(error) => found.push(error),
@@ -134,38 +165,19 @@ fn needs_of(name: &str, gauge: &GaugeOptions) -> Vec<Error> {
             }
         }
     }
-    match Source::of(gauge) {
-        Source::Bus { bus, address, chip, .. } => {
-            found.extend(bus_of(bus, address).err().map(|error| match chip {
-                Some(_) => waited_for(&error),
-                None => error,
-            }))
-        }
-        Source::Recording(path) => found.extend(recorded(path).err()),
-        Source::Sim { state, .. } => found.extend(state.and_then(|path| can_be_written(path).err())),
-    }
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let source = Source::of(gauge);
+    found.extend(source.check(mountpoint, &clock).err().map(|error| match source {
+        Source::Bus { chip: Some(_), .. } => waited_for(&error),
+        _ => error,
+    }));
     if let (Some(path), Some(chip)) = (&gauge.restore, Source::of(gauge).chip()) {
         found.extend(saved(chip, path).err());
     }
-    found.extend(gauge.trace.as_ref().and_then(|path| can_be_written(path).err()));
     found
-}
-
-/// Claims an address, which sends nothing, and releases it.
-fn bus_of(bus: &Path, address: u8) -> Result<()> {
-    let adapter = Adapter::find(bus)?;
-    LinuxBus::open(adapter, address, Arc::new(RealClock::new()))?;
-    Ok(())
 }
 
 /// A gauge whose part is named need not be there when the mount starts.
 fn waited_for(error: &Error) -> Error {
     Error::host("", error.errno(), format!("{error}; a mount would wait for it"))
-}
-
-/// Whether this account may write a file, or make it.
-fn can_be_written(path: &Path) -> Result<()> {
-    let there = path.ancestors().find(|above| above.exists()).unwrap_or(path);
-    access(there, AccessFlags::W_OK)
-        .map_err(|errno| Error::io(path.display().to_string(), "cannot be written", &errno.into()))
 }

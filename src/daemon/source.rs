@@ -118,6 +118,24 @@ impl<'a> Source<'a> {
         }
     }
 
+    /// What [`open`](Self::open) would find, as far as that can be seen without a change and without a transfer. The
+    /// gauge is locked for a moment.
+    pub(crate) fn check(self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
+        match self {
+            Self::Sim { chip, state: Some(path), .. } => {
+                let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
+                Ok(Sim::check_state(chip.name, path)?)
+            }
+            Self::Sim { .. } => Ok(()),
+            Self::Recording(path) => recorded(path).map(drop),
+            Self::Bus { bus, address, .. } => {
+                let adapter = Adapter::find(bus)?;
+                let _lock = claim(&adapter, address, mountpoint, clock)?;
+                Ok(LinuxBus::open(adapter, address, clock.clone()).map(drop)?)
+            }
+        }
+    }
+
     /// Opens and locks the gauge. With `waits`, one on a bus whose chip is known may be out of reach now.
     pub(crate) fn open(self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
@@ -125,6 +143,7 @@ impl<'a> Source<'a> {
             Self::Sim { chip, state, key } => {
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
+                state.map_or(Ok(()), |path| Sim::check_state(chip.name, path))?;
                 let (sim, bus) = power_up(chip, state, key, clock)?;
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
@@ -187,14 +206,7 @@ fn on_bus(
         let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
         Ok(Box::new(bus) as Box<dyn Bus>)
     };
-    let lock = match Lock::gauge(&adapter, address, mountpoint, &**clock, is_ending) {
-        Err(error) if error.errno() != Errno::EBUSY => {
-            // Without permission for the bus, that is the first thing to correct.
-            open()?;
-            return Err(error);
-        }
-        lock => lock?,
-    };
+    let lock = claim(&adapter, address, mountpoint, clock)?;
     let known = match chip {
         Some(chip) => chip,
         None => {
@@ -208,6 +220,17 @@ fn on_bus(
         journal_key: Some(lock::key_of_gauge(&adapter, address)),
         unverified: chip.is_some(),
         ..Opened::new(known, open()?, subject.into())
+    })
+}
+
+/// Locks a gauge on a bus.
+fn claim(adapter: &Adapter, address: u8, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<Lock> {
+    Lock::gauge(adapter, address, mountpoint, &**clock, is_ending).or_else(|error| {
+        if error.errno() != Errno::EBUSY {
+            // Without permission for the bus, that is the first thing to correct.
+            LinuxBus::open(adapter.clone(), address, clock.clone())?;
+        }
+        Err(error)
     })
 }
 

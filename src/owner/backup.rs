@@ -8,7 +8,9 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::Owner;
 use crate::error::{Error, Result};
+use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
+use ti_gauge::image;
 use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 
@@ -43,7 +45,7 @@ impl Backup {
     fn save(&self, image: &Image, serial: u16, now: Timestamp) -> Result<Saved> {
         let text = toml::write(image);
         if let Some(newest) = self.files().pop()
-            && fs::read_to_string(&newest).is_ok_and(|found| found == text)
+            && regular::read_text(&newest, image::LONGEST).is_ok_and(|found| found == text)
         {
             return Ok(Saved::There(newest));
         }

@@ -2,7 +2,6 @@
 //! the record.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
@@ -14,6 +13,7 @@ use ti_gauge::value::{Type, Value};
 use super::record::Record;
 use crate::config::{SerialFrom, StationOptions};
 use crate::error::{Cause, Error, Result};
+use gauge_bus::regular;
 
 /// Where lines are typed or scanned. `None` at their end.
 pub(crate) trait Scanner: Send {
@@ -156,10 +156,14 @@ impl Serials {
     }
 }
 
+/// Longer than a list of all serial numbers that fit.
+const LONGEST: u64 = 16 << 20;
+
 /// The serial numbers of a file, one a line.
 fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
     let name = path.display().to_string();
-    let text = fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read the list", &error))?;
+    let text = regular::read_text(path, LONGEST)
+        .map_err(|error| Error::io(&name, "cannot read the list", &error))?;
     let (mut values, mut lines) = (Vec::new(), BTreeMap::new());
     for (number, line) in (1..).zip(text.lines()) {
         let line = line.split('#').next().unwrap_or_default().trim();

@@ -1,8 +1,7 @@
 //! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
 
 use std::collections::HashMap;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
@@ -10,13 +9,13 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use gauge_bus::clock::{Clock, RealClock};
-use nix::errno::Errno;
+use gauge_bus::regular::Replace;
 
 use super::values;
 use super::watch::gauges;
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
-use crate::output::{print_file, say};
+use crate::output::{print_file, say, write_file};
 
 mod page;
 mod serve;
@@ -83,7 +82,8 @@ impl Metrics {
             return Ok(ExitCode::SUCCESS);
         };
         loop {
-            replace(file, &reader.page(format))?;
+            // The collector may read it at any moment.
+            write_file(file, reader.page(format).as_bytes(), Replace::Kept)?;
             let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
             RealClock::new().sleep(interval);
         }
@@ -156,29 +156,6 @@ fn read(path: &Path, report: impl Fn(Option<page::Gauge>) -> bool) -> io::Result
     }
     report(None);
     Ok(())
-}
-
-/// Writes a whole file, or leaves the one that is there: the collector may read it at any moment.
-fn replace(path: &Path, text: &str) -> Result<()> {
-    let name = path.display().to_string();
-    let failed = |error: io::Error| Error::io(&name, "cannot write it", &error);
-    let Some(file) = path.file_name() else {
-        return Err(Error::host(name, Errno::EISDIR, "name a file"));
-    };
-    // The collector takes only names that end in .prom.
-    let mut scratch = file.to_os_string();
-    scratch.push(format!(".{}", std::process::id()));
-    let scratch = path.with_file_name(scratch);
-    let written = File::create_new(&scratch)
-        .and_then(|mut file| file.write_all(text.as_bytes()))
-        .and_then(|()| fs::rename(&scratch, path));
-    written.map_err(|error| {
-        // Only what was made here: one that was there before is somebody else's.
-        if error.kind() != io::ErrorKind::AlreadyExists {
-            let _ = fs::remove_file(&scratch);
-        }
-        failed(error)
-    })
 }
 
 #[cfg(test)]

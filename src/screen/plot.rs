@@ -6,7 +6,8 @@ use std::process::ExitCode;
 use clap::Args;
 
 use crate::error::{Cause, Error, Result};
-use crate::output::print_file;
+use crate::output::{print_file, write_file};
+use gauge_bus::regular::{self, Replace};
 
 mod scene;
 mod svg;
@@ -24,6 +25,9 @@ Examples:
   gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.svg
   gaugefs plot history.csv --limit voltage=3.0..4.2 --limit temperature=..45 -o history.svg
   rsvg-convert history.svg -o history.png";
+
+/// Longer than a history of a year.
+const LONGEST: u64 = 512 << 20;
 
 /// Draw a history that `gaugefs log` has recorded, as SVG
 #[derive(Args, Debug)]
@@ -53,14 +57,14 @@ impl Plot {
     pub(super) fn run(self) -> Result<ExitCode> {
         self.output.as_deref().map_or(Ok(()), check_extension)?;
         let name = self.file.display().to_string();
-        let text = std::fs::read(&self.file).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        let text =
+            regular::read(&self.file, LONGEST).map_err(|error| Error::io(&name, "cannot read it", &error))?;
         let history = table::read(&text, &self.columns).map_err(|error| error.within(&name))?;
         let scene = scene::lay_out(&history, &self.limits, self.width, self.height)
             .map_err(|error| error.within(&name))?;
         let svg = svg::render(&scene);
         match self.output {
-            Some(file) => std::fs::write(&file, svg)
-                .map_err(|error| Error::io(file.display().to_string(), "cannot write it", &error))?,
+            Some(file) => write_file(&file, svg.as_bytes(), Replace::Kept)?,
             None => print_file(svg.as_bytes())?,
         }
         Ok(ExitCode::SUCCESS)

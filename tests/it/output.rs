@@ -1,8 +1,14 @@
 //! What the program prints, and the files that it writes and reads, on a host that fails or is hostile.
 
 use std::fs::{self, File, Permissions};
-use std::os::unix::fs::PermissionsExt;
+use std::io::Write;
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use nix::mount::{MntFlags, MsFlags, mount, umount2};
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 
 use crate::cli::{CHIP, Folder, can_mount, command, gaugefs, run};
 
@@ -131,4 +137,314 @@ fn regression_what_cannot_be_printed_is_a_failure_of_every_command() {
         }
     }
     gaugefs(&["umount", &at]).done();
+}
+
+/// A file system of that many bytes; it needs root.
+struct Tiny(String);
+
+impl Tiny {
+    fn new(folder: &Folder) -> Option<Self> {
+        let path = folder.file("tiny");
+        fs::create_dir(&path).expect("a folder");
+        let none = MsFlags::empty();
+        match mount(Some("none"), path.as_str(), Some("tmpfs"), none, Some("size=16k")) {
+            Ok(()) => Some(Self(path)),
+            Err(_) => {
+                eprintln!("SKIPPED: only root can mount a file system that is full");
+                None
+            }
+        }
+    }
+
+    fn file(&self, name: &str) -> String {
+        format!("{}/{name}", self.0)
+    }
+
+    /// Leaves no room.
+    fn fill(&self) {
+        let mut file = File::create(self.file("rest")).expect("a file");
+        while file.write_all(&[0; 512]).is_ok() {}
+    }
+}
+
+impl Drop for Tiny {
+    fn drop(&mut self) {
+        let _ = umount2(self.0.as_str(), MntFlags::MNT_DETACH);
+    }
+}
+
+/// The commands that write a file, with all but its name.
+fn writers<'a>(gauge: &'a str, at: &'a str, history: &'a str) -> [(&'static str, Vec<&'a str>); 4] {
+    [
+        ("export", vec!["export", gauge, "-o"]),
+        ("plot", vec!["plot", history, "-o"]),
+        ("metrics", vec!["metrics", at, "-o"]),
+        ("report", vec!["report", gauge, "--force", "-o"]),
+    ]
+}
+
+#[test]
+fn regression_an_output_replaces_a_file_as_a_whole_and_nothing_else() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, history] = ["m", "history.csv"].map(|name| folder.file(name));
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+    gaugefs(&["log", "--count", "2", &gauge, "-o", &history]).done();
+    let tiny = Tiny::new(&folder);
+    let link = folder.file("link.svg");
+    std::os::unix::fs::symlink(&history, &link).expect("a link");
+    let before = fs::read(&history).expect("the history");
+    for (name, words) in writers(&gauge, &at, &history) {
+        let to = |file: &str| gaugefs(&[&words[..], &[file]].concat());
+        let file = folder.file(&format!("{name}.svg"));
+        fs::write(&file, "old").expect("a file");
+        fs::set_permissions(&file, Permissions::from_mode(0o640)).expect("its mode");
+        assert_eq!(to(&file).code, Some(0));
+        assert_ne!(fs::read(&file).expect("the file"), b"old", "{name}");
+        assert_eq!(fs::metadata(&file).expect("the file").permissions().mode() & 0o777, 0o640, "{name}");
+
+        let refused = |file: &str, why: &str| {
+            let ran = to(file);
+            assert_eq!(ran.code, Some(1), "{name} {file}: {}", ran.err);
+            assert!(ran.err.contains(why), "{name} {file}: {}", ran.err);
+        };
+        refused(&link, "symbolic link");
+        assert!(fs::symlink_metadata(&link).expect("the link").is_symlink(), "{name}");
+        assert_eq!(fs::read(&history).expect("the history"), before, "{name}");
+        // An export to a folder is a file in it.
+        if name != "export" {
+            refused(&folder.file(""), "directory");
+        }
+        refused("/dev/full", "No space left");
+        if name != "plot" {
+            assert_eq!(to("/dev/null").code, Some(0), "{name}");
+            assert!(!to("/dev/stdout").out.is_empty(), "{name}");
+        }
+        assert!(fs::metadata("/dev/null").expect("it").file_type().is_char_device(), "{name}");
+        if let Some(tiny) = &tiny {
+            let full = tiny.file(&format!("{name}.svg"));
+            fs::write(&full, "old").expect("a file");
+            tiny.fill();
+            refused(&full, "No space left");
+            assert_eq!(fs::read(&full).expect("the file"), b"old", "{name}");
+            fs::remove_file(tiny.file("rest")).expect("it was made here");
+        }
+    }
+    let left = tiny.iter().map(|tiny| fs::read_dir(&tiny.0).expect("a folder").count()).sum::<usize>();
+    assert_eq!(left, if tiny.is_some() { 4 } else { 0 }, "a temporary file was left");
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
+fn regression_inputs_have_a_limit_and_are_regular_files() {
+    let folder = Folder::new();
+    let [fifo, large, text, at] = ["fifo", "large", "text", "m"].map(|name| folder.file(name));
+    mkfifo(fifo.as_str(), Mode::from_bits_truncate(0o600)).expect("a FIFO");
+    File::create(&large).and_then(|file| file.set_len(3 << 30)).expect("a sparse file");
+    fs::write(&text, "[[gauge]]\nsim = \"bq27441-g1\"\nrestore = \"/dev/zero\"\n").expect("a file");
+    for (path, why) in
+        [(&*fifo, "not a regular file"), ("/dev/zero", "not a regular file"), (&*large, "longer than")]
+    {
+        let station = ["program", "--check", "--image", path, "--station", path];
+        for words in [
+            &["lint", path][..],
+            &["diff", path, "tests/it/images/pack.toml"],
+            &["import", &at, path],
+            &["plot", path],
+            &["rescue", "--bus", "/dev/i2c-99", path, "--chip", CHIP, "--yes"],
+            &["mount", "--config", path, &at],
+            &["mount", "--config", path, "--check", &at],
+            &["mount", "--replay", path, &at],
+            &["mount", "--sim", "bq27441-g1", "--restore", path, &at],
+            &["mount", "--sim", CHIP, "--sim-state", path, &at],
+            &["mount", "--sim", CHIP, "--key-file", path, &at],
+            &station,
+        ] {
+            let start = Instant::now();
+            let ran = gaugefs(words);
+            assert!([Some(1), Some(2)].contains(&ran.code), "{words:?}: {}", ran.err);
+            let is_key = words.contains(&"--key-file");
+            assert!(ran.err.contains(why) || is_key, "{words:?}: {}", ran.err);
+            assert!(start.elapsed() < Duration::from_secs(20), "{words:?}");
+        }
+    }
+    // Standard input is no file, and has a limit all the same.
+    let mut lint = command(&["lint", "-"]);
+    lint.stdin(File::open("/dev/zero").expect("/dev/zero"));
+    run(lint).failed(&["standard input", "longer than 16 MiB"]);
+    // A shell's <(command) is a pipe that is inherited.
+    let mut shell = std::process::Command::new("bash");
+    let script = "\"$0\" lint <(cat tests/it/images/pack.toml)";
+    shell.args(["-c", script, env!("CARGO_BIN_EXE_gaugefs")]).current_dir(env!("CARGO_MANIFEST_DIR"));
+    assert_eq!(run(shell).code, Some(0));
+}
+
+/// Names of files are anybody's.
+#[test]
+fn regression_no_control_character_reaches_a_terminal_or_a_table() {
+    let folder = Folder::new();
+    for name in ["\x1b]0;x\x07", "a\rb", "a\nb", "\u{9b}2J", "a\u{202e}b", "a\u{85}b"] {
+        let file = folder.file(&format!("{name}.toml"));
+        for text in [
+            "",
+            "[gauge]\nchip = \"bq34z100-g1\"\n[it-cfg]\ncell-terminate-voltage = \"\u{1b}[2J\u{202e}\"\n",
+        ] {
+            fs::write(&file, text).expect("a file");
+            for words in [
+                &["lint", &*file][..],
+                &["lint", "--json", &file],
+                &["diff", &file, "tests/it/images/pack.toml"],
+                &["diff", "--json", &file, &file],
+                &["mount", "--config", &file, "--check", &folder.file("m")],
+                &["plot", &file],
+                &["get", &file],
+                &["umount", &file],
+                &["chips", &file],
+                &[&file],
+            ] {
+                let ran = gaugefs(words);
+                for shown in [&ran.out, &ran.err] {
+                    let hostile =
+                        |letter: &char| !"\n\t".contains(*letter) && !ti_gauge::text::is_plain(*letter);
+                    assert_eq!(shown.chars().find(hostile), None, "{words:?}: {shown:?}");
+                }
+                assert_ne!(ran.code, Some(0), "{words:?}");
+            }
+        }
+    }
+}
+
+/// What may be where a file or a folder is expected.
+const THINGS: [&str; 11] =
+    ["new", "empty", "text", "folder", "link", "dangling", "fifo", "socket", "device", "below", "full"];
+
+/// Makes a thing, and returns its path.
+fn thing(folder: &str, kind: &str, full: Option<&Tiny>) -> Option<String> {
+    let path = format!("{folder}/{kind}");
+    let file = |text: &str| fs::write(&path, text).expect("a file");
+    match kind {
+        "new" => {}
+        "empty" => file(""),
+        "text" => file("some text\n"),
+        "folder" => fs::create_dir(&path).expect("a folder"),
+        "link" => {
+            fs::write(format!("{path}.target"), "some text\n").expect("a file");
+            std::os::unix::fs::symlink(format!("{path}.target"), &path).expect("a link");
+        }
+        "dangling" => std::os::unix::fs::symlink("nowhere/at/all", &path).expect("a link"),
+        "fifo" => mkfifo(path.as_str(), Mode::from_bits_truncate(0o600)).expect("a FIFO"),
+        "socket" => drop(std::os::unix::net::UnixListener::bind(&path).expect("a socket")),
+        "device" => return Some("/dev/null".into()),
+        "below" => return Some(format!("{path}/is/missing")),
+        "full" => return full.map(|full| full.file(folder.rsplit('/').next().expect("a name"))),
+        _ => unreachable!("{kind}"),
+    }
+    Some(path)
+}
+
+/// One list of checks for `--check` and for the mount: each configuration has the same verdict from both.
+#[test]
+fn regression_a_check_refuses_what_the_mount_refuses() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let full = Tiny::new(&folder);
+    full.iter().for_each(Tiny::fill);
+    let sim = "[[gauge]]\nsim = \"bq27441-g1\"\n";
+    let options = ["log", "state-dir", "sim-state", "trace", "restore", "key-file", "replay", "mountpoint"];
+    let mut cases: Vec<(String, String, String)> = Vec::new();
+    let mut case = |name: String, text: &dyn Fn(&str) -> String| {
+        let at = folder.file(&name);
+        fs::create_dir(&at).expect("a folder");
+        cases.push((name, format!("{at}/mounted"), text(&at)));
+    };
+    for option in options {
+        for kind in THINGS {
+            // A file system without room is no place for what is only read.
+            if kind == "full"
+                && (full.is_none() || ["restore", "key-file", "replay", "mountpoint"].contains(&option))
+            {
+                continue;
+            }
+            case(format!("{option}-{kind}"), &|at| {
+                let path = thing(at, kind, full.as_ref()).expect("it can be made");
+                match option {
+                    "log" | "state-dir" => format!("[mount]\n{option} = '{path}'\n{sim}"),
+                    "replay" => format!("[[gauge]]\nreplay = '{path}'\n"),
+                    "mountpoint" => format!("[mount]\nmountpoint = '{path}'\n{sim}"),
+                    _ => format!("{sim}{option} = '{path}'\n"),
+                }
+            });
+        }
+    }
+    let used = folder.file("used.state");
+    gaugefs(&["mount", "--sim", "bq27441-g1", "--sim-state", &used, &folder.file("m")]).done();
+    case("used".into(), &|_| format!("{sim}sim-state = '{used}'\n"));
+    case("name".into(), &|_| format!("[mount]\nac = 'BAT0'\n{sim}"));
+    case("log-trace".into(), &|at| format!("[mount]\nlog = '{at}/x'\n{sim}trace = '{at}/x'\n"));
+    case("group".into(), &|_| format!("[mount]\ngroup = 'root'\nprivate = true\n{sim}"));
+    for place in
+        ["/proc/none", "/proc/none/none", "/sys/none", "/sys/class/none", "/proc/version/x", "/dev/pts/none"]
+    {
+        case(format!("place{}", place.replace('/', "-")), &|_| {
+            format!("[mount]\nmountpoint = '{place}'\n{sim}")
+        });
+    }
+    let differ = std::sync::Mutex::new(Vec::new());
+    let verdict = |(name, at, text): &(String, String, String)| {
+        let file = folder.file(&format!("{name}.toml"));
+        let text = if text.contains("mountpoint") { text.clone() } else { text.replacen("[mount]\n", "", 1) };
+        let text =
+            if text.contains("mountpoint") { text } else { format!("[mount]\nmountpoint = '{at}'\n{text}") };
+        fs::write(&file, &text).expect("a file");
+        let check = gaugefs(&["mount", "--config", &file, "--check"]);
+        let mounted = gaugefs(&["mount", "--config", &file]);
+        if mounted.code == Some(0) {
+            let place =
+                text.lines().find_map(|line| line.strip_prefix("mountpoint = '")).expect("a mount point");
+            gaugefs(&["umount", place.trim_end_matches('\'')]).done();
+        }
+        if check.code != mounted.code {
+            let line = format!(
+                "{name}: check {:?} {}, mount {:?} {}",
+                check.code, check.err, mounted.code, mounted.err
+            );
+            differ.lock().expect("no panic").push(line);
+        }
+    };
+    std::thread::scope(|scope| {
+        for part in cases.chunks(cases.len().div_ceil(4)) {
+            scope.spawn(|| part.iter().for_each(verdict));
+        }
+    });
+    let differ = differ.into_inner().expect("no panic");
+    assert!(differ.is_empty(), "{} of {}:\n{}", differ.len(), cases.len(), differ.join("\n"));
+    gaugefs(&["umount", &folder.file("m")]).done();
+}
+
+/// A bind mount keeps what is mounted elsewhere, as a mount namespace of another process does. A test cannot make one of
+/// those: it would have the mounts of all other tests, too.
+#[test]
+fn regression_an_unmount_says_what_keeps_the_daemon() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, other] = ["m", "n"].map(|name| folder.file(name));
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    fs::create_dir(&other).expect("a folder");
+    if mount(Some(&*at), &*other, None::<&str>, MsFlags::MS_BIND, None::<&str>).is_err() {
+        eprintln!("SKIPPED: only root can mount a folder at a second place");
+        return;
+    }
+    let ran = gaugefs(&["umount", &at]);
+    assert_eq!(ran.code, Some(3), "{}", ran.err);
+    for words in ["its daemon keeps running", &format!("it is mounted at {other}, too")] {
+        assert!(ran.err.contains(words), "{words}: {}", ran.err);
+    }
+    gaugefs(&["umount", &other]).done();
 }

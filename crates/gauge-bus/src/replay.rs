@@ -10,8 +10,10 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, regular};
 
+/// Longer than a trace of days.
+const LONGEST: u64 = 256 << 20;
 /// Control(RESET), which seals as well.
 const RESET: u16 = 0x0041;
 
@@ -48,7 +50,7 @@ impl Recording {
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text =
-            std::fs::read_to_string(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+            regular::read_text(path, LONGEST).map_err(|error| Error::io(&name, "cannot read it", &error))?;
         Self::parse(&text).map_err(|error| error.within(&name))
     }
 
@@ -91,13 +93,22 @@ impl Recording {
 /// The bytes written and the number of bytes to read if the line is a transfer; the inner `None` if the
 /// transfer is malformed.
 fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
-    let line = line.strip_prefix("; ").unwrap_or(line);
+    let (line, is_comment) = line.strip_prefix("; ").map_or((line, false), |line| (line, true));
     if let Some(rest) = line.strip_prefix("W:") {
-        let (bytes, count) = rest.split_once(" R:").unwrap_or((rest, "0"));
-        return Some(hex(bytes).zip(count.trim().parse().ok()).map(without_address));
+        let (bytes, count) = rest.split_once(" R: ").unwrap_or((rest, "0"));
+        return Some(hex(bytes).zip(number(count)).map(without_address));
     }
-    let (bytes, count) = line.strip_prefix("R:")?.rsplit_once(' ')?;
-    Some(hex(bytes).zip(count.parse().ok()).map(without_address))
+    let rest = line.strip_prefix("R:")?;
+    let (bytes, count) = rest.rsplit_once(' ').unwrap_or((rest, ""));
+    // Without a register it is no command of a FlashStream, and so a comment.
+    let length = if is_comment { 1 } else { 2 };
+    let bytes = hex(bytes).filter(|bytes| bytes.len() == length);
+    Some(bytes.zip(number(count)).map(without_address))
+}
+
+/// A number of bytes.
+fn number(text: &str) -> Option<usize> {
+    text.parse().ok().filter(|number: &usize| number.to_string() == text)
 }
 
 fn without_address((mut bytes, count): (Vec<u8>, usize)) -> (Vec<u8>, usize) {
@@ -106,7 +117,11 @@ fn without_address((mut bytes, count): (Vec<u8>, usize)) -> (Vec<u8>, usize) {
 }
 
 fn hex(text: &str) -> Option<Vec<u8>> {
-    text.split_ascii_whitespace().map(|byte| u8::from_str_radix(byte, 16).ok()).collect()
+    let byte = |digits: &str| {
+        let is_byte = digits.len() == 2 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+        is_byte.then(|| u8::from_str_radix(digits, 16).ok()).flatten()
+    };
+    text.split_ascii_whitespace().map(byte).collect()
 }
 
 /// The result of a transfer, from the line below it.
@@ -114,7 +129,7 @@ fn outcome(line: &str) -> Option<Answer> {
     let (time, rest) = line.strip_prefix(';')?.trim_start().split_once(' ')?;
     time.parse::<f64>().ok()?;
     if let Some(why) = rest.strip_prefix("failed: ") {
-        return Some(Err(BusError::by_text(why)));
+        return (!why.is_empty()).then(|| Err(BusError::by_text(why)));
     }
     match rest.strip_prefix("->") {
         Some(bytes) => hex(bytes).map(Ok),
@@ -356,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn invalid_files_are_refused_with_the_line() {
+    fn regression_invalid_files_are_refused_with_the_line() {
         let error = |text: &str| {
             let error = Recording::parse(text).err().expect("not a recording");
             assert_eq!(error.kind, ErrorKind::Invalid);
@@ -369,6 +384,25 @@ mod tests {
         assert!(in_line_3("R: AA zz 2").starts_with("line 3: not a transfer"));
         assert!(in_line_3("R: AA 08 2\n; 1.0 -> 01").starts_with("line 4: not a result"));
         assert!(in_line_3("R: AA 08 2\n; hello").starts_with("line 4: not a result"));
+        // Lines that were cut, or edited.
+        for line in [
+            "R: AA 08",
+            "R: AA",
+            "R:",
+            "R: AA 8 2",
+            "R: AA +8 2",
+            "R: AA 08 +2",
+            "W: AA 0 01",
+            "W: AA 00 1 R: 2",
+        ] {
+            assert!(in_line_3(&format!("{line}\n; 1.0 ok")).starts_with("line 3: not a transfer"), "{line}");
+        }
+        for line in ["-> 01 2", "-> 01 +2", "->", "failed: "] {
+            assert!(
+                in_line_3(&format!("R: AA 08 2\n; 1.0 {line}")).starts_with("line 4: not a result"),
+                "{line}"
+            );
+        }
         assert!(in_line_3("W: AA 00 00 00\nR: AA 08 2").starts_with("line 3: the transfer has no result"));
         // An interrupted recording ends with its last complete transfer.
         let mut cut = replay("R: AA 08 2\n; 1.0 -> 01 02\nR: AA 0A 2\n; 1.0 -> 0");

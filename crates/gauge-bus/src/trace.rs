@@ -4,16 +4,16 @@
 //! data are replaced by a line `; hidden`.
 
 use std::fmt::Write as _;
-use std::fs::{File, Permissions};
+use std::fs::File;
 use std::io::Write as _;
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::clock::Clock;
 use crate::error::{Error, Result};
-use crate::{Bus, BusError, regular};
+use crate::regular::{self, Replace};
+use crate::{Bus, BusError};
 
 /// What a recording keeps of one transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,6 +63,16 @@ pub fn text(head: &str, about: &[String], address: u8, events: &[Event]) -> Stri
         .collect()
 }
 
+/// Whether a trace can be recorded in a file, as far as that can be seen without a change. A file that has something in
+/// it is refused, unless it is to be replaced.
+pub fn check(path: &Path, replace: bool) -> std::io::Result<()> {
+    regular::check_open(File::options().append(true), path)?;
+    if !replace && path.metadata().is_ok_and(|status| status.len() > 0) {
+        return Err(std::io::Error::from(std::io::ErrorKind::AlreadyExists));
+    }
+    regular::check_replace(path, Replace::Private)
+}
+
 /// A bus, and the file in which its transfers are recorded.
 pub struct Trace {
     bus: Box<dyn Bus>,
@@ -85,15 +95,11 @@ impl Trace {
         replace: bool,
     ) -> Result<Self> {
         let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
-        let mut options = File::options();
-        options.write(true).create(true).truncate(false).mode(0o600);
-        let mut file = regular::open(&options, path).map_err(failed)?;
-        if !replace && file.metadata().map_err(failed)?.len() > 0 {
-            return Err(failed(std::io::Error::from(std::io::ErrorKind::AlreadyExists)));
-        }
-        file.set_len(0).map_err(failed)?;
-        file.set_permissions(Permissions::from_mode(0o600)).map_err(failed)?;
-        file.write_all(text(head, &[], address, &[]).as_bytes()).map_err(failed)?;
+        check(path, replace).map_err(failed)?;
+        // An old trace is there until the new one has begun.
+        let head = text(head, &[], address, &[]);
+        regular::replace(path, head.as_bytes(), Replace::Private).map_err(failed)?;
+        let file = regular::open(File::options().append(true), path).map_err(failed)?;
         Ok(Self { bus, file: Some(file), clock, address, secret: false })
     }
 
@@ -159,6 +165,8 @@ fn lines(address: u8, write: &[u8], read: usize, answer: Result<&[u8], BusError>
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
     use crate::clock::SimClock;
 

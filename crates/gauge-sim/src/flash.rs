@@ -5,13 +5,12 @@
 //! not know what the bytes mean.
 
 use std::fmt::Write as _;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
-use std::os::unix::fs::OpenOptionsExt;
+use std::fs::OpenOptions;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use gauge_bus::regular;
+use gauge_bus::regular::{self, Replace};
 use sha1::{Digest, Sha1};
 
 use super::error::{Error, Kind, Result};
@@ -181,17 +180,24 @@ impl Store {
     /// Fills `flash` from the file. Returns `false` if there is none yet.
     pub(super) fn load(&self, flash: &mut Flash) -> Result<bool> {
         let Some(path) = &self.path else { return Ok(false) };
-        // The open of a FIFO would wait for its other end.
-        if fs::metadata(path).is_ok_and(|status| !status.is_file()) {
-            return Err(self.refuse("it is not a regular file"));
-        }
-        let text = match fs::read(path) {
-            Ok(bytes) => String::from_utf8(bytes).map_err(|_| self.refuse("it is not text"))?,
+        let file = match regular::open(OpenOptions::new().read(true), path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(host(path, &error, "cannot be read")),
+            file => file.and_then(|file| regular::read_file(file, LONGEST)).and_then(regular::text),
         };
+        let text = file.map_err(|error| match error.kind() {
+            io::ErrorKind::PermissionDenied => host(path, &error, "cannot be read"),
+            _ => self.refuse(&error.to_string()),
+        })?;
         self.parse(&text, flash).map_err(|why| self.refuse(&why))?;
         Ok(true)
+    }
+
+    /// Whether the file can be read, and be replaced later, as far as that can be seen without a change.
+    pub(super) fn check(&self, flash: &mut Flash) -> Result<()> {
+        self.load(flash)?;
+        let Some(path) = &self.path else { return Ok(()) };
+        regular::check_replace(path, Replace::Private)
+            .map_err(|error| host(path, &error, "cannot be written"))
     }
 
     fn refuse(&self, why: &str) -> Error {
@@ -274,7 +280,8 @@ impl Store {
     pub(super) fn save(&mut self, flash: &Flash) -> Result<()> {
         let Some(path) = &self.path else { return Ok(()) };
         let result =
-            replace(path, &self.print(flash)).map_err(|error| host(path, &error, "cannot be written"));
+            // Flash holds the keys, so only the owner may read the file.
+            regular::replace(path, self.print(flash).as_bytes(), Replace::Private).map_err(|error| host(path, &error, "cannot be written"));
         self.failure = result.as_ref().err().map(ToString::to_string);
         result
     }
@@ -309,30 +316,13 @@ impl Store {
     }
 }
 
+/// Longer than the state of any part.
+const LONGEST: u64 = 4 << 20;
 const HEAD: &str = "gaugefs simulated gauge 1";
 
 fn host(path: &Path, error: &io::Error, what: &str) -> Error {
     let text = format!("the simulated gauge's state {what}: {error}");
     Error::new(path.display().to_string(), Kind::Io(error.kind()), text)
-}
-
-fn replace(path: &Path, text: &str) -> io::Result<()> {
-    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut temporary = name.to_os_string();
-    temporary.push(".new");
-    let temporary = folder.join(temporary);
-    // Flash holds the keys, so only the owner may read the file.
-    let mut options = OpenOptions::new();
-    options.write(true).create(true).truncate(true).mode(0o600);
-    let mut file = regular::open(&options, &temporary)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_all()?;
-    fs::rename(&temporary, path)?;
-    File::open(folder)?.sync_all()
 }
 
 fn sum_of(text: &str) -> String {

@@ -192,6 +192,14 @@ impl Sim {
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
+    /// Whether a gauge of that chip can keep its flash in that file, as far as that can be seen without a change.
+    pub fn check_state(chip: &str, path: &std::path::Path) -> Result<()> {
+        let Some(part) = parts::all().find(|part| part.name == chip) else { return Ok(()) };
+        let mut flash = flash::Flash::new(part.image);
+        flash.firmware = part.firmware();
+        flash::Store::new(Some(path.to_path_buf()), part.name).check(&mut flash)
+    }
+
     /// Whether there is such a gauge to simulate.
     pub fn knows(chip: &str) -> bool {
         parts::all().any(|part| part.name == chip)

@@ -6,6 +6,8 @@
 use std::fmt;
 use std::path::Path;
 
+use gauge_bus::regular;
+
 use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass};
 use crate::codec;
 use crate::dataflash::{Change, Place};
@@ -18,6 +20,9 @@ pub mod flashstream;
 pub mod ggcsv;
 mod romimage;
 pub mod toml;
+
+/// Longer than any file of a gauge's configuration, or of its firmware.
+pub const LONGEST: u64 = 16 << 20;
 
 /// The formats of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -408,10 +413,11 @@ impl Image {
         }
     }
 
-    /// Reads a file of any format. `chip` is the chip that it is for, if the file does not name one.
+    /// Reads a regular file of any format. `chip` is the chip that it is for, if the file does not name one.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
-        let bytes = std::fs::read(path).map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        let bytes =
+            regular::read(path, LONGEST).map_err(|error| Error::io(&name, "cannot be read", &error))?;
         Self::read(&name, &bytes, chip)
     }
 

@@ -76,13 +76,24 @@ fn invalid(subject: impl Into<String>, why: impl Into<String>) -> Error {
     Error::new(subject, Cause::Invalid(why.into()))
 }
 
-/// A row: its time, its line in the file, and its fields.
-type Row = (f64, u64, csv::StringRecord);
+/// A row: its time and its fields.
+type Row = (f64, csv::StringRecord);
+
+/// The line at which a row begins. Where lines end with CR and LF, the reader has its position between the two.
+fn line_of(text: &[u8], at: &csv::Position) -> String {
+    let (before, rest) = text.split_at(text.len().min(at.byte() as usize));
+    let ends = rest.iter().take_while(|byte| b"\r\n".contains(byte));
+    let count = before.iter().chain(ends).filter(|&&byte| byte == b'\n').count();
+    format!("line {}", count + 1)
+}
 
 /// The wanted columns, grouped by unit, and what is known of the gauges.
 pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text);
-    let broken = |error: csv::Error| invalid("", format!("not a CSV file: {error}"));
+    let broken = |error: csv::Error| match (error.kind(), error.position()) {
+        (csv::ErrorKind::Utf8 { .. }, Some(at)) => invalid(line_of(text, at), "not a text in UTF-8"),
+        _ => invalid("", format!("not a CSV file: {error}")),
+    };
     let headers = reader.headers().map_err(broken)?.clone();
     if headers.get(0) != Some("time (UTC)") || headers.get(1) != Some("gauge") {
         return Err(invalid("", "not written by `gaugefs log`: its first columns are not time and gauge"));
@@ -94,11 +105,10 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
         if record.len() < headers.len() {
             continue;
         }
-        let line = record.position().map_or(0, csv::Position::line);
+        let line = || record.position().map_or(String::new(), |at| line_of(text, at));
         let time = &record[0];
-        let time: Timestamp =
-            time.parse().map_err(|_| invalid(format!("line {line}"), format!("`{time}` is not a time")))?;
-        rows.push((time.as_millisecond() as f64 / 1000.0, line, record));
+        let time: Timestamp = time.parse().map_err(|_| invalid(line(), format!("`{time}` is not a time")))?;
+        rows.push((time.as_millisecond() as f64 / 1000.0, record));
     }
     let mut gauges: Vec<String> = Vec::new();
     for (.., record) in &rows {
@@ -112,14 +122,14 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
         let unit = split(&headers[at]).1;
         for gauge in &gauges {
             let mut points = Vec::new();
-            for (time, line, record) in rows.iter().filter(|(.., record)| record[1] == **gauge) {
+            for (time, record) in rows.iter().filter(|(.., record)| record[1] == **gauge) {
                 let value = match &record[at] {
                     "" => None,
-                    text => Some(text.parse::<f64>().ok().filter(|value| value.abs() <= MOST).ok_or_else(
+                    field => Some(field.parse::<f64>().ok().filter(|value| value.abs() <= MOST).ok_or_else(
                         || {
                             invalid(
-                                format!("line {line}"),
-                                format!("{name} `{text}` is not a number, or too large to draw"),
+                                record.position().map_or(String::new(), |at| line_of(text, at)),
+                                format!("{name} `{field}` is not a number, or too large to draw"),
                             )
                         },
                     )?),
@@ -152,7 +162,7 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
 fn gauge(name: String, headers: &csv::StringRecord, rows: &[&Row]) -> Gauge {
     let field = |row: &Row, name: &str| {
         let at = headers.iter().position(|header| split(header).0 == name)?;
-        row.2.get(at).filter(|text| !text.is_empty()).map(str::to_string)
+        row.1.get(at).filter(|text| !text.is_empty()).map(str::to_string)
     };
     let number =
         |row: &Row, name: &str| field(row, name)?.parse::<f64>().ok().filter(|value| value.abs() <= MOST);
@@ -310,6 +320,13 @@ mod tests {
         assert!(refusal("a,b\n", &[]).contains("not written by"));
         assert!(refusal(head, &[]).contains("no values"));
         assert!(refusal(&format!("{head}{row}\n"), &[]).contains("no values"));
+        // `gaugefs log` ends its lines with CR and LF.
+        let text = format!("{head}{row}3.7\n\n{row}x\n").replace('\n', "\r\n");
+        assert!(
+            refusal(&text, &[]).contains("line 4: voltage `x` is not a number"),
+            "{}",
+            refusal(&text, &[])
+        );
         assert!(refusal(&format!("{head}{row}x\n"), &[]).contains("line 2: voltage `x` is not a number"));
         // Such values gave coordinates that are no numbers.
         assert!(

@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 use std::fs::{self, DirBuilder};
-use std::io::{self, ErrorKind, Read as _, Write as _};
+use std::io::{self, ErrorKind, Write as _};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
 use std::path::{Path, PathBuf};
 
@@ -13,6 +13,8 @@ use rustix::process::geteuid;
 
 /// Attempts to lock a file.
 const LOCKS: u32 = 100;
+/// Longer than any journal, backup or record of gaugefs.
+const LONGEST: u64 = 256 << 20;
 
 /// A file system.
 pub trait Disk: Debug + Send + Sync {
@@ -148,9 +150,8 @@ impl Disk for Host {
     }
 
     fn read(&self, path: &Path) -> io::Result<String> {
-        let mut text = String::new();
-        regular::open(fs::File::options().read(true), path)?.read_to_string(&mut text)?;
-        Ok(text)
+        let file = regular::open(fs::File::options().read(true), path)?;
+        regular::text(regular::read_file(file, LONGEST)?)
     }
 
     fn create(&self, path: &Path) -> io::Result<Box<dyn File>> {
