@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::learning;
 use super::sample::{Moment, Sample};
-use super::watch::{Order, Seen, Watch};
+use super::watch::{INTERVAL, Order, Seen, Watch};
 use crate::error::{Error, Result};
 use crate::output::{self, print, print_json};
 use ti_gauge::learning::{Cycle, Learned, State};
@@ -82,7 +82,8 @@ impl Learn {
         let name = self.gauge.display().to_string();
         let watch = Watch::start(Some(&self.gauge), None)?;
         let mut watched: Option<(PathBuf, Watched)> = None;
-        for report in &watch.reports {
+        loop {
+            let Some(report) = watch.next(INTERVAL) else { continue };
             let sample = match report.seen {
                 Seen::Sample(sample) => sample,
                 Seen::Limits(limits) => {

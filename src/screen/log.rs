@@ -1,7 +1,7 @@
 //! `gaugefs log`: records a gauge's history as CSV, one row per poll.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -12,9 +12,10 @@ use nix::errno::Errno;
 
 use super::learning;
 use super::sample::{Moment, Sample};
-use super::watch::{Seen, Watch};
+use super::watch::{INTERVAL, Seen, Watch};
 use crate::error::{Cause, Error, Result};
 use crate::output::{self, print_file, say};
+use gauge_bus::regular;
 use ti_gauge::learning::Cycle;
 use ti_gauge::text::printable;
 
@@ -163,7 +164,8 @@ impl Log {
         let mut known: Vec<Known> = Vec::new();
         let mut left = self.count.unwrap_or(u64::MAX);
         let mut reported = String::new();
-        for report in &watch.reports {
+        loop {
+            let Some(report) = watch.next(INTERVAL) else { continue };
             match report.seen {
                 Seen::Sample(sample) => {
                     reported.clear();
@@ -225,6 +227,24 @@ impl Log {
     }
 }
 
+/// The first line of a file and its last ones: it may be the history of a year.
+fn ends(mut file: &File) -> io::Result<Vec<u8>> {
+    const PIECE: u64 = 256 << 10;
+    let mut text = Vec::new();
+    file.take(PIECE).read_to_end(&mut text)?;
+    let length = file.metadata()?.len();
+    if length <= PIECE {
+        return Ok(text);
+    }
+    let end = |text: &[u8]| text.iter().position(|&byte| byte == b'\n').map_or(text.len(), |end| end + 1);
+    text.truncate(end(&text));
+    let mut tail = Vec::new();
+    file.seek(SeekFrom::Start(length - PIECE))?;
+    file.take(PIECE).read_to_end(&mut tail)?;
+    text.extend_from_slice(&tail[end(&tail)..]);
+    Ok(text)
+}
+
 /// The output.
 struct Out {
     name: String,
@@ -241,12 +261,12 @@ impl Out {
     /// Opens the output. An existing file is continued with its columns, which must be those that are wanted.
     fn open(path: Option<&PathBuf>, wanted: &[String]) -> Result<Self> {
         let mut columns = if wanted.is_empty() { columns::usual() } else { Column::choose(wanted)? };
-        let Some(path) = path else {
+        let Some(path) = path.filter(|path| !output::is_standard_output(path)) else {
             let name = "standard output".to_string();
             return Ok(Self { name, file: None, columns, before: Vec::new(), needs_header: true });
         };
         let name = path.display().to_string();
-        let file = File::options().read(true).append(true).create(true).open(path);
+        let file = regular::append(path);
         let file = file.map_err(|error| Error::io(&name, "cannot write it", &error))?;
         let wrong = |why: String| {
             let why = format!("{why}; choose another file, or move this one away");
@@ -255,7 +275,7 @@ impl Out {
         let empty = file.metadata().is_ok_and(|status| status.len() == 0);
         let (mut truncated, mut before) = (false, Vec::new());
         if !empty {
-            let text = std::fs::read(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+            let text = ends(&file).map_err(|error| Error::io(&name, "cannot read it", &error))?;
             let mut reader = csv::Reader::from_reader(text.as_slice());
             let Some(found) = reader.headers().ok().and_then(|titles| Column::of_file(titles.iter())) else {
                 return wrong("its columns are not those that gaugefs log writes".into());

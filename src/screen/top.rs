@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::sample::Sample;
-use super::watch::{Seen, Watch};
+use super::watch::{Report, Seen, Watch};
 use crate::error::{Error, Result};
 use crate::output::{self, print_json};
 
@@ -77,35 +77,27 @@ impl Top {
         let mut printed: Vec<(PathBuf, u64)> = Vec::new();
         let mut searched = Instant::now();
         loop {
-            let Ok(report) = watch.reports.recv_timeout(self.interval) else {
-                watch.find_mounts()?;
-                continue;
-            };
-            if searched.elapsed() >= self.interval {
+            let report = watch.next(self.interval);
+            if report.is_none() || searched.elapsed() >= self.interval {
                 searched = Instant::now();
                 watch.find_mounts()?;
             }
-            let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
-            let path = report.gauge.display().to_string();
-            match &report.seen {
-                Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
-                    return Err(Error::host(path, Errno::ENOENT, why));
+            let Some(report) = report else { continue };
+            // What is wrong with a mount is wrong with each gauge that was there.
+            let is_root = watch.roots.contains(&report.gauge);
+            let below: Vec<PathBuf> = printed
+                .iter()
+                .map(|(gauge, _)| gauge)
+                .filter(|gauge| is_root && gauge.starts_with(&report.gauge))
+                .cloned()
+                .collect();
+            if let (Seen::Trouble(why), [_, ..]) = (&report.seen, &*below) {
+                for gauge in below {
+                    let report = Report { root: report.root, gauge, seen: Seen::Trouble(why.clone()) };
+                    self.print(&report, &mut printed)?;
                 }
-                Seen::Sample(_) | Seen::Trouble(_) => {}
-                Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => continue,
-            }
-            let at = known.unwrap_or_else(|| {
-                printed.push((report.gauge, 0));
-                printed.len() - 1
-            });
-            if self.count.is_some_and(|count| printed[at].1 >= count) {
-                continue;
-            }
-            printed[at].1 += 1;
-            match &report.seen {
-                Seen::Sample(sample) => print_json(&Line::new(&path, sample))?,
-                Seen::Trouble(why) => print_json(&Trouble { path: &path, error: why })?,
-                Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
+            } else {
+                self.print(&report, &mut printed)?;
             }
             if output::is_closed() {
                 return Ok(ExitCode::SUCCESS);
@@ -116,6 +108,32 @@ impl Top {
             if enough && watch.roots.iter().all(has_reported) {
                 return Ok(ExitCode::SUCCESS);
             }
+        }
+    }
+
+    /// Prints a report, unless its gauge was printed often enough.
+    fn print(&self, report: &Report, printed: &mut Vec<(PathBuf, u64)>) -> Result<()> {
+        let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
+        let path = report.gauge.display().to_string();
+        match &report.seen {
+            Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
+                return Err(Error::host(path, Errno::ENOENT, why));
+            }
+            Seen::Sample(_) | Seen::Trouble(_) => {}
+            Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => return Ok(()),
+        }
+        let at = known.unwrap_or_else(|| {
+            printed.push((report.gauge.clone(), 0));
+            printed.len() - 1
+        });
+        if self.count.is_some_and(|count| printed[at].1 >= count) {
+            return Ok(());
+        }
+        printed[at].1 += 1;
+        match &report.seen {
+            Seen::Sample(sample) => print_json(&Line::new(&path, sample)),
+            Seen::Trouble(why) => print_json(&Trouble { path: &path, error: why }),
+            Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => Ok(()),
         }
     }
 }

@@ -7,12 +7,14 @@ use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 
 use super::learning;
 use super::sample::Sample;
+use super::values::{PATIENCE, SILENT};
 use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use crate::mounted;
@@ -72,8 +74,18 @@ pub(super) struct Watch {
     /// Where the reports of all threads arrive.
     pub(super) reports: Receiver<Report>,
     sender: Sender<Report>,
+    /// Since when each thread has been reading its mount, in the order of `roots`.
+    reads: Vec<Reading>,
     every: Option<Duration>,
     named: bool,
+}
+
+/// Since when a thread reads; `None` while it waits for the next poll.
+type Reading = Arc<Mutex<Option<Instant>>>;
+
+fn set(reading: &Reading, since: Option<Instant>) {
+    // A panic cannot leave it half changed.
+    *reading.lock().unwrap_or_else(PoisonError::into_inner) = since;
 }
 
 impl Watch {
@@ -81,8 +93,8 @@ impl Watch {
     /// it takes one sample after each poll.
     pub(super) fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
-        let (roots, orders) = (Vec::new(), Vec::new());
-        let mut watch = Self { roots, orders, reports, sender, every, named: named.is_some() };
+        let (roots, orders, reads) = (Vec::new(), Vec::new(), Vec::new());
+        let mut watch = Self { roots, orders, reports, sender, reads, every, named: named.is_some() };
         match named {
             // Symbolic links are not resolved: that may hang.
             Some(path) => watch.add(std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf()))?,
@@ -93,6 +105,33 @@ impl Watch {
             return Err(Error::host("", Errno::ENOENT, why));
         }
         Ok(watch)
+    }
+
+    /// The next report within a time limit. A mount that does not answer for too long is reported as that, and again
+    /// each time after as long.
+    pub(super) fn next(&self, limit: Duration) -> Option<Report> {
+        let end = Instant::now() + limit;
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            match self.reports.recv_timeout(left.min(INTERVAL)) {
+                Ok(report) => return Some(report),
+                // It cannot be disconnected: there is a sender here.
+                Err(_) => {
+                    let is_silent = |reading: &Reading| {
+                        let since = *reading.lock().unwrap_or_else(PoisonError::into_inner);
+                        since.is_some_and(|since| since.elapsed() >= PATIENCE)
+                    };
+                    if let Some(root) = self.reads.iter().position(is_silent) {
+                        set(&self.reads[root], Some(Instant::now()));
+                        let seen = Seen::Trouble(SILENT.into());
+                        return Some(Report { root, gauge: self.roots[root].clone(), seen });
+                    }
+                    if left.is_zero() {
+                        return None;
+                    }
+                }
+            }
+        }
     }
 
     /// Adds new mounts, unless the user named one.
@@ -111,10 +150,11 @@ impl Watch {
     fn add(&mut self, path: PathBuf) -> Result<()> {
         let (orders, received) = mpsc::channel();
         let (root, reports, every) = (self.roots.len(), self.sender.clone(), self.every);
-        let thread = path.clone();
+        let (thread, reading) = (path.clone(), Reading::default());
+        self.reads.push(reading.clone());
         std::thread::Builder::new()
             .stack_size(256 * 1024)
-            .spawn(move || watch(root, &thread, every, &received, &reports))
+            .spawn(move || watch(root, &thread, every, &received, &reports, &reading))
             .map_err(|error| Error::io("", "cannot start a thread", &error))?;
         self.roots.push(path);
         self.orders.push(orders);
@@ -135,13 +175,18 @@ fn watch(
     every: Option<Duration>,
     orders: &Receiver<Order>,
     reports: &Sender<Report>,
+    reading: &Reading,
 ) {
     let report = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
     loop {
         let mut next = INTERVAL;
+        set(reading, Some(Instant::now()));
         let listening = match gauges(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
-                let seen = match Sample::read(gauge) {
+                let sample = Sample::read(gauge);
+                // There may be many, each of which takes a moment.
+                set(reading, Some(Instant::now()));
+                let seen = match sample {
                     Ok(sample) => {
                         next = sample
                             .next_poll()
@@ -154,6 +199,7 @@ fn watch(
             }),
             Err(error) => report(path, Seen::Trouble(trouble(path, &error))),
         };
+        set(reading, None);
         let listening = listening
             && match orders.recv_timeout(every.unwrap_or(next)) {
                 Ok(Order::Refresh(gauge)) => match mounted::send(&gauge, "gauge/refresh", b"1\n") {

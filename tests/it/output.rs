@@ -448,3 +448,88 @@ fn regression_an_unmount_says_what_keeps_the_daemon() {
     }
     gaugefs(&["umount", &other]).done();
 }
+
+#[cfg(feature = "screen")]
+mod screen {
+    use std::fs::OpenOptions;
+    use std::io::Read;
+    use std::os::unix::fs::OpenOptionsExt;
+    use std::process::Child;
+
+    use nix::fcntl::OFlag;
+    use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+
+    use super::*;
+
+    fn ends(mut child: Child, what: &str) -> Option<i32> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = child.try_wait().expect("a child") {
+                return status.code();
+            }
+            if start.elapsed() > Duration::from_secs(30) {
+                let _ = child.kill();
+                let _ = child.wait();
+                panic!("{what}: it does not end");
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Without SIGHUP: the terminal is not the one that controls it.
+    #[test]
+    fn regression_top_ends_when_its_terminal_is_gone() {
+        if !can_mount() {
+            return;
+        }
+        let folder = Folder::new();
+        let at = folder.file("m");
+        gaugefs(&["mount", "--sim", CHIP, &at]).done();
+        let mut master =
+            posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).expect("a terminal");
+        grantpt(&master).and_then(|()| unlockpt(&master)).expect("it can be opened");
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).custom_flags(OFlag::O_NOCTTY.bits());
+        let slave = options.open(ptsname_r(&master).expect("its name")).expect("it opens");
+        let stdio = || Stdio::from(slave.try_clone().expect("a descriptor"));
+        let mut top = command(&["top", &at]);
+        let top = top.stdin(stdio()).stdout(stdio()).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        drop(slave);
+        assert!(master.read(&mut [0; 256]).is_ok_and(|length| length > 0), "nothing is drawn");
+        drop(master);
+        ends(top, "top");
+        gaugefs(&["umount", &at]).done();
+    }
+
+    #[test]
+    fn regression_what_watches_a_stopped_daemon_ends() {
+        if !can_mount() {
+            return;
+        }
+        let folder = Folder::new();
+        let at = folder.file("m");
+        let gauge = format!("{at}/BAT0");
+        let mut daemon = command(&["mount", "-f", "--sim", CHIP, &at]);
+        let mut daemon = daemon.stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        crate::cli::within(Duration::from_secs(60), "mounted", || std::path::Path::new(&gauge).exists());
+        kill(Pid::from_raw(daemon.id() as i32), Signal::SIGSTOP).expect("it runs");
+        let lines = [
+            &["top", "--json", "--count", "1", &*at][..],
+            &["top", "--json", "--count", "2", &gauge],
+            &["learn", "--once", &gauge],
+            &["log", "--count", "1", &at],
+        ];
+        let started = lines.map(|line| {
+            let mut command = command(line);
+            (line, command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("gaugefs runs"))
+        });
+        let codes = started.map(|(line, child)| (line, ends(child, line[0])));
+        kill(Pid::from_raw(daemon.id() as i32), Signal::SIGKILL).expect("it runs");
+        daemon.wait().expect("it ends");
+        for (line, code) in codes {
+            assert_eq!(code, Some(1), "{line:?}");
+        }
+    }
+}

@@ -3,13 +3,15 @@
 #![expect(clippy::disallowed_methods, reason = "ratatui draws on standard output, and reports what fails")]
 
 use std::io;
+use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyEventKind};
 use crossterm::execute;
 use crossterm::terminal::{Clear, ClearType, EnterAlternateScreen, enable_raw_mode};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{Signal, raise};
 use ratatui::backend::CrosstermBackend;
 use ratatui::{DefaultTerminal, Terminal};
@@ -20,9 +22,13 @@ use super::draw;
 use super::history::seconds;
 use super::model::{Action, Model};
 use crate::error::{Error, Result};
+use gauge_bus::clock::{Clock, RealClock};
 
 /// The longest delay until a report or a signal is noticed.
 const STEP: Duration = Duration::from_millis(100);
+
+/// How long the screen has to end by itself.
+const GRACE: Duration = Duration::from_secs(1);
 
 fn failed(error: &io::Error) -> Error {
     Error::io("terminal", "cannot use it", error)
@@ -36,10 +42,41 @@ pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
         signal_hook::flag::register(signal, ends.clone()).map_err(|error| failed(&error))?;
     }
     signal_hook::flag::register(SIGTSTP, stops.clone()).map_err(|error| failed(&error))?;
+    let left = watch_terminal(ends.clone())?;
     let mut terminal = ratatui::try_init().map_err(|error| failed(&error))?;
     let outcome = show(&mut terminal, watch, every, &ends, &stops);
+    left.store(true, Ordering::SeqCst);
     ratatui::try_restore().map_err(|error| failed(&error))?;
     outcome
+}
+
+/// Ends the process if its terminal is gone, or if it was told to end, and it does not: once the terminal is gone,
+/// crossterm reads its end for ever. Returns where to say that it has left the terminal by itself.
+fn watch_terminal(ends: Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
+    let left = Arc::new(AtomicBool::new(false));
+    let has_left = left.clone();
+    let watch = move || {
+        let mut since: Option<Instant> = None;
+        while !has_left.load(Ordering::SeqCst) {
+            let stdin = io::stdin();
+            // Only a hangup or an error is looked for.
+            let mut terminal = [PollFd::new(stdin.as_fd(), PollFlags::empty())];
+            let is_gone = poll(&mut terminal, PollTimeout::ZERO).is_ok_and(|count| count > 0);
+            if is_gone {
+                ends.store(true, Ordering::SeqCst);
+            }
+            if !ends.load(Ordering::SeqCst) {
+                since = None;
+            } else if since.get_or_insert_with(Instant::now).elapsed() > GRACE {
+                // There may be nothing to restore any more.
+                let _ = ratatui::try_restore();
+                std::process::exit(1);
+            }
+            RealClock::new().sleep(STEP);
+        }
+    };
+    std::thread::Builder::new().stack_size(128 * 1024).spawn(watch).map_err(|error| failed(&error))?;
+    Ok(left)
 }
 
 fn show(
