@@ -44,6 +44,7 @@ pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
 use io::{read_subclass, reload, still_open, store, verify_written};
+use keychange::Unfinished;
 use pack::Known;
 pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack, has_lost_memory};
@@ -140,6 +141,10 @@ pub struct DataFlash {
     /// How far the journals of other gauges have been compared with this one, and those that are not of it.
     searched: Searched,
     judged: Vec<PathBuf>,
+    /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
+    unfinished: Option<Unfinished>,
+    /// The gauge has refused the key of erased flash.
+    no_erased_key: bool,
     /// The journal of a read could not be written, which has been reported.
     unrecorded: bool,
 }

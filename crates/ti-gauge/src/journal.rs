@@ -32,6 +32,7 @@ use crate::codec::WINDOW;
 use crate::dataflash::Bytes;
 use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
+use crate::keys::Name;
 use crate::text::{hex, unhex};
 
 pub use disk::{Disk, File, Host, save, save_on};
@@ -45,6 +46,8 @@ const HEAD: &str = "gaugefs journal 3";
 const HEAD_2: &str = "gaugefs journal 2";
 /// Follows a plan once its reset is about to be sent.
 const RESET_SENT: &str = "reset sent\n";
+/// Follows a plan of keys once they have been read back.
+pub(crate) const KEYS_WRITTEN: &str = "written\n";
 /// Upper limit for the length of a block's line, and of the other lines together.
 const LINE: usize = 160;
 
@@ -112,6 +115,82 @@ pub(crate) struct Plan {
     /// Values that distinguish packs, as far as they had been read.
     pub(crate) marks: Vec<Mark>,
     pub(crate) blocks: Vec<PlannedBlock>,
+    /// The keys that were about to be written; `None` for a write of parameters.
+    pub(crate) key: Option<KeyPlan>,
+}
+
+/// A change of keys: which ones, and how far it has come. It has no key, nor anything that is computed from one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct KeyPlan {
+    /// The keys that were about to be changed.
+    pub(crate) names: Vec<Name>,
+    /// The keys that read as erased flash before.
+    pub(crate) erased: Vec<Name>,
+    /// The keys of this gauge had shown in which order of bytes it keeps them.
+    pub(crate) ordered: bool,
+    /// The new keys were in data flash, read back.
+    pub(crate) written: bool,
+}
+
+impl KeyPlan {
+    /// Whether the gauge has the new keys for certain.
+    pub(crate) fn is_over(&self) -> bool {
+        self.written
+    }
+
+    /// The names of the keys, for a message.
+    pub(crate) fn names(&self) -> String {
+        self.names.iter().map(|name| name.as_str()).collect::<Vec<_>>().join(" and ")
+    }
+
+    /// That key is about to be written, once more or as well.
+    pub(crate) fn begin(&mut self, name: Name) {
+        self.written = false;
+        if !self.names.contains(&name) {
+            self.names.push(name);
+        }
+    }
+
+    fn render(&self) -> String {
+        let Self { names, erased, ordered, written: _ } = self;
+        let list =
+            |names: &[Name]| names.iter().map(|name| format!(" {}", name.as_str())).collect::<String>();
+        let order = if *ordered { "ordered" } else { "unordered" };
+        format!("keys {order}{} erased{}\n", list(names), list(erased))
+    }
+
+    fn parse(line: &str) -> Option<Self> {
+        let mut words = line.split(' ');
+        let ordered = match words.next()? {
+            "ordered" => true,
+            "unordered" => false,
+            _ => return None,
+        };
+        let names =
+            words.by_ref().take_while(|word| *word != "erased").map(name).collect::<Option<Vec<_>>>()?;
+        let erased = words.map(name).collect::<Option<Vec<_>>>()?;
+        (!names.is_empty()).then_some(Self { names, erased, ordered, written: false })
+    }
+
+    /// Takes what follows the plan, as far as it is whole.
+    fn follow(&mut self, rest: &str) {
+        for line in rest.split_inclusive('\n') {
+            if line == KEYS_WRITTEN {
+                self.written = true;
+            } else if let Some(name) =
+                line.strip_prefix("key ").and_then(|rest| name(rest.strip_suffix('\n')?))
+            {
+                self.begin(name);
+            } else {
+                // What it was meant to be is not known.
+                self.written = false;
+            }
+        }
+    }
+}
+
+fn name(word: &str) -> Option<Name> {
+    Name::ALL.into_iter().find(|name| name.as_str() == word)
 }
 
 /// A parameter that distinguishes packs, and its bytes.
@@ -427,7 +506,12 @@ impl OpenJournal {
 
     /// Notes that the reset is about to be sent. On return that is on disk.
     pub(crate) fn reset_sent(&mut self) -> Result<()> {
-        let stored = self.file.append(RESET_SENT.as_bytes()).and_then(|()| self.file.sync());
+        self.note(RESET_SENT)
+    }
+
+    /// Appends a line about how far a plan has come. On return it is on disk.
+    pub(crate) fn note(&mut self, line: &str) -> Result<()> {
+        let stored = self.file.append(line.as_bytes()).and_then(|()| self.file.sync());
         stored.map_err(|error| refused(&self.path, &error))
     }
 
@@ -447,8 +531,11 @@ fn refused(path: &Path, error: &io::Error) -> Error {
 }
 
 fn render(plan: &Plan) -> String {
-    let Plan { reset, reset_sent: _, marks, blocks } = plan;
+    let Plan { reset, reset_sent: _, marks, blocks, key } = plan;
     let mut text = format!("reset {reset}\n");
+    if let Some(key) = key {
+        text += &key.render();
+    }
     for Mark { subclass, offset, bytes } in marks {
         text += &format!("mark {subclass} {offset} {}\n", hex(bytes));
     }
@@ -493,7 +580,11 @@ fn parse(text: &str) -> Option<Entry> {
     if end != sum(&text) {
         return (is_torn(&text) || is_torn(end)).then_some(nothing);
     }
-    let plan = Plan { reset_sent: !rest.is_empty(), ..parse_plan(&text)? };
+    let mut plan = Plan { reset_sent: !rest.is_empty(), ..parse_plan(&text)? };
+    if let Some(key) = &mut plan.key {
+        plan.reset_sent = false;
+        key.follow(rest);
+    }
     Some(Entry { plan: Some(plan), ..nothing })
 }
 
@@ -507,7 +598,8 @@ fn is_begun(text: &str) -> bool {
     let (lines, last) = text.rsplit_once('\n').unwrap_or(("", text));
     let is_last = |word: &str| word.starts_with(last) || last.starts_with(word);
     let is_plan = || lines.is_empty() || parse_plan(lines).is_some();
-    is_torn(text) || is_plan() && ["reset ", "by gauge", "mark ", "block ", "end "].into_iter().any(is_last)
+    is_torn(text)
+        || is_plan() && ["reset ", "by gauge", "keys ", "mark ", "block ", "end "].into_iter().any(is_last)
 }
 
 fn parse_identity(text: &str) -> Option<Identity> {
@@ -521,14 +613,18 @@ fn parse_identity(text: &str) -> Option<Identity> {
 fn parse_plan(text: &str) -> Option<Plan> {
     let mut lines = text.lines();
     let reset = lines.next()?.strip_prefix("reset ")?.parse().ok()?;
-    let (mut marks, mut blocks) = (Vec::new(), Vec::new());
+    let (mut marks, mut blocks, mut key) = (Vec::new(), Vec::new(), None);
     for line in lines {
+        if let Some(keys) = line.strip_prefix("keys ") {
+            key = Some(KeyPlan::parse(keys)?);
+            continue;
+        }
         match line.strip_prefix("mark ") {
             Some(mark) => marks.push(parse_mark(mark)?),
             None => blocks.push(parse_block(line.strip_prefix("block ")?)?),
         }
     }
-    Some(Plan { reset, reset_sent: false, marks, blocks })
+    Some(Plan { reset, reset_sent: false, marks, blocks, key })
 }
 
 fn parse_mark(line: &str) -> Option<Mark> {
@@ -563,7 +659,8 @@ mod tests {
         let written = Bytes(0x0060_0000);
         let block = PlannedBlock { subclass: 80, base: 32, written, old: [0xa5; 32], new: [7; 32] };
         let marks = vec![Mark { subclass: 104, offset: 4, bytes: vec![1, 2, 0xff, 0] }];
-        let plan = Plan { reset: true, reset_sent: false, marks, blocks: vec![block.clone(), block] };
+        let plan =
+            Plan { reset: true, reset_sent: false, marks, blocks: vec![block.clone(), block], key: None };
         let identity =
             Identity { chip: "bq34z100-g1".into(), device_type: 0x100, firmware: 0x202, serial: 1 };
         let machine = Machine::named("bench");
@@ -588,6 +685,38 @@ mod tests {
             let plan = Plan { reset_sent: true, ..plan.clone() };
             let entry = Entry { plan: Some(plan), ..nothing.clone() };
             assert_eq!(parse(&(text.clone() + &RESET_SENT[..length])), Some(entry), "{length} bytes of it");
+        }
+    }
+
+    #[test]
+    fn a_change_of_keys_is_written_when_the_whole_line_says_so() {
+        let key = KeyPlan {
+            names: vec![Name::Unseal],
+            erased: vec![Name::FullAccess, Name::Authentication],
+            ordered: true,
+            written: false,
+        };
+        let plan =
+            Plan { reset: false, reset_sent: false, marks: vec![], blocks: vec![], key: Some(key.clone()) };
+        let text = format!("{HEAD}\ngauge a\npart bq34z100-g1 0100 0202 0001\nfound sealed\nhost a b c\n")
+            + &render(&plan);
+        let read = |rest: &str| {
+            let entry = parse(&(text.clone() + rest)).expect("a journal");
+            entry.plan.and_then(|plan| plan.key).expect("keys")
+        };
+        assert_eq!(read(""), key);
+        let both = vec![Name::Unseal, Name::Authentication];
+        for (rest, written, names) in [
+            ("written\n", true, &key.names),
+            ("written", false, &key.names),
+            ("key authenti", false, &key.names),
+            ("key authentication\n", false, &both),
+            ("written\nkey authentication\n", false, &both),
+            ("written\nkey auth", false, &key.names),
+            ("key authentication\nwritten\n", true, &both),
+            ("written\nkey unseal\n", false, &key.names),
+        ] {
+            assert_eq!(read(rest), KeyPlan { written, names: names.clone(), ..key.clone() }, "{rest}");
         }
     }
 

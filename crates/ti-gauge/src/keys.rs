@@ -110,6 +110,16 @@ impl Secret {
         [word(0), word(2)]
     }
 
+    /// Whether it is what erased flash reads as.
+    pub fn is_erased(&self) -> bool {
+        self.0.iter().all(|byte| *byte == 0xff)
+    }
+
+    /// Whether one of its words is what erased flash reads as.
+    pub(crate) fn has_erased_word(&self) -> bool {
+        self.0.chunks(2).any(|word| word == [0xff; 2])
+    }
+
     /// The key as it is typed.
     pub fn text(&self) -> Zeroizing<String> {
         let mut text = Zeroizing::new(String::with_capacity(2 * self.0.len() + 1));
@@ -132,7 +142,7 @@ impl fmt::Debug for Secret {
 }
 
 /// What is written to `gauge/keys`: a new key, and the old one as proof of permission.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct KeyChange {
     /// Which key.
     pub name: Name,

@@ -8,27 +8,36 @@
 //! Until the block is committed an error means that no key was changed. From then on the answer is
 //! success, [`Cause::RolledBack`] (the old key is back, and was used) or [`Cause::StateUnknown`], which says what
 //! is known of the keys.
+//!
+//! A loss of power may leave each word of the block old, new or erased, also those of keys that are not changed. The
+//! journal says that a change was about to be written, and how far it came, but has no key. So a change that was cut
+//! short is undone by the process that has begun it and still knows the keys, or made or undone by whoever makes it
+//! once more with the same two keys; until then nothing else is written.
 
+use std::fmt;
 use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::blocks::{Bytes, Dirty, Window};
-use super::io::{STORES, is_passing, patiently};
+use super::blocks::{Bytes, Dirty, Window, learned, locate, secrets};
+use super::io::{COMMITTED, STORES, is_passing, patiently};
+use super::pack::{Match, compare};
 use super::schemes::sequence;
 use super::session::{Left, RESTORES, Session};
+use super::settle::{self, Held, Verdict, look};
 use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
-use crate::chip::{Chip, KeyBlock, KeyOrder, KeyStorage, Kind};
+use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal, Statistics};
+use crate::journal::{Identity, KEYS_WRITTEN, KeyPlan, Plan};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
 const WAY: Duration = Duration::from_secs(8);
 /// Most pauses that are needed in either direction.
-const SILENCES: u32 = 10;
+const SILENCES: u32 = 14;
 /// Time that a gauge may take to restart before it answers.
 const START: Duration = Duration::from_secs(3);
 /// After a start Voltage() is valid about 1 s later (E2E 1059347).
@@ -41,8 +50,11 @@ const SUBCOMMANDS: u16 = 0x0100;
 const ADDRESSES: std::ops::Range<u16> = 0x4000..0x4400;
 /// Content of erased flash.
 const ERASED: u16 = 0xffff;
+/// Bytes of an authentication key.
+const LENGTH_OF_KEY: usize = 16;
 
 /// The keys of a gauge, from SEALED up.
+#[derive(Clone)]
 struct Ring {
     unseal: Secret,
     full_access: Secret,
@@ -56,19 +68,61 @@ impl Ring {
             (Name::FullAccess, &self.full_access, Seal::FullAccess, from == Seal::FullAccess),
         ]
     }
+
+    fn get(&self, name: Name) -> &Secret {
+        if name == Name::Unseal { &self.unseal } else { &self.full_access }
+    }
+
+    fn set(&mut self, name: Name, key: &Secret) {
+        let place = if name == Name::Unseal { &mut self.unseal } else { &mut self.full_access };
+        place.clone_from(key);
+    }
+}
+
+/// The keys that lead from SEALED up.
+const SEALS: [Name; 2] = [Name::Unseal, Name::FullAccess];
+
+/// A change that this process has begun and that is neither done nor undone. What is in memory ends with the process.
+pub(super) struct Unfinished {
+    change: KeyChange,
+    ring: Ring,
+    /// The key that has to answer a challenge when the old keys are back.
+    authentication: Option<Secret>,
+    /// The row with the old keys.
+    before: Zeroizing<[u8; WINDOW]>,
+    order: Order,
+}
+
+impl fmt::Debug for Unfinished {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Unfinished { hidden }")
+    }
 }
 
 /// One change on its way.
 struct Task<'a> {
     block: &'a KeyBlock,
     change: &'a KeyChange,
-    /// Position of the key in the window.
-    at: usize,
+    /// The row with the keys, and the position of their block in it.
+    place: Window,
+    start: usize,
     /// In which order challenges are sent.
     order: Order,
     found: Seal,
+    /// The state to be restored.
+    goal: Seal,
+    /// The mount's keys that lead from SEALED up.
+    mine: [Option<Secret>; 2],
     /// Something was sent that may have changed the seal.
     moved: bool,
+    /// A loss of power may have left any word of the keys old, new or erased.
+    torn: bool,
+    /// A key of the gauge is ffff ffff, so others may be, too.
+    erased: bool,
+    /// The order of bytes is not known of this gauge: no key of its own shows it.
+    unordered: bool,
+    /// Keys that may have been lost and could not be put back.
+    lost: Vec<Name>,
 }
 
 impl DataFlash {
@@ -95,31 +149,113 @@ impl DataFlash {
         order: Order,
         waited: Duration,
     ) -> Result<()> {
-        let (block, at) = place(gauge.chip, change.name)?;
+        let block = block_of(gauge.chip, change.name)?;
         check_new(gauge, change)?;
-        let waited = self.settle_first(gauge, waited)?;
+        // Whoever makes a change that was cut short once more settles it.
+        let left = self.pending_keys();
+        let waited = match left {
+            Some(_) => waited,
+            None => self.settle_first(gauge, waited)?,
+        };
         let asked = gauge.clock.now().saturating_sub(waited);
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;
         let found = self.preflight(gauge, &[])?;
         let mut session = Session::new(found.seal, asked);
-        self.owe(gauge, &mut session, 0)?;
-        let mut task = Task { block, change, at, order, found: found.seal, moved: false };
-        let outcome = task.run(self, gauge, found.voltage_mv);
+        match &left {
+            Some(_) => self.adopt(gauge, &mut session)?,
+            None => self.owe(gauge, &mut session, 0)?,
+        }
+        let mut task = Task::new(gauge, block, change, order, found.seal);
+        (task.goal, task.torn) = (session.found, left.is_some());
+        let outcome = task.run(self, gauge, found.voltage_mv, &mut session);
+        let cause = outcome.as_ref().err().map(Error::cause);
+        let unknown = matches!(cause, Some(Cause::StateUnknown(_)));
+        // All keys but those that are lost have been used.
+        let is_known = matches!(cause, None | Some(Cause::RolledBack(_)));
         let outcome = task.close(gauge, outcome);
-        match &outcome {
-            Err(error)
-                if matches!(error.cause(), Cause::StateUnknown(_))
-                    && found.seal == Seal::Sealed
-                    && gauge.seal() != Ok(Seal::Sealed) =>
-            {
-                let left = Left { data: false, why: error.to_string() };
-                let journal = session.journal.take();
-                self.keep(session.entry.take(), journal, left);
+        let why = outcome.as_ref().err().map_or(String::new(), ToString::to_string);
+        if unknown {
+            let journal = session.journal.take();
+            self.keep(session.entry.take(), journal, Left { data: true, why });
+            return outcome;
+        }
+        if left.is_some() && !is_known {
+            // As before.
+            return outcome;
+        }
+        (self.pending, self.unfinished) = (None, None);
+        if is_known && !task.lost.is_empty() {
+            for &name in &task.lost {
+                session.note_keys(|key| key.begin(name), &keys_line(name));
             }
-            _ => session.remove_journal(),
+            let why = still_lost(&task.lost);
+            log::warn!("{}: {why}", gauge.chip.name);
+            let journal = session.journal.take();
+            self.keep(session.entry.take(), journal, Left { data: true, why });
+            self.leave_to_person();
+            return outcome;
+        }
+        let is_open = matches!(&outcome, Err(error) if matches!(error.cause(), Cause::StateUnknown(_)))
+            && task.goal == Seal::Sealed
+            && gauge.seal() != Ok(Seal::Sealed);
+        match is_open {
+            true => {
+                let journal = session.journal.take();
+                self.keep(session.entry.take(), journal, Left { data: false, why });
+            }
+            false => session.remove_journal(),
         }
         outcome
+    }
+
+    /// The change of keys that was cut short and is to be settled, if there is one.
+    fn pending_keys(&mut self) -> Option<Plan> {
+        let plan = self.find_pending()?.plan()?;
+        plan.key.as_ref().filter(|key| !key.is_over())?;
+        Some(plan)
+    }
+
+    /// What a gauge has of a change that was cut short, found out by using the keys that this process has. Nothing is
+    /// written but by the process that has begun it.
+    pub(super) fn settle_keys(
+        &mut self,
+        gauge: &mut Gauge,
+        plan: &Plan,
+        identities: [&Identity; 2],
+        watched: bool,
+        session: &mut Session,
+    ) -> Result<Verdict> {
+        let (Some(key), KeyStorage::Flash(block)) = (&plan.key, &gauge.chip.security.storage) else {
+            return Ok(Verdict::Undecided("it is of a part whose keys cannot be changed".into()));
+        };
+        if key.is_over() {
+            return Ok(Verdict::Done(format!(
+                "a change of the {} key was interrupted after the new key was written and read back: the gauge has the \
+                 new key, which belongs into {}",
+                key.names(),
+                gauge.key_file
+            )));
+        }
+        // The commit may be at work still.
+        gauge.wait(COMMITTED);
+        let found = gauge.seal()?;
+        gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
+        let verdict = match self.unfinished.take() {
+            Some(unfinished) => {
+                let mut task = Task::new(gauge, block, &unfinished.change, unfinished.order, found);
+                task.torn = true;
+                task.mine = SEALS.map(|name| Some(unfinished.ring.get(name).clone()));
+                let verdict = task.undo(gauge, plan, identities, watched, &unfinished, session);
+                if !matches!(verdict, Ok(Verdict::Done(_))) {
+                    self.unfinished = Some(unfinished);
+                }
+                verdict
+            }
+            None => probe(gauge, block, plan, key, identities, watched, found, session),
+        };
+        wipe_stack();
+        verdict
     }
 
     /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
@@ -135,10 +271,11 @@ impl DataFlash {
                 (&gauge.chip.security.storage, gauge.key(Name::Unseal))
         {
             sequence(gauge).enable(gauge)?;
-            let place = Window { subclass: block.subclass, base: block.start };
+            let (place, start) = locate(block.subclass, block.start);
             let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
             let stored = stored(&key, block.order);
-            if window[block.unseal..block.unseal + stored.len()] == **stored {
+            let at = start + block.unseal;
+            if window[at..at + stored.len()] == **stored {
                 gauge.prove_key();
                 return Ok(());
             }
@@ -153,25 +290,23 @@ impl DataFlash {
     }
 }
 
-/// Where the table places a key, or why it cannot be changed.
-fn place(chip: &'static Chip, name: Name) -> Result<(&'static KeyBlock, usize)> {
+/// The block of keys with one of that name, or why it cannot be changed.
+fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBlock> {
     let refuse = |why: &str| {
         let why = format!("cannot be changed here: {why}");
         Err(Error::new(chip.model, Cause::NotPermitted(why)).at(Step::Check))
     };
-    let block = match &chip.security.storage {
-        KeyStorage::Fixed(why) => return refuse(why),
-        KeyStorage::Flash(block) => block,
-    };
-    match name {
-        Name::Unseal => Ok((block, block.unseal)),
-        Name::FullAccess => Ok((block, block.full_access)),
-        Name::Authentication => match block.authentication.filter(|_| chip.authentication.is_some()) {
-            Some(at) => Ok((block, at)),
-            None => {
-                refuse("this part has no authentication that gaugefs knows, so a new key could not be tried")
+    match &chip.security.storage {
+        KeyStorage::Fixed(why) => refuse(why),
+        KeyStorage::Flash(block) if name == Name::Authentication => {
+            match block.authentication.filter(|_| chip.authentication.is_some()) {
+                Some(_) => Ok(block),
+                None => refuse(
+                    "this part has no authentication that gaugefs knows, so a new key could not be tried",
+                ),
             }
-        },
+        }
+        KeyStorage::Flash(block) => Ok(block),
     }
 }
 
@@ -219,104 +354,349 @@ fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     Ok(())
 }
 
-impl Task<'_> {
-    fn run(&mut self, dataflash: &mut DataFlash, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
-        let (name, old, new) = (self.change.name, &self.change.old, &self.change.new);
-        let tried = self.enter(gauge)?;
+impl<'a> Task<'a> {
+    fn new(gauge: &Gauge, block: &'a KeyBlock, change: &'a KeyChange, order: Order, found: Seal) -> Self {
+        let (place, start) = locate(block.subclass, block.start);
+        Self {
+            block,
+            change,
+            place,
+            start,
+            order,
+            found,
+            goal: found,
+            mine: SEALS.map(|name| gauge.key(name)),
+            moved: false,
+            torn: false,
+            erased: change.old.is_erased(),
+            unordered: false,
+            lost: Vec::new(),
+        }
+    }
+
+    fn run(
+        &mut self,
+        dataflash: &mut DataFlash,
+        gauge: &mut Gauge,
+        voltage_mv: u16,
+        session: &mut Session,
+    ) -> Result<()> {
+        let KeyChange { name, old, new } = self.change;
+        let taken = self.enter(gauge)?;
         sequence(gauge).enable(gauge)?;
+        if let Some(row) = dataflash.learn_marks(gauge)? {
+            return Err(dataflash.other_pack(gauge, row));
+        }
+        let left =
+            session.entry.as_ref().and_then(|entry| Some((entry.identity.clone(), entry.plan.clone()?)));
+        if let Some((then, plan)) = &left {
+            let now = dataflash.identity(gauge)?;
+            self.check_pack(gauge, [then, &now], plan)?;
+            // What shows that the table fits may have been erased with the keys. It was checked before.
+            restore_rows(gauge, session, plan)?;
+        }
         dataflash.check_signature(gauge)?;
         dataflash.check_gate(gauge, voltage_mv)?;
         let before = self.read(gauge)?;
-        let held = match tried {
-            Some(held) => held,
-            None => self.held(gauge, &before)?,
+        let ring = self.ring_of(&before, taken)?;
+        let held = match name {
+            Name::Authentication => self.held_authentication(gauge, &before)?,
+            _ => ring.get(*name).clone(),
         };
-        let ring = self.ring(gauge, &held)?;
-        self.compare_with(&before, &ring, &held)?;
-        // Restoring the seal state needs this key.
-        gauge.set_key(name, &held);
-        if name != Name::Authentication && self.found != Seal::Sealed {
+        self.compare_with(
+            gauge,
+            &before,
+            &ring,
+            &held,
+            left.as_ref().and_then(|(_, plan)| plan.key.as_ref()),
+        )?;
+        // Restoring the seal state needs these keys.
+        gauge.set_key(*name, &held);
+        if self.torn || self.erased {
+            SEALS.into_iter().for_each(|name| gauge.set_key(name, ring.get(name)));
+        }
+        if !self.torn && *name != Name::Authentication && self.found != Seal::Sealed {
             self.moved = true;
             gauge.go_to(Seal::Sealed)?;
             self.climb(gauge, &ring, Seal::Sealed)?;
         }
         sequence(gauge).enable(gauge)?;
-        let (mut after, mut back) = (before.clone(), before);
-        self.put(&mut after, new);
-        self.put(&mut back, old);
+        let (mut after, mut wanted) = (before.clone(), ring);
+        let key = left.as_ref().and_then(|(_, plan)| plan.key.as_ref());
+        let mine = gauge.key(Name::Authentication);
+        let authentication = key.and_then(|key| self.complete(dataflash, mine, &mut after, &mut wanted, key));
+        let mut back = after.clone();
+        self.put(&mut after, *name, new);
+        self.put(&mut back, *name, old);
+        let mut before_ring = wanted.clone();
+        if *name != Name::Authentication {
+            wanted.set(*name, new);
+            before_ring.set(*name, old);
+        }
+        let proof = |key: &'a Secret| {
+            if *name == Name::Authentication { Some(key.clone()) } else { authentication.clone() }
+        };
+        self.announce(dataflash, gauge, session, &before, &before_ring)?;
         let mut touched = 0;
         let written = self.write(gauge, &after, &mut touched);
-        let proven = written.and_then(|()| self.prove(gauge, new));
+        let proven = written.and_then(|()| {
+            // While another key may be lost, the journal stays.
+            if self.lost.is_empty() {
+                session.note_keys(|key| key.written = true, KEYS_WRITTEN);
+            }
+            self.prove(gauge, &wanted, proof(new).as_ref())
+        });
         let Err(error) = proven else {
-            gauge.set_key(name, new);
+            SEALS.into_iter().for_each(|name| gauge.set_key(name, wanted.get(name)));
+            gauge.set_key(*name, new);
             return Ok(());
         };
         if touched == 0 {
             return Err(error);
         }
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
-        Err(self.back(gauge, &back, &error))
+        self.torn = true;
+        session.note_keys(|key| key.begin(*name), &keys_line(*name));
+        let unfinished = Unfinished {
+            change: self.change.clone(),
+            ring: before_ring.clone(),
+            authentication: proof(old),
+            before: back,
+            order: self.order,
+        };
+        let mut error = self.back(gauge, &unfinished, &error);
+        if matches!(error.cause(), Cause::RolledBack(_))
+            && let Some(plan) = session.entry.as_ref().and_then(|entry| entry.plan.clone())
+            && let Err(second) = restore_rows(gauge, session, &plan)
+        {
+            error = Error::new("", Cause::StateUnknown(format!("{error}; but {second}")));
+        }
+        dataflash.unfinished = Some(unfinished);
+        Err(error)
     }
 
-    /// Goes to FULL ACCESS from the seal state in which the gauge was found, with the key that it has.
-    /// Returns it, where it was needed.
-    fn enter(&mut self, gauge: &mut Gauge) -> Result<Option<Secret>> {
-        let ring = self.ring(gauge, &self.change.old)?;
-        let mut held = None;
-        for (name, key, goal, above) in ring.rungs(self.found) {
+    /// Position of a key in the row.
+    fn at(&self, name: Name) -> usize {
+        self.start
+            + match name {
+                Name::Unseal => self.block.unseal,
+                Name::FullAccess => self.block.full_access,
+                Name::Authentication => self.block.authentication.unwrap_or_default(),
+            }
+    }
+
+    /// The mount's key of that name, which is not the one that is changed.
+    fn mine(&self, name: Name) -> Option<&Secret> {
+        self.mine[usize::from(name == Name::FullAccess)].as_ref()
+    }
+
+    /// The key of that name that the gauge had before the change was begun, as far as is known.
+    fn expected(&self, gauge: &Gauge, name: Name) -> Result<Secret> {
+        if name == self.change.name {
+            return Ok(self.change.old.clone());
+        }
+        self.mine(name).cloned().ok_or_else(|| {
+            let (name, place) = (name.as_str(), &gauge.key_file);
+            let why = format!("the {name} key is needed too; put it into {place} and mount again");
+            Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check)
+        })
+    }
+
+    fn ring(&self, gauge: &Gauge) -> Result<Ring> {
+        Ok(Ring {
+            unseal: self.expected(gauge, Name::Unseal)?,
+            full_access: self.expected(gauge, Name::FullAccess)?,
+        })
+    }
+
+    /// Goes to FULL ACCESS from the seal state in which the gauge was found, with the keys that it has. Returns those
+    /// that were needed.
+    fn enter(&mut self, gauge: &mut Gauge) -> Result<[Option<Secret>; 2]> {
+        let ring = self.ring(gauge)?;
+        let mut taken = [None, None];
+        for ((name, key, goal, above), taken) in ring.rungs(self.found).into_iter().zip(&mut taken) {
             if above {
                 continue;
             }
             self.moved = true;
             let found = self.find(gauge, name, key, goal)?;
-            let why = || match name == self.change.name {
-                true => "the gauge takes neither the old key nor the new one".to_string(),
-                false => format!("the gauge refused the mount's {} key", name.as_str()),
+            let why = || match (name == self.change.name, self.torn || self.erased) {
+                (true, false) => "the gauge takes neither the old key nor the new one".to_string(),
+                (true, true) => {
+                    "the gauge takes neither of the two keys, nor a part of each, nor ffff ffff".to_string()
+                }
+                (false, false) => format!("the gauge refused the mount's {} key", name.as_str()),
+                (false, true) => {
+                    format!("the gauge refused the mount's {} key, parts of it, and ffff ffff", name.as_str())
+                }
             };
             let found = found
                 .ok_or_else(|| Error::new(gauge.chip.model, Cause::NotPermitted(why())).at(Step::Unseal))?;
-            if name == self.change.name {
-                held = Some(found);
-            }
+            *taken = Some(found);
         }
-        Ok(held)
+        Ok(taken)
     }
 
-    /// The key that the gauge has, where no key was needed to come here: the old one, the new one, or what
-    /// a change left behind that was cut short.
-    fn held(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
+    /// The keys that the gauge has: those that it took, and of the others those that are stored.
+    fn ring_of(&self, window: &[u8; WINDOW], taken: [Option<Secret>; 2]) -> Result<Ring> {
+        let of = |name: Name, taken: Option<Secret>| {
+            if let Some(key) = taken {
+                return Ok(key);
+            }
+            let known: Vec<&Secret> = match name == self.change.name {
+                true => vec![&self.change.old, &self.change.new],
+                false => self.mine(name).into_iter().collect(),
+            };
+            if let Some(key) = known.iter().find(|key| self.is_stored(window, key, name)) {
+                return Ok((*key).clone());
+            }
+            let at = self.at(name);
+            let present = unstored(&window[at..at + 4], self.block.order);
+            let erased = ERASED.to_be_bytes();
+            let is_left = (0..4).step_by(2).all(|word| {
+                let word = word..word + 2;
+                present.bytes()[word.clone()] == erased
+                    || self.torn
+                        && known.iter().any(|key| key.bytes()[word.clone()] == present.bytes()[word.clone()])
+            });
+            match (is_left && (self.torn || self.erased), known.first()) {
+                (true, _) => Ok(present),
+                // The comparison refuses it.
+                (false, Some(key)) if name != self.change.name => Ok((*key).clone()),
+                _ => Err(neither()),
+            }
+        };
+        let [unseal, full_access] = taken;
+        Ok(Ring { unseal: of(Name::Unseal, unseal)?, full_access: of(Name::FullAccess, full_access)? })
+    }
+
+    /// The authentication key that the gauge has: the old one, the new one, or what a change left behind that was cut
+    /// short.
+    fn held_authentication(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
         let KeyChange { name, old, new } = self.change;
-        let is_stored = |key: &Secret| self.is_stored(window, key, self.at);
         for key in [old, new] {
-            if is_stored(key) && (*name != Name::Authentication || self.challenge(gauge, key).is_ok()) {
+            if self.is_stored(window, key, *name) && self.challenge(gauge, key)? {
                 return Ok(key.clone());
             }
         }
-        let present = &window[self.at..self.at + old.bytes().len()];
-        let (was, shall) = (stored(old, self.block.order), stored(new, self.block.order));
+        let at = self.at(*name);
+        let present = &window[at..at + LENGTH_OF_KEY];
         let word = |at: usize| {
-            [&was[at..at + 2], &shall[at..at + 2], &ERASED.to_be_bytes()].contains(&&present[at..at + 2])
+            let word = at..at + 2;
+            [&old.bytes()[word.clone()], &new.bytes()[word.clone()], &ERASED.to_be_bytes()]
+                .contains(&&present[word])
         };
-        if *name == Name::Authentication && (0..present.len()).step_by(2).all(word) && !is_stored(old) {
+        if (0..present.len()).step_by(2).all(word) && !self.is_stored(window, old, *name) {
             return Ok(Secret::of_bytes(present));
         }
-        let why = "the gauge has neither the old key nor the new one; nothing was changed";
-        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check))
+        Err(neither())
     }
 
-    /// The keys with which the gauge opens, while the one that is changed is `key`.
-    fn ring(&self, gauge: &Gauge, key: &Secret) -> Result<Ring> {
-        let get = |name: Name| {
-            if name == self.change.name {
-                return Ok(key.clone());
+    /// Puts back what a loss of power has taken of the keys that are not changed. Returns the authentication key that
+    /// has to be proven then, and notes what cannot be put back.
+    fn complete(
+        &mut self,
+        dataflash: &DataFlash,
+        mine: Option<Secret>,
+        window: &mut [u8; WINDOW],
+        ring: &mut Ring,
+        key: &KeyPlan,
+    ) -> Option<Secret> {
+        for name in SEALS.into_iter().filter(|name| *name != self.change.name) {
+            if let Some(mine) = self.mine(name).filter(|mine| *mine != ring.get(name)).cloned() {
+                ring.set(name, &mine);
+                self.put(window, name, &mine);
             }
-            gauge.key(name).ok_or_else(|| {
-                let (name, place) = (name.as_str(), &gauge.key_file);
-                let why = format!("the {name} key is needed too; put it into {place} and mount again");
-                Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check)
-            })
+        }
+        let name = Name::Authentication;
+        if self.change.name == name || self.block.authentication.is_none() {
+            return None;
+        }
+        let at = self.at(name);
+        let present = Secret::of_bytes(&window[at..at + LENGTH_OF_KEY]);
+        let is_damaged = present.has_erased_word() && !key.erased.contains(&name);
+        let kept =
+            dataflash.unfinished.as_ref().map(|kept| Secret::of_bytes(&kept.before[at..at + LENGTH_OF_KEY]));
+        match kept.or(mine) {
+            Some(known) if is_damaged || known == present => {
+                self.put(window, name, &known);
+                Some(known)
+            }
+            _ if is_damaged || key.names.contains(&name) => {
+                self.lost.push(name);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    /// Records what is about to be written: which key, and what is beside the keys in their row and in the rows next
+    /// to it.
+    fn announce(
+        &self,
+        dataflash: &mut DataFlash,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        before: &[u8; WINDOW],
+        ring: &Ring,
+    ) -> Result<()> {
+        let name = self.change.name;
+        let Some(entry) = &mut session.entry else { return Ok(()) };
+        if let Some(key) = entry.plan.as_mut().and_then(|plan| plan.key.as_mut()) {
+            if !key.names.contains(&name) {
+                key.begin(name);
+                if let Some(journal) = &mut session.journal {
+                    journal.note(&keys_line(name))?;
+                }
+            }
+            return Ok(());
+        }
+        let mut rows = Vec::new();
+        if self.place.subclass == FLAT {
+            let step = WINDOW as u16;
+            for base in [self.place.base, self.place.base - step, self.place.base + step] {
+                let place = Window { base, ..self.place };
+                let content = match base == self.place.base {
+                    true => *before,
+                    false => quietly(gauge, |gauge| sequence(gauge).load(gauge, place))?,
+                };
+                let learned = learned(gauge.chip, place);
+                rows.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
+            }
+        }
+        let marks = dataflash.known.marks(gauge.chip);
+        let mut plan = settle::plan(gauge, false, &[], &rows, marks);
+        let is_erased = |name: &Name| match name {
+            Name::Authentication => {
+                self.block.authentication.is_some() && {
+                    let at = self.at(*name);
+                    Secret::of_bytes(&before[at..at + LENGTH_OF_KEY]).has_erased_word()
+                }
+            }
+            name => ring.get(*name).is_erased(),
         };
-        Ok(Ring { unseal: get(Name::Unseal)?, full_access: get(Name::FullAccess)? })
+        let erased = Name::ALL.into_iter().filter(is_erased).collect();
+        let ordered = SEALS.into_iter().any(|name| shows_order(ring.get(name)));
+        plan.key = Some(KeyPlan { names: vec![name], erased, ordered, written: false });
+        if let Some(journal) = &mut session.journal {
+            journal.plan(&plan)?;
+        }
+        entry.plan = Some(plan);
+        Ok(())
+    }
+
+    /// Refuses a pack that is not the one on which a change was begun.
+    fn check_pack(&self, gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan) -> Result<()> {
+        match same_pack(gauge, [then, now], plan)? {
+            Match::Other(name) => {
+                let why = format!(
+                    "{name} is not what it was when a change of keys was cut short: this is another pack; nothing was \
+                     changed. Connect the right pack, or give that change up: gaugefs settle GAUGE --discard"
+                );
+                Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify))
+            }
+            Match::Certain | Match::Weak => Ok(()),
+        }
     }
 
     /// Goes from a seal state to FULL ACCESS with these keys.
@@ -335,93 +715,99 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// A random challenge, answered as only this key answers it.
-    fn challenge(&self, gauge: &mut Gauge, key: &Secret) -> Result<()> {
-        let mut challenge = [0; LENGTH];
-        getrandom::fill(&mut challenge).map_err(|error| {
-            Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other, error.to_string()))
-        })?;
-        let digest = authentication::answered(gauge, &challenge, self.order)?;
-        let key = key.bytes().try_into().expect("an authentication key has 16 bytes");
-        if authentication::fits(key, &challenge, &digest, self.order).is_some() {
+    /// Whether the gauge answers a random challenge as only this key does. An error is one of the bus, and says nothing
+    /// about the key.
+    fn challenge(&self, gauge: &mut Gauge, key: &Secret) -> Result<bool> {
+        answers(gauge, key, self.order)
+    }
+
+    /// Whether the gauge takes the keys, found out by using them. Sealed and opened again.
+    fn prove(&mut self, gauge: &mut Gauge, ring: &Ring, authentication: Option<&Secret>) -> Result<()> {
+        if let Some(key) = authentication
+            && !self.challenge(gauge, key)?
+        {
+            let why = "the answer to a challenge does not match this key";
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Verify));
+        }
+        if self.change.name == Name::Authentication && !self.torn {
             return Ok(());
         }
-        let why = "the answer to a challenge does not match this key";
-        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Verify))
-    }
-
-    /// Whether the gauge takes the key, found out by using it. Sealed and opened again.
-    fn prove(&mut self, gauge: &mut Gauge, key: &Secret) -> Result<()> {
-        if self.change.name == Name::Authentication {
-            return self.challenge(gauge, key);
-        }
-        let ring = self.ring(gauge, key)?;
         gauge.go_to(Seal::Sealed)?;
-        self.climb(gauge, &ring, Seal::Sealed)
+        self.climb(gauge, ring, Seal::Sealed)
     }
 
-    fn place(&self) -> Window {
-        Window { subclass: self.block.subclass, base: self.block.start }
-    }
-
-    /// The block as it is now. Only what is keys counts: behind them may be what the gauge rewrites.
+    /// The row as it is now. Only what is keys counts: beside them may be what the gauge rewrites.
     fn read(&self, gauge: &mut Gauge) -> Result<Zeroizing<[u8; WINDOW]>> {
-        quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place()).map(Zeroizing::new))
+        quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place).map(Zeroizing::new))
     }
 
-    /// Whether a key is stored at this position, in the byte order of the table.
-    fn is_stored(&self, window: &[u8; WINDOW], key: &Secret, at: usize) -> bool {
-        let bytes = stored(key, self.block.order);
+    /// Whether a key is stored in its place, in the byte order of the table.
+    fn is_stored(&self, window: &[u8; WINDOW], key: &Secret, name: Name) -> bool {
+        let (at, bytes) = (self.at(name), stored(key, self.block.order));
         window[at..at + bytes.len()] == **bytes
     }
 
-    fn put(&self, window: &mut [u8; WINDOW], key: &Secret) {
-        let bytes = stored(key, self.block.order);
-        window[self.at..self.at + bytes.len()].copy_from_slice(&bytes);
+    fn put(&self, window: &mut [u8; WINDOW], name: Name, key: &Secret) {
+        let (at, bytes) = (self.at(name), stored(key, self.block.order));
+        window[at..at + bytes.len()].copy_from_slice(&bytes);
     }
 
     /// Checks that the keys the gauge accepted are stored where, and in the byte order, the table says, and that
-    /// at least one of them would look different in another order.
-    fn compare_with(&self, window: &[u8; WINDOW], ring: &Ring, held: &Secret) -> Result<()> {
+    /// at least one of them would look different in another order. Where all keys are erased none does. Then the change
+    /// that was cut short has checked it, or the new key is written and tried, and found again in whatever order.
+    fn compare_with(
+        &mut self,
+        gauge: &Gauge,
+        window: &[u8; WINDOW],
+        ring: &Ring,
+        held: &Secret,
+        left: Option<&KeyPlan>,
+    ) -> Result<()> {
         let refuse = |why: &str| {
             let why = format!("{why}; nothing was changed");
             Err(Error::new("", Cause::NotPermitted(why)).at(Step::Check))
         };
-        let KeyBlock { unseal, full_access, .. } = *self.block;
-        let places = [(&ring.unseal, unseal), (&ring.full_access, full_access), (held, self.at)];
-        if !places.into_iter().all(|(key, at)| self.is_stored(window, key, at)) {
+        let name = self.change.name;
+        let places = [(&ring.unseal, Name::Unseal), (&ring.full_access, Name::FullAccess), (held, name)];
+        if !places.into_iter().all(|(key, name)| self.is_stored(window, key, name)) {
             return refuse("this gauge does not keep the keys it takes where and how its manual says");
         }
-        let shows_order = |key: &Secret| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|at| key.bytes()[at]);
-            ![[c, d, a, b], [b, a, d, c], [d, c, b, a]].contains(&[a, b, c, d])
-        };
-        if self.change.name != Name::Authentication
-            && !shows_order(&ring.unseal)
-            && !shows_order(&ring.full_access)
+        let is_shown = SEALS.into_iter().any(|name| shows_order(ring.get(name)));
+        if is_shown || left.is_some_and(|left| left.ordered) || name == Name::Authentication && left.is_none()
         {
+            return Ok(());
+        }
+        if !SEALS.into_iter().all(|name| ring.get(name).is_erased()) {
             return refuse("neither of its keys shows in which order of bytes this gauge keeps them");
         }
-        Ok(())
+        self.unordered = true;
+        let written = SEALS.map(|one| if one == name { Some(&self.change.new) } else { self.mine(one) });
+        let are_safe =
+            written.into_iter().flatten().all(|key| turned(key).iter().all(|key| is_harmless(gauge, key)));
+        if are_safe {
+            return Ok(());
+        }
+        refuse(
+            "all its keys are erased, so that none shows in which order of bytes it keeps them, and in another order a \
+             word of the new key is a command; change it to some other key first",
+        )
     }
 
     /// Writes the keys and reads them back. `touched` counts the commits.
     fn write(&self, gauge: &mut Gauge, keys: &[u8; WINDOW], touched: &mut usize) -> Result<()> {
         quietly(gauge, |gauge| {
-            let length = self.block.length;
-            let present = Zeroizing::new(sequence(gauge).load(gauge, self.place())?);
-            if present[..length] == keys[..length] {
+            let present = Zeroizing::new(sequence(gauge).load(gauge, self.place)?);
+            let of_keys = Bytes::of(|at| (self.start..self.start + self.block.length).contains(&at));
+            // Beside the keys a byte goes back only if it was erased: other keys, and parameters of a flat row.
+            let goes = Bytes::of(|at| {
+                of_keys.has(at) || present[at] == 0xff && secrets(gauge.chip, self.place).has(at)
+            });
+            if goes.iter().all(|at| present[at] == keys[at]) {
                 return Ok(());
             }
-            let mut block = Dirty {
-                place: self.place(),
-                old: *present,
-                new: *present,
-                written: Bytes::of(|at| at < length),
-                learned: Bytes::of(|at| at >= length),
-            };
-            // What is behind the keys stays as it is at this moment.
-            block.new[..length].copy_from_slice(&keys[..length]);
+            let learned = Bytes::of(|at| !goes.has(at));
+            let mut block = Dirty { place: self.place, old: *present, new: *present, written: goes, learned };
+            goes.iter().for_each(|at| block.new[at] = keys[at]);
             let stored = self.commit(gauge, &block, touched);
             block.old.zeroize();
             block.new.zeroize();
@@ -431,10 +817,10 @@ impl Task<'_> {
 
     /// Programs the keys and reads them back. A commit that was not acknowledged and has changed nothing is repeated.
     fn commit(&self, gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-        let length = self.block.length;
         let keeps = |gauge: &mut Gauge, keys: &[u8; WINDOW]| {
             let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
-            if present.map_err(|error| error.at(Step::Verify))?[..length] == keys[..length] {
+            let present = present.map_err(|error| error.at(Step::Verify))?;
+            if block.written.iter().all(|at| present[at] == keys[at]) {
                 return Ok(());
             }
             let why = "the gauge keeps other keys than were written";
@@ -443,8 +829,9 @@ impl Task<'_> {
         *touched += 1;
         for attempt in 1.. {
             Statistics::count(&gauge.statistics.flash_writes);
-            let committed =
-                sequence(gauge).fill(gauge, block).and_then(|()| sequence(gauge).commit(gauge, block));
+            let committed = sequence(gauge).pieces(block).iter().try_for_each(|piece| {
+                sequence(gauge).fill(gauge, piece).and_then(|()| sequence(gauge).commit(gauge, piece))
+            });
             let Err(error) = patiently(gauge, |gauge| keeps(gauge, &block.new)) else { return Ok(()) };
             let unchanged = committed.as_ref().is_err_and(is_passing) && keeps(gauge, &block.old).is_ok();
             if attempt == STORES || !unchanged {
@@ -457,7 +844,7 @@ impl Task<'_> {
 
     /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and
     /// tries it. Always an error, which says what is known.
-    fn back(&mut self, gauge: &mut Gauge, before: &[u8; WINDOW], error: &Error) -> Error {
+    fn back(&mut self, gauge: &mut Gauge, unfinished: &Unfinished, error: &Error) -> Error {
         let (mut state, mut known) = (Keyhole::Silent, Worked::Neither);
         for _ in 0..RESTORES {
             state = self.open_again(gauge);
@@ -468,12 +855,7 @@ impl Task<'_> {
                 Keyhole::Silent => continue,
             }
             let mut touched = 0;
-            let put_back = sequence(gauge)
-                .enable(gauge)
-                .and_then(|()| self.write(gauge, before, &mut touched))
-                .and_then(|()| self.prove(gauge, &self.change.old));
-            if put_back.is_ok() {
-                gauge.set_key(self.change.name, &self.change.old);
+            if self.put_back(gauge, unfinished, &mut touched).is_ok() {
                 let why = format!("{error}; the old key was restored, and the gauge takes it");
                 return Error::new("", Cause::RolledBack(why));
             }
@@ -486,27 +868,87 @@ impl Task<'_> {
         let KeyChange { name, new, .. } = self.change;
         let known = match (state, known) {
             (Keyhole::Open(_), Worked::Old) => {
-                "the gauge took the old key, but what it keeps could not be put in order and tried again"
+                "the gauge took the old key, but what it keeps could not be put in order and tried again".to_string()
             }
             (Keyhole::Open(_), Worked::New) => {
                 // Lets the daemon continue even if the key file has the old key.
                 gauge.set_key(*name, new);
-                "the gauge takes the new key, and the old one could not be restored"
+                "the gauge takes the new key, and the old one could not be restored".to_string()
             }
             (Keyhole::Open(_), Worked::Neither) => {
                 "the gauge was open, but the old key could not be restored: which key it takes is unknown; do not \
-                 cut its power, and make the same change once more"
+                 cut its power"
+                    .to_string()
             }
             (Keyhole::Shut(shut), _) if shut == *name => {
-                "the gauge takes neither the old key nor the new one"
+                "the gauge takes neither the old key nor the new one, nor a part of each, nor ffff ffff".to_string()
             }
-            (Keyhole::Shut(_), _) => "the gauge no longer takes its other key",
+            (Keyhole::Shut(shut), _) => {
+                format!("the gauge takes neither its {} key, nor a part of it, nor ffff ffff", shut.as_str())
+            }
             (Keyhole::Silent, _) => {
-                "the gauge does not answer: it has the old key, the new one or a part of each; when it answers again, \
-                 make the same change once more"
+                "the gauge does not answer: it has the old key, the new one, a part of each, or ffff ffff".to_string()
             }
         };
-        Error::new("", Cause::StateUnknown(format!("{error}; {known}")))
+        let way = way_out(&[*name]);
+        let why = format!(
+            "{error}; {known}; this mount undoes the change when it can, as long as it runs; or {way}"
+        );
+        Error::new("", Cause::StateUnknown(why))
+    }
+
+    /// Puts the old keys back and tries them.
+    fn put_back(&mut self, gauge: &mut Gauge, unfinished: &Unfinished, touched: &mut usize) -> Result<()> {
+        sequence(gauge).enable(gauge)?;
+        self.write(gauge, &unfinished.before, touched)?;
+        self.prove(gauge, &unfinished.ring, unfinished.authentication.as_ref())?;
+        SEALS.into_iter().for_each(|name| gauge.set_key(name, unfinished.ring.get(name)));
+        gauge.set_key(self.change.name, &self.change.old);
+        Ok(())
+    }
+
+    /// Undoes a change that this process has begun, now that the gauge may answer again.
+    fn undo(
+        &mut self,
+        gauge: &mut Gauge,
+        plan: &Plan,
+        identities: [&Identity; 2],
+        watched: bool,
+        unfinished: &Unfinished,
+        session: &mut Session,
+    ) -> Result<Verdict> {
+        let way = way_out(&[self.change.name]);
+        match self.open_again(gauge) {
+            Keyhole::Silent => {
+                let why = "the gauge does not answer while its keys are tried";
+                return Err(Error::new(gauge.chip.model, Cause::TimedOut(why.into())).at(Step::Restore));
+            }
+            Keyhole::Shut(name) => {
+                let name = name.as_str();
+                return Ok(Verdict::Undecided(format!(
+                    "a change of keys was cut short, and the gauge takes no {name} key that this mount knows, nor ffff \
+                     ffff: it may be another pack; otherwise {way}"
+                )));
+            }
+            Keyhole::Open(_) => {}
+        }
+        sequence(gauge).enable(gauge)?;
+        match same_pack(gauge, identities, plan)? {
+            Match::Other(name) => return Ok(Verdict::Undecided(another(&name))),
+            Match::Weak if !watched => {
+                return Ok(Verdict::Undecided(format!(
+                    "a change of keys was cut short, and this gauge has the serial number and the calibration of every new \
+                     one, so it may be another pack; if it is the one, {way}"
+                )));
+            }
+            Match::Certain | Match::Weak => {}
+        }
+        self.put_back(gauge, unfinished, &mut 0)?;
+        restore_rows(gauge, session, plan)?;
+        let name = self.change.name.as_str();
+        Ok(Verdict::Done(format!(
+            "a change of the {name} key was interrupted; the old key was restored, and the gauge takes it"
+        )))
     }
 
     /// Goes to FULL ACCESS with any key that works.
@@ -519,7 +961,7 @@ impl Task<'_> {
                 Err(_) => return Keyhole::Silent,
             }
         };
-        let Ok(ring) = self.ring(gauge, &self.change.old) else { return Keyhole::Silent };
+        let Ok(ring) = self.ring(gauge) else { return Keyhole::Silent };
         let mut worked = Worked::Neither;
         for (name, key, goal, above) in ring.rungs(now) {
             if above {
@@ -533,9 +975,13 @@ impl Task<'_> {
             }
         }
         if self.change.name == Name::Authentication {
-            let keys = [&self.change.new, &self.change.old];
-            let answers = keys.into_iter().find(|key| self.challenge(gauge, key).is_ok());
-            worked = answers.map_or(Worked::Neither, |key| self.which(key));
+            for key in [&self.change.new, &self.change.old] {
+                match self.challenge(gauge, key) {
+                    Ok(true) => worked = self.which(key),
+                    Ok(false) => {}
+                    Err(_) => return Keyhole::Silent,
+                }
+            }
         }
         Keyhole::Open(worked)
     }
@@ -548,36 +994,73 @@ impl Task<'_> {
         }
     }
 
-    /// The key that leads to a seal state. Of the one that is changed that is the old one, the new one, or
-    /// what is left of both where power failed between one word and the next.
-    fn find(&self, gauge: &mut Gauge, name: Name, key: &Secret, goal: Seal) -> Result<Option<Secret>> {
+    /// The key that leads to a seal state: the expected one, or what may be left of it.
+    fn find(&mut self, gauge: &mut Gauge, name: Name, key: &Secret, goal: Seal) -> Result<Option<Secret>> {
         if gauge.takes(key, goal)? {
+            self.erased |= key.is_erased() && name == self.change.name;
             return Ok(Some(key.clone()));
         }
-        if name != self.change.name {
-            return Ok(None);
-        }
-        let ([old_first, old_second], [first, second]) = (self.change.old.words(), self.change.new.words());
-        // Flash is programmed word by word, in ascending order.
-        let candidates = match self.block.order {
-            KeyOrder::Reversed => [[first, second], [old_first, second], [ERASED, second]],
-            KeyOrder::AsSent => [[first, second], [first, old_second], [first, ERASED]],
-        };
-        for words in candidates {
+        for candidate in self.candidates(name, key) {
             gauge.wait(gauge.chip.security.key_silence);
-            let candidate = Secret::from(words);
             if gauge.try_key(&candidate, goal)? {
+                self.erased |= candidate.is_erased();
                 return Ok(Some(candidate));
             }
         }
         Ok(None)
     }
 
+    /// What may be in place of a key, the likelier first. Flash is programmed word by word, in ascending order, after the
+    /// row was erased.
+    fn candidates(&self, name: Name, key: &Secret) -> Vec<Secret> {
+        let erased = Secret::from([ERASED; 2]);
+        let is_changed = name == self.change.name;
+        let mut found: Vec<Secret> = Vec::new();
+        if is_changed {
+            found.push(self.change.new.clone());
+        }
+        // Without anything that shows that the row was erased it would be a key that nobody has given.
+        if self.torn || self.erased {
+            found.push(erased);
+        }
+        if is_changed || self.torn {
+            let new = if is_changed { self.change.new.words() } else { key.words() };
+            let [first, second] = new;
+            let [old_first, old_second] = key.words();
+            found.extend(
+                match self.block.order {
+                    KeyOrder::Reversed => [[old_first, second], [ERASED, second]],
+                    KeyOrder::AsSent => [[first, old_second], [first, ERASED]],
+                }
+                .map(Secret::from),
+            );
+            if self.torn {
+                let words = [[old_first, first, ERASED], [old_second, second, ERASED]];
+                for (first, second) in
+                    words[0].into_iter().flat_map(|first| words[1].map(|second| (first, second)))
+                {
+                    found.push(Secret::from([first, second]));
+                }
+            }
+        }
+        if self.unordered {
+            let keys = if is_changed { &self.change.new } else { key };
+            found.extend(turned(keys));
+        }
+        let mut candidates: Vec<Secret> = Vec::with_capacity(found.len());
+        for candidate in found {
+            if candidate != *key && !candidates.contains(&candidate) {
+                candidates.push(candidate);
+            }
+        }
+        candidates
+    }
+
     /// Restores the seal state and reports both errors if there are two.
-    fn close(self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
+    fn close(&self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
         let limit = gauge.clock.now() + START;
-        let restore = |gauge: &mut Gauge| match self.found {
+        let restore = |gauge: &mut Gauge| match self.goal {
             // CONTROL_STATUS may still show the state before the last key.
             Seal::Sealed if outcome.is_err() => {
                 gauge.wait(SEAL_LAG);
@@ -591,7 +1074,7 @@ impl Task<'_> {
             gauge.forget_refusal();
             closed = restore(gauge);
         }
-        let found = self.found.as_str();
+        let found = self.goal.as_str();
         match (outcome, closed) {
             (outcome, Ok(())) => outcome,
             // It does not answer, and nothing was sent that could have changed its state.
@@ -613,6 +1096,236 @@ impl Task<'_> {
     }
 }
 
+fn neither() -> Error {
+    let why = "the gauge has neither the old key nor the new one; nothing was changed";
+    Error::new("", Cause::NotPermitted(why.into())).at(Step::Check)
+}
+
+/// Restores what a loss of power has erased beside the keys.
+fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result<()> {
+    if plan.blocks.is_empty() {
+        return Ok(());
+    }
+    let seen = quietly(gauge, |gauge| look(gauge, plan))?;
+    if seen.iter().any(|seen| seen.held == Held::Unexplained) && !session.decided {
+        let why = "a row next to the keys has changed, which the change of keys does not touch";
+        return Err(Error::new("", Cause::Protocol(why.into())).at(Step::Restore));
+    }
+    let torn: Vec<&Dirty> = seen
+        .iter()
+        .filter(|seen| matches!(seen.held, Held::Torn | Held::Unexplained))
+        .map(|seen| &seen.block)
+        .collect();
+    if torn.is_empty() {
+        return Ok(());
+    }
+    quietly(gauge, |gauge| session.restore(gauge, torn.into_iter(), false))
+}
+
+/// Whether the gauge answers a random challenge as only this key does.
+fn answers(gauge: &mut Gauge, key: &Secret, order: Order) -> Result<bool> {
+    let mut challenge = [0; LENGTH];
+    getrandom::fill(&mut challenge).map_err(|error| {
+        Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other, error.to_string()))
+    })?;
+    let digest = authentication::answered(gauge, &challenge, order)?;
+    let key = key.bytes().try_into().expect("an authentication key has 16 bytes");
+    Ok(authentication::fits(key, &challenge, &digest, order).is_some())
+}
+
+/// A key in the other orders in which a gauge might keep it.
+fn turned(key: &Secret) -> [Secret; 3] {
+    let [a, b, c, d] = [0, 1, 2, 3].map(|at| key.bytes()[at]);
+    [[c, d, a, b], [b, a, d, c], [d, c, b, a]].map(|bytes| Secret::of_bytes(&bytes))
+}
+
+/// Whether a key would look different in another order of bytes.
+fn shows_order(key: &Secret) -> bool {
+    !turned(key).contains(key)
+}
+
+/// Whether the words of a key may be sent although the gauge may not have it.
+fn is_harmless(gauge: &Gauge, key: &Secret) -> bool {
+    let is_command = |word: &u16| {
+        *word < SUBCOMMANDS
+            || gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word)
+            || gauge.chip.access.scheme.is_flat() && ADDRESSES.contains(word)
+    };
+    !key.words().iter().any(is_command)
+}
+
+/// Whether the gauge, whose data flash is open, is the one of a plan.
+fn same_pack(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan) -> Result<Match> {
+    compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place))
+}
+
+fn another(name: &str) -> String {
+    format!("{name} is not what it was when a change of keys was cut short: this is another pack")
+}
+
+/// What a person does about a change that was cut short.
+pub(super) fn way_out(names: &[Name]) -> String {
+    let commands: Vec<String> = names
+        .iter()
+        .map(|name| format!("gaugefs keys change GAUGE {} --key-file OLD --new-key-file NEW", name.as_str()))
+        .collect();
+    format!(
+        "make the same change once more, with the same two keys ({}); to undo it, exchange the two files. Keys of the \
+         mount's key file that were erased with it are put back, too",
+        commands.join(", then ")
+    )
+}
+
+/// What is told of keys that a change which is over otherwise has not put back.
+fn still_lost(names: &[Name]) -> String {
+    let names: Vec<&str> = names.iter().map(|name| name.as_str()).collect();
+    let name = names.join(" and ");
+    format!(
+        "a change of keys was cut short, and the {name} key may have been lost with it; put it back with gaugefs keys \
+         change GAUGE {name} --key-file OLD --new-key-file NEW, where OLD has `authentication = {}` if it was erased, or \
+         give it up: gaugefs settle GAUGE --discard",
+        "f".repeat(2 * LENGTH_OF_KEY)
+    )
+}
+
+/// Which of the keys that are known the gauge took.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Has {
+    /// The mount's.
+    Mine,
+    Erased,
+    Neither,
+    /// It was not asked.
+    Unknown,
+}
+
+/// Finds out which keys a gauge has on which another process has begun a change, with the keys of this one. Only reads,
+/// but for what was erased beside the keys of what is certainly the same pack.
+#[expect(clippy::too_many_arguments, reason = "all that is known of an interrupted change")]
+fn probe(
+    gauge: &mut Gauge,
+    block: &KeyBlock,
+    plan: &Plan,
+    key: &KeyPlan,
+    identities: [&Identity; 2],
+    watched: bool,
+    found: Seal,
+    session: &mut Session,
+) -> Result<Verdict> {
+    let (erased, mut has, mut now) = (Secret::from([ERASED; 2]), [Has::Unknown; 2], found);
+    for (at, (name, goal)) in
+        [(Name::Unseal, Seal::Unsealed), (Name::FullAccess, Seal::FullAccess)].into_iter().enumerate()
+    {
+        if now != [Seal::Sealed, Seal::Unsealed][at] {
+            continue;
+        }
+        let mine = gauge.key(name);
+        has[at] = match &mine {
+            Some(mine) if gauge.takes(mine, goal)? => {
+                if mine.is_erased() && !key.erased.contains(&name) {
+                    Has::Erased
+                } else {
+                    Has::Mine
+                }
+            }
+            _ => {
+                gauge.wait(gauge.chip.security.key_silence);
+                if gauge.takes(&erased, goal)? { Has::Erased } else { Has::Neither }
+            }
+        };
+        if has[at] == Has::Neither {
+            break;
+        }
+        now = gauge.seal()?;
+    }
+    let (mut lost, mut same) = (None, Match::Weak);
+    if now != Seal::Sealed {
+        sequence(gauge).enable(gauge)?;
+        same = same_pack(gauge, identities, plan)?;
+        if let Match::Other(name) = &same {
+            return Ok(Verdict::Undecided(another(name)));
+        }
+    }
+    if now == Seal::FullAccess {
+        let (place, start) = locate(block.subclass, block.start);
+        let row = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
+        for (has, (name, at)) in
+            has.iter_mut().zip([(Name::Unseal, block.unseal), (Name::FullAccess, block.full_access)])
+        {
+            let stored = unstored(&row[start + at..start + at + 4], block.order);
+            *has = match gauge.key(name) {
+                Some(mine) if mine == stored && !(stored.is_erased() && !key.erased.contains(&name)) => {
+                    Has::Mine
+                }
+                _ if stored.is_erased() => Has::Erased,
+                _ => Has::Neither,
+            };
+        }
+        lost = Some(
+            match block
+                .authentication
+                .map(|at| Secret::of_bytes(&row[start + at..start + at + LENGTH_OF_KEY]))
+            {
+                None => Has::Mine,
+                Some(stored) => match gauge.key(Name::Authentication) {
+                    Some(mine) if mine == stored => Has::Mine,
+                    _ if stored.has_erased_word() && !key.erased.contains(&Name::Authentication) => {
+                        Has::Erased
+                    }
+                    _ if key.names.contains(&Name::Authentication) => Has::Unknown,
+                    _ => Has::Mine,
+                },
+            },
+        );
+        if has == [Has::Mine; 2] && lost == Some(Has::Mine) {
+            restore_rows(gauge, session, plan)?;
+            let message = format!(
+                "a change of the {} key was interrupted; the gauge has the keys of this mount",
+                key.names()
+            );
+            return Ok(if same == Match::Certain || watched {
+                Verdict::Done(message)
+            } else {
+                Verdict::Plausible(message)
+            });
+        }
+        if found != Seal::Sealed && has.contains(&Has::Neither) {
+            // Nobody knows whether it could be opened again.
+            (session.found, session.now) = (now, Some(now));
+        }
+    } else if now == Seal::Unsealed && found != Seal::Sealed {
+        (session.found, session.now) = (now, Some(now));
+    }
+    let tell = |name: Name, has: Has| {
+        let what = match has {
+            Has::Mine => "the mount's",
+            Has::Erased => "ffff ffff (erased)",
+            Has::Neither => "neither the mount's nor ffff ffff",
+            Has::Unknown => "not known",
+        };
+        format!("{} key {what}", name.as_str())
+    };
+    let mut keys: Vec<String> = SEALS.into_iter().zip(has).map(|(name, has)| tell(name, has)).collect();
+    if block.authentication.is_some() {
+        keys.push(match lost {
+            Some(Has::Erased) => "authentication key erased, in part or as a whole".into(),
+            _ => tell(Name::Authentication, if lost == Some(Has::Mine) { Has::Mine } else { Has::Unknown })
+                .replace("the mount's", "as it was"),
+        });
+    }
+    let keep = match session.found {
+        Seal::Sealed => "",
+        _ if found != Seal::Sealed => "; do not cut its power and do not seal it before",
+        _ => "",
+    };
+    Ok(Verdict::Undecided(format!(
+        "a change of the {} key was cut short while it was written; the gauge has now: {}{keep}; {}",
+        key.names(),
+        keys.join(", "),
+        way_out(&key.names)
+    )))
+}
+
 /// A key as the gauge keeps it.
 fn stored(key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
     let mut bytes = Zeroizing::new(key.bytes().to_vec());
@@ -621,6 +1334,16 @@ fn stored(key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
         bytes.copy_from_slice(&turned);
     }
     bytes
+}
+
+/// A key of which a gauge keeps these bytes.
+fn unstored(bytes: &[u8], order: KeyOrder) -> Secret {
+    Secret::of_bytes(&stored(&Secret::of_bytes(bytes), order))
+}
+
+/// The line of the journal about the keys that are written.
+fn keys_line(name: Name) -> String {
+    format!("key {}\n", name.as_str())
 }
 
 /// What a gauge does that may have one key or another.

@@ -12,7 +12,7 @@ use crate::chip::{Bit, Calibration};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
-use crate::journal::{Entry, OpenJournal};
+use crate::journal::{Entry, KeyPlan, OpenJournal};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
@@ -170,6 +170,17 @@ impl Session {
         }
         plan.reset_sent = true;
         self.journal.as_mut().map_or(Ok(()), OpenJournal::reset_sent)
+    }
+
+    /// Records how far a change of keys has come. That it cannot be recorded does not keep it from going on: the journal
+    /// then says that less is known than is.
+    pub(super) fn note_keys(&mut self, change: impl FnOnce(&mut KeyPlan), line: &str) {
+        if let Some(key) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()?.key.as_mut()) {
+            change(key);
+        }
+        if let Some(Err(error)) = self.journal.as_mut().map(|journal| journal.note(line)) {
+            log::warn!("{error}");
+        }
     }
 
     /// Restores the old bytes, the last block first: flash is then open after each of them as it was on the way

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
+use super::keychange::way_out;
 use super::pack::{Match, compare, is_named, shows_another};
 use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
@@ -82,7 +83,7 @@ pub enum Decision {
 
 /// Which content a block has.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Held {
+pub(super) enum Held {
     Old,
     New,
     /// Some of both, or erased.
@@ -92,7 +93,7 @@ enum Held {
 }
 
 /// The outcome of a look at a gauge with something to settle.
-enum Verdict {
+pub(super) enum Verdict {
     /// It has been settled; the text says how.
     Done(String),
     /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
@@ -115,10 +116,10 @@ enum Doubt {
 }
 
 /// A planned block, what the gauge has in its place, and which content that is.
-struct Seen {
-    block: Dirty,
+pub(super) struct Seen {
+    pub(super) block: Dirty,
     stored: [u8; WINDOW],
-    held: Held,
+    pub(super) held: Held,
 }
 
 impl DataFlash {
@@ -164,10 +165,36 @@ impl DataFlash {
         self.pending = Some(pending);
     }
 
+    /// Adopts what is left of a change of keys, for somebody who makes it once more.
+    pub(super) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        self.identity = None;
+        self.identity(gauge)?;
+        session.decided = true;
+        session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
+        if session.entry.as_ref().is_some_and(|entry| entry.found == Seal::Sealed) {
+            session.found = Seal::Sealed;
+        }
+        let file = self.pending.as_ref().and_then(|pending| pending.file.clone());
+        session.journal = match (self.held.take(), self.journal.as_ref().zip(file)) {
+            (Some(held), _) => Some(held),
+            (None, Some((journal, file))) => journal.open(&file)?,
+            (None, None) => None,
+        };
+        Ok(())
+    }
+
+    /// Trying again does not help with what is owed.
+    pub(super) fn leave_to_person(&mut self) {
+        if let Some(pending) = &mut self.pending {
+            pending.undecided = true;
+        }
+    }
+
     /// Another gauge may be there now.
     pub(super) fn look_again(&mut self) {
         // The pack may come back elsewhere, where its journal must not be taken for one in use.
         self.held = None;
+        self.no_erased_key = false;
         (self.searched, self.judged) = (Searched::default(), Vec::new());
         match &mut self.pending {
             Some(pending) if pending.elsewhere => self.pending = None,
@@ -304,6 +331,15 @@ impl DataFlash {
             entry.found.as_str()
         );
         let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
+        if let Some(key) = &plan.key {
+            // The keys that the gauge has were found out when it was tried to settle this.
+            let names = key.names();
+            let how = match key.is_over() {
+                true => "was written and read back",
+                false => "was about to be written",
+            };
+            return Ok(format!("{text}the {names} key {how}\n"));
+        }
         in_time(gauge, waited, |gauge, asked| {
             self.identity = None;
             let found = gauge.seal_anew()?;
@@ -319,6 +355,13 @@ impl DataFlash {
         let Some(pending) = self.find_pending() else {
             return Err(Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into())));
         };
+        let key = pending.plan().and_then(|plan| plan.key).filter(|key| !key.is_over());
+        if let Some(key) = key.filter(|_| decision == Decision::Finish || decision == Decision::Undo)
+            && (decision == Decision::Finish || self.unfinished.is_none())
+        {
+            let why = format!("no journal has keys: {}", way_out(&key.names));
+            return Err(Error::new(gauge.chip.name, Cause::NotPermitted(why)));
+        }
         if decision != Decision::Discard {
             let told = self.resolve(gauge, &pending, Some(decision), waited)?;
             return Ok(told.unwrap_or_else(|| "there is nothing to settle".into()));
@@ -327,7 +370,7 @@ impl DataFlash {
             Some((journal, file)) if journal.look(file).is_some() => Some(journal.dismiss(file)?),
             _ => None,
         };
-        (self.pending, self.held) = (None, None);
+        (self.pending, self.held, self.unfinished) = (None, None, None);
         let left = match pending.entry {
             Some(entry) => self.leave_as_it_is(gauge, entry, waited),
             None => Ok(()),
@@ -339,7 +382,10 @@ impl DataFlash {
     /// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed, whatever it
     /// holds.
     fn leave_as_it_is(&mut self, gauge: &mut Gauge, entry: Entry, waited: Duration) -> Result<()> {
-        let (wrote, owes) = (entry.plan.is_some(), entry.found == Seal::Sealed);
+        // A gauge whose keys nobody may know stays open, if it is.
+        let of_keys =
+            entry.plan.as_ref().and_then(|plan| plan.key.as_ref()).is_some_and(|key| !key.is_over());
+        let (wrote, owes) = (entry.plan.is_some() && !of_keys, entry.found == Seal::Sealed && !of_keys);
         let entry = Entry { plan: None, ..entry };
         let kept = entry.clone();
         let ended = in_time(gauge, waited, |gauge, asked| {
@@ -463,8 +509,15 @@ impl DataFlash {
         }
         let mut outcome = match &entry.plan {
             None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
+            Some(plan) if plan.key.is_some() => {
+                let identities = [&entry.identity, &identity];
+                match elsewhere && !is_certainly(gauge, identities, plan, &mut session) {
+                    true => Ok(Verdict::Another),
+                    false => self.settle_keys(gauge, plan, identities, pending.watched, &mut session),
+                }
+            }
             Some(plan) => {
-                let open = if now == Seal::Sealed { unseal(gauge, plan) } else { Ok(()) };
+                let open = if now == Seal::Sealed { self.unseal(gauge, plan) } else { Ok(()) };
                 open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
                     let then = &entry.identity;
                     let task =
@@ -502,10 +555,27 @@ impl DataFlash {
         if entry.found == Seal::Sealed {
             session.found = Seal::Sealed;
         }
-        if self.in_calibration || entry.plan.is_some() {
+        let may_calibrate = entry.plan.as_ref().is_some_and(|plan| plan.key.is_none());
+        if self.in_calibration || may_calibrate {
             session.inherit_modes(gauge)?;
         }
         Ok(())
+    }
+
+    /// Unseals the gauge, also if its keys were erased with a row of the plan.
+    fn unseal(&mut self, gauge: &mut Gauge, plan: &Plan) -> Result<()> {
+        let refused = match gauge.unseal() {
+            Err(error) if matches!(error.cause(), Cause::NotPermitted(_) | Cause::NotNow(_)) => error,
+            done => return done,
+        };
+        // No journal has the keys. Each wrong one locks the gauge for a while, so it is tried once.
+        if !self.no_erased_key && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place())) {
+            if gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)? {
+                return Ok(());
+            }
+            self.no_erased_key = true;
+        }
+        Err(refused)
     }
 
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
@@ -570,12 +640,19 @@ pub(super) fn plan(
         let Window { subclass, base } = block.place;
         PlannedBlock { subclass, base, written: block.written, old, new }
     });
-    Plan { reset, reset_sent: false, marks, blocks: blocks.collect() }
+    Plan { reset, reset_sent: false, marks, blocks: blocks.collect(), key: None }
 }
 
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
     agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
+}
+
+impl Pending {
+    /// What was about to be written.
+    pub(super) fn plan(&self) -> Option<Plan> {
+        self.entry.as_ref()?.plan.clone()
+    }
 }
 
 impl PlannedBlock {
@@ -584,24 +661,18 @@ impl PlannedBlock {
     }
 }
 
-/// Unseals the gauge, also if its keys were erased with a row of the plan.
-fn unseal(gauge: &mut Gauge, plan: &Plan) -> Result<()> {
-    let refused = match gauge.unseal() {
-        Err(error) if matches!(error.cause(), Cause::NotPermitted(_) | Cause::NotNow(_)) => error,
-        done => return done,
-    };
-    // No journal has the keys.
-    if plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
-        && gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)?
-    {
-        return Ok(());
-    }
-    Err(refused)
+/// Whether a gauge is certainly the one on which a change of keys was begun at another place. Only keys that this host
+/// has are sent to it.
+fn is_certainly(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, session: &mut Session) -> bool {
+    let same = session
+        .open(gauge)
+        .and_then(|()| compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place)));
+    same == Ok(Match::Certain)
 }
 
 /// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
 /// what was there before it: whoever has sent it is gone.
-fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     gauge.wait(COMMITTED);
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {

@@ -7,10 +7,12 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use ti_gauge::authentication::{Order, answer, ask};
 use ti_gauge::chip::{CHIPS, KeyStorage, Kind};
+use ti_gauge::dataflash::{Change, Decision};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
 
+use crate::journal::Folder;
 use crate::rig::{Rig, cause};
 
 const STATES: [Seal; 3] = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
@@ -396,4 +398,243 @@ fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
         "{runs} runs with a fault: {succeeded} succeeded, {refused} refused with nothing changed, {rolled_back} put \
          back, {unknown} unknown and said so, {lost} of them with no key that opens"
     );
+}
+
+const OWN: &str = "8d3eb7c5d1a96f4e70821b3c5a6e9df4";
+const TEARS: [&str; 4] = ["rest-old", "rest-erased", "old", "erased"];
+
+/// A calibrated pack and a host with a journal that knows the keys which the pack has.
+fn at_home(chip: &str, folder: &Folder, has_authentication: bool) -> Rig {
+    let mut rig = Rig::calibrated(chip, Seal::Sealed);
+    restart(&mut rig, folder, has_authentication);
+    rig
+}
+
+/// Another process, with the keys from before the change.
+fn restart(rig: &mut Rig, folder: &Folder, has_authentication: bool) {
+    let lines = "authentication = 0123456789abcdeffedcba9876543210";
+    let keys =
+        Keys::parse("keys", if has_authentication { lines.as_bytes() } else { b"" }, "BAT0").expect("keys");
+    rig.start_with(folder, keys, |bus, _, write, read| bus.transfer(write, read));
+}
+
+fn texts(chip: &str) -> Vec<&'static str> {
+    cases()
+        .iter()
+        .filter(|case| case.chip == chip && case.found == Seal::Sealed)
+        .map(|case| case.text)
+        .collect()
+}
+
+const WITH_KEYS: [&str; 4] = ["bq34z100-g1", "bq34z100-r2", "bq27520-g3", "bq35100"];
+
+/// The process that has begun the change still knows all keys, whatever the gauge has lost.
+#[test]
+fn regression_a_gauge_that_loses_its_power_in_a_change_of_keys_loses_its_keys() {
+    let folder = Folder::new("keys-gauge");
+    let mut undone = 0;
+    for (chip, tear) in WITH_KEYS.into_iter().flat_map(|chip| TEARS.map(|tear| (chip, tear))) {
+        for (text, words) in texts(chip).into_iter().flat_map(|text| [0, 1, 3].map(|words| (text, words))) {
+            let at = format!("{chip} {} {tear} after {words} words", parse(text).name.as_str());
+            let mut rig = at_home(chip, &folder, false);
+            let before = rig.sim.flash();
+            rig.set("tear", tear);
+            rig.set("fault", &format!("torn-commit {words}"));
+            let error = run(&mut rig, text).expect_err("its power is lost");
+            assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+            assert!(error.to_string().contains("gaugefs keys change GAUGE"), "{at}: {error}");
+            let owed = rig.dataflash.owed().expect("it is owed");
+            assert!(owed.data && !owed.needs_decision, "{at}: {}", owed.why);
+            rig.settle().expect_err("it is off");
+            rig.set("power", "on");
+            rig.pause(3);
+            let told = rig.settle().unwrap_or_else(|error| panic!("{at}: {error}")).expect("it is owed");
+            assert!(told.contains("the old key was restored"), "{at}: {told}");
+            assert!(rig.sim.flash() == before, "{at}: {told}");
+            assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+            assert!(rig.dataflash.owed().is_none(), "{at}");
+            run(&mut rig, text).unwrap_or_else(|error| panic!("{at}: {error}"));
+            undone += 1;
+        }
+    }
+    assert!(undone > 90, "{undone}");
+}
+
+/// Another process knows only what the journal has, and what a person gives it.
+#[test]
+fn regression_a_power_cut_in_a_change_of_keys_cannot_be_settled() {
+    let folder = Folder::new("keys-both");
+    let (mut decided, mut settled, mut lost) = (0, 0, 0);
+    for (chip, tear) in WITH_KEYS.into_iter().flat_map(|chip| TEARS.map(|tear| (chip, tear))) {
+        for (text, words) in texts(chip).into_iter().flat_map(|text| [0, 1, 3].map(|words| (text, words))) {
+            for (undo, has_authentication) in [(false, true), (true, false)] {
+                let change = parse(text);
+                let name = change.name.as_str();
+                let at = format!("{chip} {name} {tear} after {words} words, undo {undo}");
+                let mut rig = at_home(chip, &folder, has_authentication);
+                let before = rig.sim.flash();
+                rig.set("tear", tear);
+                rig.set("fault", &format!("torn-commit {words}"));
+                run(&mut rig, text).expect_err("its power is lost");
+                let journal = folder.text().expect("a journal");
+                assert!(journal.contains("\nkeys ordered ") && !journal.contains("8d3e"), "{at}: {journal}");
+                restart(&mut rig, &folder, has_authentication);
+                rig.set("power", "on");
+                rig.pause(12);
+                let back = format!("{name} {} {}", &*change.new.text(), &*change.old.text());
+                let again = if undo { &back } else { text };
+                match rig.arrive() {
+                    Ok(told) => {
+                        assert!(told.is_some_and(|told| told.contains("the keys of this mount")), "{at}");
+                        settled += 1;
+                        if undo {
+                            assert!(rig.sim.flash() == before, "{at}");
+                            continue;
+                        }
+                    }
+                    Err(error) => {
+                        let told = error.to_string();
+                        assert_eq!(cause(&error), "Busy", "{at}: {told}");
+                        assert!(told.contains("the gauge has now: unseal key "), "{at}: {told}");
+                        assert!(told.contains(&format!("gaugefs keys change GAUGE {name} ")), "{at}: {told}");
+                        let is_erased = rig.sim.flash() != before && tear == "erased";
+                        assert!(!is_erased || told.contains("unseal key ffff ffff (erased)"), "{at}: {told}");
+                        assert!(
+                            rig.dataflash.owed().is_some_and(|owed| owed.data && owed.needs_decision),
+                            "{at}"
+                        );
+                        let shown =
+                            rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it is shown");
+                        assert!(
+                            shown.contains(&format!("the {name} key was about to be written")),
+                            "{at}: {shown}"
+                        );
+                        // Nothing else is written, and no wrong key is sent again and again.
+                        let wrong = rig.clock.now();
+                        rig.dataflash
+                            .decide(&mut rig.gauge, Decision::Finish, Duration::ZERO)
+                            .expect_err("no keys");
+                        let row = rig.gauge.chip.subclasses.iter().find(|row| row.kind != Kind::Security);
+                        let place = (row.expect("a subclass").id, row.expect("a subclass").start()).into();
+                        let other = Change { place, bytes: vec![1], row: None, saved: false };
+                        assert_eq!(cause(&rig.write_all(&[other]).expect_err("refused")), "Busy", "{at}");
+                        assert!(rig.clock.now() - wrong < Duration::from_secs(1), "{at}");
+                        decided += 1;
+                    }
+                }
+                run(&mut rig, again).unwrap_or_else(|error| panic!("{at}: {error}"));
+                if let Some(owed) = rig.dataflash.owed() {
+                    assert!(
+                        !has_authentication && owed.why.contains("authentication key may have been lost"),
+                        "{at}"
+                    );
+                    lost += 1;
+                    let text = format!("authentication {} 0123456789abcdeffedcba9876543210", "f".repeat(32));
+                    run(&mut rig, &text).unwrap_or_else(|error| panic!("{at}: {error}"));
+                }
+                assert!(rig.dataflash.owed().is_none(), "{at}: {:?}", rig.dataflash.owed());
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+                assert!(opens(&mut rig, &change, !undo) && !opens(&mut rig, &change, undo), "{at}");
+                if !undo {
+                    run(&mut rig, &back).unwrap_or_else(|error| panic!("{at}, back: {error}"));
+                }
+                let differing = before.iter().zip(rig.sim.flash()).filter(|(old, new)| **old != *new).count();
+                // No table of gaugefs says how the authentication key of a bq35100 is set.
+                let most = if chip == "bq35100" && tear == "erased" { 12 } else { 0 };
+                assert!(differing <= most, "{at}: {differing} bytes differ");
+            }
+        }
+    }
+    assert!(decided > 100 && settled > 10 && lost > 10, "{decided} decided, {settled} settled, {lost} lost");
+}
+
+/// A pack whose keys are all erased, and nobody knows since when.
+#[test]
+fn regression_keys_that_are_erased_cannot_be_changed() {
+    for chip in WITH_KEYS {
+        let mut rig = Rig::calibrated(chip, Seal::Sealed);
+        let KeyStorage::Flash(block) = &rig.gauge.chip.security.storage else { panic!("{chip} has keys") };
+        let start = usize::from(block.start) - if chip == "bq35100" { 0x4000 } else { 0 };
+        let area = if chip == "bq35100" { 0 } else { block.subclass.into() };
+        rig.sim.set_flash(area, start, &vec![0xff; block.length]);
+        run(&mut rig, "unseal ffff ffff 8d3e b7c5").unwrap_or_else(|error| panic!("{chip}: {error}"));
+        run(&mut rig, "full-access ffff ffff 1a2b 3c4d").unwrap_or_else(|error| panic!("{chip}: {error}"));
+        if block.authentication.is_some() {
+            let text = format!("authentication {} {OWN}", "f".repeat(32));
+            run(&mut rig, &text).unwrap_or_else(|error| panic!("{chip}: {error}"));
+        }
+        let keys = b"unseal = 8d3e b7c5\nfull_access = 1a2b 3c4d";
+        let keys = Keys::parse("keys", keys, "BAT0").expect("keys");
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        assert!(goes_up(&mut gauge), "{chip}");
+
+        // The full-access key of the owner is one that he gives, and the gauge has ffff ffff as well.
+        let mut rig = Rig::calibrated(chip, Seal::Sealed);
+        rig.sim.set_flash(area, start, &vec![0xff; block.length]);
+        let keys = Keys::parse("keys", b"full_access = 1a2b 3c4d", "BAT0").expect("keys");
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        run(&mut rig, "unseal ffff ffff 8d3e b7c5").unwrap_or_else(|error| panic!("{chip}: {error}"));
+        run(&mut rig, "full-access ffff ffff 1a2b 3c4d").unwrap_or_else(|error| panic!("{chip}: {error}"));
+        assert!(goes_up(&mut rig.gauge), "{chip}");
+    }
+}
+
+/// A gauge that keeps the bytes of its keys in another order than its manual says. Nothing shows that while they are
+/// erased, so it is found out by using the new key, which is not lost then.
+struct Turned<B>(B, bool);
+
+impl<B: Bus> Bus for Turned<B> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        let mut sent = write.to_vec();
+        if let [0x3e, class, ..] = write {
+            self.1 = *class == 112;
+        }
+        if let ([0x40..=0x47, ..], true) = (write, self.1) {
+            sent[1..].chunks_exact_mut(4).for_each(<[u8]>::reverse);
+        }
+        self.0.transfer(&sent, read)?;
+        if self.1 && write == [0x3e] && read.len() > 10 {
+            read[2..10].chunks_exact_mut(4).for_each(<[u8]>::reverse);
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn erased_keys_of_a_gauge_with_another_order_of_bytes_are_not_lost() {
+    for text in ["unseal ffff ffff 8d3e b7c5", "full-access ffff ffff 1a2b 3c4d"] {
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        rig.sim.set_flash(112, 0, &[0xff; 8]);
+        let keys = Keys::parse("keys", b"unseal = ffff ffff", "BAT0").expect("keys");
+        let bus = Turned(rig.sim.bus(), false);
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), keys.clone(), false);
+        let before = rig.sim.flash();
+        let error = run(&mut rig, text).expect_err("another order");
+        assert_eq!(cause(&error), "RolledBack", "{error}");
+        assert!(rig.sim.flash() == before, "{error}");
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        assert!(goes_up(&mut gauge), "{error}");
+    }
+    // In another order this one would be RESET.
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    rig.sim.set_flash(112, 0, &[0xff; 8]);
+    refused(&mut rig, "unseal ffff ffff 4100 1234", "NotPermitted", "change it to some other key first");
+}
+
+/// A bus that fails says nothing about a key.
+#[test]
+fn regression_a_bus_error_in_a_challenge_counts_as_a_wrong_key() {
+    let mut plain = Rig::new("bq34z100-g1");
+    plain.sim.clear_log();
+    run(&mut plain, AUTHENTICATION).expect("no fault");
+    let sums = plain.sim.log().iter().map(|record| record.write.first() == Some(&0x54)).collect::<Vec<_>>();
+    let at: Vec<_> = (1..).zip(sums).filter(|(_, is_sum)| *is_sum).map(|(number, _)| number).collect();
+    assert!(at.len() >= 2, "one challenge before and one after: {at:?}");
+    let mut rig = Rig::new("bq34z100-g1");
+    let before = rig.sim.flash();
+    rig.set("fault", &format!("silence {} 2500", at[0]));
+    let error = run(&mut rig, AUTHENTICATION).expect_err("the bus is gone");
+    assert!(matches!(cause(&error), "Bus" | "TimedOut" | "StateUnknown"), "{error}");
+    assert!(!error.to_string().contains("neither the old key"), "{error}");
+    assert!(rig.sim.flash() == before, "{error}");
 }

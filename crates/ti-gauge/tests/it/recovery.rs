@@ -647,7 +647,7 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
         let change = KeyChange::parse(text.as_bytes()).expect("a change");
         dataflash.change_key(gauge, &change, Order::LsbFirst, Duration::ZERO)
     };
-    let mut left_open = 0;
+    let (mut left_open, mut undecided) = (0, 0);
     for (chip, _) in PARTS {
         let has_keys = matches!(Rig::new(chip).gauge.chip.security.storage, KeyStorage::Flash(_));
         for (name, access) in [("read", read), ("key change", change_key)] {
@@ -659,18 +659,29 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
             assert_eq!(folder.files(), Vec::<String>::new(), "{chip} {name}");
             for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
                 let at = format!("{chip}, {name}, cut at {number}, after it: {after}");
-                let mut rig = Rig::new(chip);
+                let mut rig = Rig::calibrated(chip, Seal::Sealed);
                 assert!(host(&rig, &folder, Some((number, after)), access).0.is_none(), "{at}");
                 rig.pause(5);
                 left_open += usize::from(rig.get("seal") != "sealed");
                 rig.start(&folder);
-                rig.arrive().unwrap_or_else(|error| panic!("{at}: {error}"));
+                match rig.arrive() {
+                    Ok(_) => {}
+                    // A key that nobody knows is in the gauge, which stays open until somebody gives it.
+                    Err(error) if name == "key change" && rig.get("seal") != "sealed" => {
+                        undecided += 1;
+                        assert!(error.to_string().contains("do not cut its power"), "{at}: {error}");
+                        let again = change_key(&mut rig.dataflash, &mut rig.gauge);
+                        again.unwrap_or_else(|error| panic!("{at}: {error}"));
+                    }
+                    Err(error) => panic!("{at}: {error}"),
+                }
                 assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
                 assert!(rig.dataflash.owed().is_none(), "{at}");
             }
         }
     }
     assert!(left_open > 100, "{left_open} times the host left it open");
+    assert!((4..200).contains(&undecided), "{undecided} times a new key was not known");
 }
 
 pub(crate) const RESET: [u8; 3] = [0x00, 0x41, 0x00];
