@@ -382,3 +382,8 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
     }
     Ok(())
 }
+
+/// A message of the daemon, which does not know under which path its gauge is seen here.
+pub(crate) fn with_gauge(text: &str, gauge: &Path) -> String {
+    text.replace(" GAUGE ", &format!(" {} ", shown(gauge)))
+}

@@ -27,6 +27,10 @@ The old key is tried first. Exit code 0 means that the new key is in the gauge a
 has unsealed the gauge, or the gauge has answered a challenge with it. The mount uses the new key
 from then on, but its key file is not changed.
 
+A change that a power cut has interrupted is made by the same command with the same two keys, and
+undone by the same command with the two keys exchanged; `gaugefs settle` shows which keys the gauge
+has meanwhile. Keys of the mount's key file that were erased with it are put back, too.
+
 Examples:
   gaugefs keys change /run/gauges/BAT0 unseal
   gaugefs keys change /run/gauges/BAT0 unseal --key-file old.keys --new-key-file new.keys";

@@ -13,7 +13,8 @@ const SETTLE: &str = "\
 A write that was interrupted is settled by itself where the gauge is certainly the one it was begun on.
 Where it is not, nothing is touched and every further write is refused until you decide. Without an
 option this command shows what is known: each parameter with its old value, its new one, and what the
-gauge has now. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
+gauge has now. A change of keys that was interrupted is finished or undone with its two keys, which no
+journal has: this command shows which keys the gauge has, and what to type. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
 
 Examples:
   gaugefs settle /run/gauges/BAT0             what is there to settle
@@ -65,5 +66,7 @@ fn exchange(gauge: &Path, word: &str) -> Result<String> {
     const FILE: &str = "gauge/settle";
     mounted::has(gauge, FILE, "data flash")?;
     mounted::send(gauge, FILE, word.as_bytes()).map_err(|failure| failure.told("cannot be settled"))?;
-    mounted::text(gauge, FILE).map_err(|failure| failure.told("cannot read what is to settle"))
+    let told = mounted::text(gauge, FILE);
+    let told = told.map_err(|failure| failure.told("cannot read what is to settle"))?;
+    Ok(mounted::with_gauge(&told, gauge))
 }

@@ -115,7 +115,7 @@ impl Owner {
         Ok(())
     }
 
-    fn after_settling(&mut self) {
+    pub(super) fn after_settling(&mut self) {
         self.forget_dataflash();
         self.schedule.hurry();
         self.publish_seal();

@@ -71,6 +71,11 @@ impl Direct {
         self.owner.gauge.default_key(name)
     }
 
+    /// The keys of which a change is neither done nor undone.
+    pub(crate) fn owed_keys(&self) -> Vec<Name> {
+        self.owner.dataflash.owed().map_or(Vec::new(), |owed| owed.keys.to_vec())
+    }
+
     /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
     /// whether only a person can decide it.
     pub(crate) fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {

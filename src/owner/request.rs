@@ -225,7 +225,11 @@ impl Owner {
             }
             Request::ChangeKey(change, done) => {
                 let order = self.shared.auth_order;
+                let settles = self.dataflash.owed().is_some();
                 let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, waited);
+                if settles {
+                    self.after_settling();
+                }
                 self.note_debt();
                 self.publish_seal();
                 let (prefix, name) = (&self.shared.prefix, change.name.as_str());

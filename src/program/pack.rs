@@ -107,10 +107,10 @@ impl Task<'_> {
 
     fn run(&mut self, slot: &mut dyn Slot) -> Result<()> {
         self.open(slot)?;
-        self.settle_before()?;
+        self.settle_before(slot)?;
         let before = self.first_look(slot)?;
         // Only an open gauge shows that a journal waits for it.
-        self.settle_before()?;
+        self.settle_before(slot)?;
         let asked = self.begin(&before)?;
         if self.gauge.handle.published().seal == Seal::Unsealed {
             // A write may end with a reset, which seals it: the key has to be tried before.
@@ -169,11 +169,14 @@ impl Task<'_> {
     }
 
     /// What an earlier pack, or a station that was stopped, has left is settled first.
-    fn settle_before(&mut self) -> Result<()> {
+    fn settle_before(&mut self, slot: &mut dyn Slot) -> Result<()> {
         let Some((why, needs_decision)) = self.gauge.settle(PATIENCE) else {
             self.keep_journals();
             return Ok(());
         };
+        if self.finish_keys(slot).is_ok() && self.gauge.settle(PATIENCE).is_none() {
+            return Ok(());
+        }
         if !needs_decision
             || self.station.plan.setup.station.unsettled.unwrap_or_default() == Unsettled::Refuse
         {
@@ -185,6 +188,30 @@ impl Task<'_> {
         }
         self.gauge.ask(|done| Request::Settle(Some(Decision::Discard), done))?;
         self.keep_journals();
+        Ok(())
+    }
+
+    /// Finishes a change of keys that was interrupted, if this station knows both keys. Keys are changed in the order of
+    /// their names, so those before have been changed already.
+    fn finish_keys(&mut self, slot: &mut dyn Slot) -> Result<()> {
+        let names = self.gauge.owed_keys();
+        let unknown = || refuse("keys", "the keys of the interrupted change are not known".into());
+        let (Some(new), Some(first)) = (&self.bench.new_keys, names.first()) else { return Err(unknown()) };
+        let mut settings = self.bench.settings(self.station)?;
+        for name in Name::ALL.into_iter().take_while(|name| name != first) {
+            if let Some(key) = new.secret(name) {
+                settings.keys.set(name, &key);
+            }
+        }
+        self.transfers += transfers(&self.gauge);
+        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.open(slot)?;
+        for name in self.gauge.owed_keys() {
+            let old = self.bench.keys.secret(name).or_else(|| self.gauge.default_key(name));
+            let (Some(old), Some(new)) = (old, new.secret(name)) else { return Err(unknown()) };
+            let change = KeyChange { name, old, new };
+            self.gauge.ask(|done| Request::ChangeKey(change, done))?;
+        }
         Ok(())
     }
 
@@ -205,7 +232,9 @@ impl Task<'_> {
     fn first_look(&mut self, slot: &mut dyn Slot) -> Result<Flash> {
         let flash = match self.look() {
             Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
-                self.look_with_new_keys(slot).ok_or_else(|| self.with_number(&error))?
+                let found = self.look_with_new_keys(slot);
+                let found = found.or_else(|| self.look_with_erased_key(slot));
+                found.ok_or_else(|| self.with_number(&error))?
             }
             read => read?,
         };
@@ -256,6 +285,18 @@ impl Task<'_> {
         self.gauge = connect(self.station, self.bench, slot, settings);
         self.open(slot).ok()?;
         self.has_new_keys = true;
+        self.look().ok()
+    }
+
+    /// A pack whose keys were erased by a loss of power can still be opened, and gets its keys again.
+    fn look_with_erased_key(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
+        self.bench.new_keys.as_ref()?.secret(Name::Unseal)?;
+        let mut settings = self.bench.settings(self.station).ok()?;
+        settings.keys.set(Name::Unseal, &[0xffff; 2].into());
+        self.transfers += transfers(&self.gauge);
+        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.has_new_keys = false;
+        self.open(slot).ok()?;
         self.look().ok()
     }
 

@@ -1167,3 +1167,46 @@ fn regression_an_unfinished_pack_of_an_earlier_run_is_no_failure() {
     assert!(line.said.all()[0].contains("the station was stopped while it programmed this pack"));
     assert!(!line.station.all_passed(), "it has not passed");
 }
+
+/// A pack that loses its power while it gets its keys, and a pack whose keys are erased.
+#[test]
+fn regression_a_pack_without_its_keys_stays_without() {
+    use std::os::unix::fs::PermissionsExt;
+    let keys = "unseal = 8d3e b7c5\nfull_access = 6fa1 92d4\n";
+    let lines = format!("{PLAIN}\nnew-key-file = 'new.keys'");
+    let clock = Arc::new(SimClock::new());
+    let folder = |name: &str| {
+        let folder = Folder::new(name);
+        fs::write(folder.file("new.keys"), keys).expect("a file");
+        fs::set_permissions(folder.file("new.keys"), fs::Permissions::from_mode(0o600)).expect("its mode");
+        folder
+    };
+    let opens = |sim: &Sim| {
+        let keys = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
+        let mut gauge = opened(sim, &clock, Settings { keys, ..Settings::default() });
+        gauge.ask(|done| Request::Seal(Seal::FullAccess, done)).is_ok()
+    };
+    let erased = new_pack(&clock, 1, None);
+    erased.set_flash(112, 0, &[0xff; 8]);
+    let line = Line::start(folder("erased").plan(&lines), &[], None).expect("a record");
+    let said = line.run(&clock, [(erased.clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS") && opens(&erased), "{said:?}");
+
+    // The commits of the image come first.
+    let pulled = (1..400).step_by(1).filter(|at| at % 8 == 0).find_map(|at| {
+        let folder = folder("pulled-keys");
+        let sim = new_pack(&clock, 2, None);
+        sim.set("tear", "erased").expect("a knob");
+        let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+        let said = line.run(&clock, [(sim.clone(), format!("power-cut-after {} 900000", 300 + at))]);
+        (said[0].contains("a change of the") || said[0].contains("keys change"))
+            .then_some((folder, sim, said))
+    });
+    let (folder, sim, _) = pulled.expect("a change of keys");
+    clock.sleep(Duration::from_secs(1000));
+    sim.set("power", "on").expect("a knob");
+    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+    let said = line.run(&clock, [(sim.clone(), "none".into())]);
+    let last = said.last().expect("an outcome");
+    assert!(last.starts_with("PASS") && opens(&sim), "{said:?}");
+}

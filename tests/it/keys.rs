@@ -510,3 +510,93 @@ fn keys_appear_nowhere() {
     assert!(trace.contains("W: AA 40 "), "challenges are no secret");
     assert!(fs::read_to_string(&log).expect("the log").contains("unseal key: changed and tried"));
 }
+
+/// What the program prints after a power cut is followed to the letter.
+#[test]
+fn regression_the_way_back_from_a_power_cut_in_a_key_change_is_refused() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, flash, state, own, old, new] =
+        ["m", "flash", "state", "own", "old", "new"].map(|name| folder.file(name));
+    let gauge = format!("{at}/BAT0");
+    let default = AUTHENTICATION[0];
+    write_keys(&own, &format!("unseal = 0414 3672\nfull_access = ffff ffff\nauthentication = {default}\n"));
+    let mount = || {
+        let mount =
+            ["mount", "--sim", CHIP, "--sim-state", &flash, "--state-dir", &state, "--key-file", &own];
+        gaugefs(&[&mount[..], &[&at]].concat()).done();
+    };
+    let set = |knob: &str, text: &str| fs::write(format!("{gauge}/sim/{knob}"), text).expect("a knob");
+    for (number, (key, from, to)) in [
+        ("unseal", "0414 3672", SEALS[0]),
+        ("full-access", "ffff ffff", SEALS[1]),
+        ("authentication", default, AUTHENTICATION[1]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let line = key.replace('-', "_");
+        write_keys(&old, &format!("{line} = {from}\n"));
+        write_keys(&new, &format!("{line} = {to}\n"));
+        mount();
+        set("tear", "erased");
+        set("fault", "torn-commit 2");
+        let change = ["keys", "change", &gauge, key, "--key-file", &old, "--new-key-file", &new];
+        let ran = gaugefs(&change);
+        ran.failed(&[
+            "the gauge does not answer",
+            &format!("gaugefs keys change {gauge} {key} --key-file OLD"),
+        ]);
+        assert_eq!(read(&gauge, "gauge/owed"), "1");
+        let process = daemon(&at).expect("the daemon runs");
+        nix::sys::signal::kill(nix::unistd::Pid::from_raw(process as i32), nix::sys::signal::Signal::SIGKILL)
+            .expect("it is killed");
+        within(Duration::from_secs(10), "it has ended", || daemon(&at).is_none());
+        mount();
+        let shown = gaugefs(&["settle", &gauge]);
+        assert_eq!(shown.code, Some(1), "{}{}", shown.out, shown.err);
+        assert!(shown.out.contains("unseal key ffff ffff (erased)"), "{}", shown.out);
+        assert!(fs::write(format!("{gauge}/df/80/53"), "3100").is_err(), "nothing else is written");
+        assert_eq!(read(&gauge, "gauge/owed"), "1");
+        let command = shown.out.split("gaugefs ").nth(1).and_then(|rest| rest.split(')').next());
+        let command = command.unwrap_or_else(|| panic!("no command in {}", shown.out));
+        let words = command.split(' ').map(|word| match word {
+            "OLD" if number != 1 => old.as_str(),
+            "NEW" if number != 1 => new.as_str(),
+            // This one is undone.
+            "OLD" => new.as_str(),
+            "NEW" => old.as_str(),
+            word => word,
+        });
+        gaugefs(&words.collect::<Vec<_>>()).done();
+        assert_eq!(read(&gauge, "gauge/owed"), "0");
+        assert_eq!(gaugefs(&["settle", &gauge]).done(), "nothing to settle\n");
+        if number != 1 {
+            let back = ["keys", "change", &gauge, key, "--key-file", &new, "--new-key-file", &old];
+            gaugefs(&back).done();
+        }
+        gaugefs(&["umount", &at]).done();
+        // With the owner's keys.
+        mount();
+        fs::write(format!("{gauge}/gauge/seal"), "full-access").expect("his keys");
+        fs::write(format!("{gauge}/gauge/seal"), "sealed").expect("a state");
+        gaugefs(&["auth", &gauge, "--key-file", &own]).done();
+        gaugefs(&["umount", &at]).done();
+    }
+
+    // The daemon that has begun the change undoes it as soon as the gauge answers again.
+    mount();
+    set("tear", "erased");
+    set("fault", "torn-commit 2");
+    assert_ne!(
+        gaugefs(&["keys", "change", &gauge, "authentication", "--key-file", &old, "--new-key-file", &new])
+            .code,
+        Some(0)
+    );
+    set("power", "on");
+    within(Duration::from_secs(60), "it is undone", || read(&gauge, "gauge/owed") == "0");
+    gaugefs(&["auth", &gauge, "--key-file", &own]).done();
+    gaugefs(&["umount", &at]).done();
+}

@@ -22,6 +22,7 @@ use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
 use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan, PlannedBlock};
+use crate::keys::Name;
 use crate::text;
 
 /// The unseal key of a gauge whose row of keys has been erased.
@@ -68,6 +69,8 @@ pub struct Owed<'a> {
     pub needs_decision: bool,
     /// A write is neither done nor undone; otherwise only the seal is owed.
     pub data: bool,
+    /// The keys of which a change is neither done nor undone: it takes both keys, as in the change.
+    pub keys: &'a [Name],
 }
 
 /// What a person may decide about an interrupted write.
@@ -141,7 +144,9 @@ impl DataFlash {
     pub fn owed(&self) -> Option<Owed<'_>> {
         let pending = self.pending.as_ref()?;
         let data = pending.entry.as_ref().is_none_or(|entry| entry.plan.is_some());
-        Some(Owed { why: &pending.why, needs_decision: pending.undecided, data })
+        let keys = pending.entry.as_ref().and_then(|entry| entry.plan.as_ref()?.key.as_ref());
+        let keys = keys.filter(|key| !key.is_over()).map_or(&[][..], |key| &key.names);
+        Some(Owed { why: &pending.why, needs_decision: pending.undecided, data, keys })
     }
 
     /// Keeps what a session has left to be settled.

@@ -544,7 +544,13 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
     }
     run.clock.sleep(Duration::from_secs(random.below(40)));
     host.gauge.forget_refusal();
-    let paid = pay(&mut host, &run.clock);
+    let mut paid = pay(&mut host, &run.clock);
+    if !paid && is_key {
+        // No journal has keys: whoever has them makes the change once more.
+        told.push("the change of keys was made once more".into());
+        run.act(&mut host).map_err(|error| format!("once more: {error} <- {}", about(&fault)))?;
+        paid = pay(&mut host, &run.clock);
+    }
     let flash = run.flash();
     if !paid {
         let owed = host.dataflash.owed().map_or_else(String::new, |owed| owed.why.to_string());
