@@ -247,14 +247,13 @@ impl Plan {
     /// numbers that were given.
     fn check_images(&self) -> Result<()> {
         let images = &self.setup.images;
+        // The one from before is saved before the pack is on record.
         let of_gauge = |name: &str| {
             let Some((number, rest)) = name.split_once('-') else { return false };
             let is_number = number.len() >= 6 && number.bytes().all(|byte| byte.is_ascii_digit());
-            is_number
-                && self
-                    .names
-                    .iter()
-                    .any(|gauge| rest.strip_prefix(&**gauge).is_some_and(|rest| rest.starts_with('-')))
+            let of_name =
+                |gauge: &String| rest.strip_prefix(&**gauge).and_then(|rest| rest.strip_prefix('-'));
+            is_number && self.names.iter().filter_map(of_name).any(|rest| !rest.starts_with("before."))
         };
         let found = std::fs::read_dir(images).into_iter().flatten().flatten();
         match found.map(|file| file.file_name().to_string_lossy().into_owned()).find(|name| of_gauge(name)) {
