@@ -403,13 +403,8 @@ impl<'a> Task<'a> {
             Name::Authentication => self.held_authentication(gauge, &before)?,
             _ => ring.get(*name).clone(),
         };
-        self.compare_with(
-            gauge,
-            &before,
-            &ring,
-            &held,
-            left.as_ref().and_then(|(_, plan)| plan.key.as_ref()),
-        )?;
+        let key = left.as_ref().and_then(|(_, plan)| plan.key.as_ref());
+        self.compare_with(gauge, &before, &ring, &held, key)?;
         // Restoring the seal state needs these keys.
         gauge.set_key(*name, &held);
         if self.torn || self.erased {
@@ -422,7 +417,6 @@ impl<'a> Task<'a> {
         }
         sequence(gauge).enable(gauge)?;
         let (mut after, mut wanted) = (before.clone(), ring);
-        let key = left.as_ref().and_then(|(_, plan)| plan.key.as_ref());
         let mine = gauge.key(Name::Authentication);
         let authentication = key.and_then(|key| self.complete(dataflash, mine, &mut after, &mut wanted, key));
         let mut back = after.clone();

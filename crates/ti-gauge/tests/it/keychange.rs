@@ -6,7 +6,7 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use ti_gauge::authentication::{Order, answer, ask};
-use ti_gauge::chip::{CHIPS, KeyStorage, Kind};
+use ti_gauge::chip::{CHIPS, FLAT, KeyStorage, Kind};
 use ti_gauge::dataflash::{Change, Decision};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
@@ -637,4 +637,56 @@ fn regression_a_bus_error_in_a_challenge_counts_as_a_wrong_key() {
     assert!(matches!(cause(&error), "Bus" | "TimedOut" | "StateUnknown"), "{error}");
     assert!(!error.to_string().contains("neither the old key"), "{error}");
     assert!(rig.sim.flash() == before, "{error}");
+}
+
+/// On a bq35100 each wrong key locks the gauge for 11 s. Its keys share a row with parameters.
+#[test]
+fn regression_the_erased_key_is_sent_with_each_retry() {
+    let folder = Folder::new("keys-retry");
+    let mut rig = at_home("bq35100", &folder, false);
+    rig.set("fault", "torn-commit 1");
+    rig.write(FLAT, 0x41DB, "2900").expect_err("its power is lost");
+    rig.set("power", "on");
+    rig.sim.set_flash(0, 0x1CC, &[0x77, 0x11, 0x22, 0x33]);
+    restart(&mut rig, &folder, false);
+    let mut took = Vec::new();
+    for _ in 0..6 {
+        rig.pause(30);
+        let begun = rig.clock.now();
+        rig.settle().expect_err("nobody knows its key");
+        took.push((rig.clock.now() - begun).as_secs());
+    }
+    assert!(took[0] >= 11 && took[2..].iter().all(|took| *took < 2), "{took:?}");
+    assert!(rig.dataflash.owed().is_some_and(|owed| owed.data && owed.keys.is_empty()));
+}
+
+#[test]
+fn regression_another_pack_gets_the_keys_of_an_interrupted_change() {
+    let folder = Folder::new("keys-other");
+    let text = "unseal 0414 3672 8d3e b7c5";
+    let mut rig = at_home("bq34z100-g1", &folder, false);
+    rig.set("tear", "erased");
+    rig.set("fault", "torn-commit 2");
+    run(&mut rig, text).expect_err("its power is lost");
+    for restarts in [false, true] {
+        if restarts {
+            restart(&mut rig, &folder, false);
+        }
+        rig.set("power", "on");
+        // Another pack with the manual's keys takes its place.
+        rig.pause(60);
+        let erased = rig.sim.flash();
+        rig.sim.set_flash(112, 0, &[0x36, 0x72, 0x04, 0x14, 0xff, 0xff, 0xff, 0xff]);
+        rig.calibrate(9);
+        let other = rig.sim.flash();
+        let error = rig.arrive().expect_err("another pack");
+        assert!(error.to_string().contains("this is another pack"), "{error}");
+        let error = run(&mut rig, text).expect_err("another pack");
+        assert!(matches!(cause(&error), "Gone" | "Busy"), "{error}");
+        assert!(rig.sim.flash() == other && folder.text().is_some(), "{error}");
+        // The right one is back.
+        rig.sim.set_flash(112, 0, &[0xff; 24]);
+        rig.calibrate(3);
+        assert!(rig.sim.flash() == erased);
+    }
 }
