@@ -87,7 +87,9 @@ impl GaugeFile {
         let is_new = time.is_some_and(|time| time.as_second() >= self.opened.as_second());
         let is_owed = || read("gauge/owed").trim() == "1";
         let why = match told.trim() {
-            told if !told.is_empty() && (is_new || is_owed()) => Why::Daemon(told.into()),
+            told if !told.is_empty() && (is_new || is_owed()) => {
+                Why::Daemon(super::with_gauge(told, &self.gauge))
+            }
             _ => Why::Unknown,
         };
         Failure { gauge: self.gauge.clone(), error, why }

@@ -1248,7 +1248,7 @@ fn probe(
         {
             let stored = unstored(&row[start + at..start + at + 4], block.order);
             *has = match gauge.key(name) {
-                Some(mine) if mine == stored && !(stored.is_erased() && !key.erased.contains(&name)) => {
+                Some(mine) if mine == stored && (!stored.is_erased() || key.erased.contains(&name)) => {
                     Has::Mine
                 }
                 _ if stored.is_erased() => Has::Erased,
