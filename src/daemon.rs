@@ -117,15 +117,19 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             // Its mount is the answer.
             background::notify();
             service::wait(&device, &*clock)?;
-            let mounted = fuse::serve(tree, device, how, signal)?;
-            shutdown.reach(Phase::Serving(handles.clone(), mounted.announcer()));
-            mounted
+            shutdown.mount(|| {
+                let mounted = fuse::serve(tree, device, how, signal)?;
+                let phase = Phase::Serving(handles.clone(), mounted.announcer());
+                Ok((mounted, phase))
+            })?
         }
         None => {
             let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
-            let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;
-            shutdown.reach(Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer()));
-            mounted
+            shutdown.mount(|| {
+                let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;
+                let phase = Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer());
+                Ok((mounted, phase))
+            })?
         }
     };
     for (what, place) in &logged {

@@ -53,8 +53,9 @@ pub fn start() -> Result<ExitCode> {
         let why = format!("it was killed by signal {signal} before the gauge was mounted");
         return Err(Error::host("gaugefs", nix::errno::Errno::EINTR, why));
     }
-    // The child has printed its error.
-    Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
+    // The child has printed its error. One that was told to end right after it has mounted ends with 0.
+    let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|&code| code != 0);
+    Ok(ExitCode::from(code.unwrap_or(1)))
 }
 
 /// The descriptors that this process inherited besides the three standard ones. They may be pipes whose

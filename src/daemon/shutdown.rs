@@ -48,6 +48,15 @@ impl Shutdown {
         Ok(Self(phase))
     }
 
+    /// Mounts. A signal waits until that is done and then finds the phase that comes with the mount: if it ended the
+    /// process in between, it would leave a mount behind that nobody answers for.
+    pub(super) fn mount<T>(&self, mount: impl FnOnce() -> Result<(T, Phase)>) -> Result<T> {
+        let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mounted, reached) = mount()?;
+        *phase = reached;
+        Ok(mounted)
+    }
+
     /// Sets the phase that the next signal finds.
     pub(super) fn reach(&self, phase: Phase) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = phase;
@@ -78,7 +87,8 @@ fn end(signal: Signal, phase: &mut Phase) {
             let detached = mountpoint::detach(path, true);
             mountpoint::unmake();
             answer(handles, announcer);
-            std::process::exit(i32::from(detached.is_err()));
+            // Somebody else may have detached it meanwhile.
+            std::process::exit(i32::from(detached.is_err() && mountpoint::is_ours(path)));
         }
         // Somebody else has detached it, but a file is still open.
         Err(_) if !mountpoint::is_ours(path) => {
