@@ -2,16 +2,21 @@
 #
 # need COMMAND PACKAGE...: makes sure that a command is there, from Debian's packages where this runs as
 # root. Without it, prints what to type and fails.
-need() {
-    local command=$1 tests=${BASH_SOURCE[0]%/*}
-    shift
-    command -v "$command" >/dev/null && return
+need() { need_that "$1" "command -v $1" "${@:2}"; }
+
+# need_that WHAT TRIAL PACKAGE...: makes sure that a trial succeeds. A compiler may be there without the C library that
+# it links with.
+need_that() {
+    local what=$1 trial=$2 tests=${BASH_SOURCE[0]%/*}
+    shift 2
+    $trial >/dev/null 2>&1 && return
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
         printf '\n== installing %s\n' "$*"
-        "$tests/apt" install -y --no-install-recommends "$@" >/dev/null && return
-        "$tests/apt" update && "$tests/apt" install -y --no-install-recommends "$@" >/dev/null && return
+        "$tests/apt" install -y --no-install-recommends "$@" >/dev/null ||
+            { "$tests/apt" update && "$tests/apt" install -y --no-install-recommends "$@" >/dev/null; } || :
+        $trial >/dev/null 2>&1 && return
     fi
-    echo "SKIPPED in part: $command is missing; to run all tests: sudo apt-get install $*"
+    echo "SKIPPED in part: $what is missing; to run all tests: sudo apt-get install $*"
     return 1
 }
 
