@@ -244,7 +244,10 @@ fn failures_say_what_to_do() {
     gaugefs(&["umount", "/etc"]).failed(&["/etc: no gaugefs is mounted there"]);
     let mount = |at| gaugefs(&["mount", "--sim", CHIP, at]);
     mount("/proc").failed(&["/proc: proc", "is mounted there"]);
-    mount("/etc/passwd").failed(&["/etc/passwd: not a folder"]);
+    let folder = Folder::new();
+    let file = folder.file("file");
+    fs::write(&file, "").expect("a file");
+    mount(&file).failed(&[&format!("{file}: not a folder")]);
 }
 
 #[test]

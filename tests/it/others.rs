@@ -56,7 +56,8 @@ impl Daemon {
         let child = command.stderr(Stdio::null()).spawn().expect("gaugefs runs");
         let daemon = Self { at, child };
         let start = Instant::now();
-        while !daemon.is_mounted() {
+        // It serves the mount, too.
+        while !daemon.is_mounted() || !Path::new(&daemon.at).join("BAT0/present").exists() {
             assert!(start.elapsed() < Duration::from_secs(60), "not mounted");
             std::thread::sleep(Duration::from_millis(20));
         }

@@ -313,6 +313,8 @@ fn learn_says_what_a_cycle_waits_for() {
     let gauge = format!("{at}/BAT0");
     let file = |name: &str| format!("{gauge}/{name}");
     let transfers = || read(&at, "BAT0/gauge/statistics/transfers");
+    // The second poll follows the first after half a second, whatever the interval.
+    within(Duration::from_secs(60), "the second poll", || read(&at, "BAT0/gauge/statistics/polls") != "1");
     let before = transfers();
     let ran = gaugefs(&["learn", "--once", &gauge]);
     assert_eq!((ran.code, ran.err.as_str()), (Some(4), ""), "{}", ran.out);
