@@ -13,6 +13,8 @@ pub(crate) const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
 pub(crate) const RUN: &str = "/run/gaugefs";
 /// The account of the services (`udev/sysusers.conf`).
 const SERVICE: &str = "gaugefs";
+/// The system's folder for configurations and key files.
+pub(crate) const CONFIGURATION: &str = "/etc/gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 

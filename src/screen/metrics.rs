@@ -17,16 +17,20 @@ use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use crate::output::{print_file, say, write_file};
 
+mod expected;
 mod page;
 mod serve;
 
-use page::Mount;
+use page::{Mount, Up};
 
 const METRICS: &str = "\
 Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
 learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
 firmware and serial number as labels of gaugefs_chip_info. They have the label power_supply, as
 node_exporter's have it. docs/FLEET.md lists them.
+
+gaugefs_mount_up is 0 for a mount whose daemon does not answer, and for one that is gone although it
+is expected: by --expect, or else by a file in /etc/gaugefs. Another user's private mount has none.
 
 Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
 gauge/seal gets the seal of some parts only, and no poll interval.
@@ -46,6 +50,10 @@ const MOST: usize = 8;
 pub(crate) struct Metrics {
     /// Mount points [default: every mounted gaugefs]
     mountpoints: Vec<PathBuf>,
+    /// Mount point, or name of a file in /etc/gaugefs, that is reported as down when it is gone [default:
+    /// what the files in /etc/gaugefs name]
+    #[arg(long, value_name = "PATH|NAME")]
+    expect: Vec<PathBuf>,
     /// File to replace as a whole, for node_exporter's textfile collector [default: standard output]
     #[arg(short, long, value_name = "FILE", conflicts_with = "listen")]
     output: Option<PathBuf>,
@@ -71,7 +79,7 @@ enum Format {
 
 impl Metrics {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let reader = Reader::new(self.mountpoints);
+        let reader = Reader::new(self.mountpoints, &self.expect);
         if let Some(address) = &self.listen {
             return serve::run(address, &reader);
         }
@@ -95,13 +103,33 @@ impl Metrics {
 struct Reader {
     /// Mount points; none for every mounted gaugefs.
     mountpoints: Vec<PathBuf>,
+    /// Those that ought to be there besides; none for what the configuration names.
+    expected: Vec<PathBuf>,
     /// How many threads read each mount. One whose daemon hangs keeps them.
     threads: Mutex<HashMap<PathBuf, usize>>,
 }
 
 impl Reader {
-    fn new(mountpoints: Vec<PathBuf>) -> Arc<Self> {
-        Arc::new(Self { mountpoints, threads: Mutex::default() })
+    fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf]) -> Arc<Self> {
+        let expected = expect.iter().map(|word| expected::named(word)).collect();
+        Arc::new(Self { mountpoints, expected, threads: Mutex::default() })
+    }
+
+    /// The mounts of a page.
+    fn mounts(&self) -> Vec<PathBuf> {
+        let (mut all, mut expected) = (self.mountpoints.clone(), self.expected.clone());
+        if all.is_empty() {
+            all = mountpoint::list();
+            if expected.is_empty() {
+                expected = expected::configured();
+            }
+        }
+        for path in expected {
+            if !all.contains(&path) {
+                all.push(path);
+            }
+        }
+        all
     }
 
     fn threads(&self) -> MutexGuard<'_, HashMap<PathBuf, usize>> {
@@ -113,7 +141,7 @@ impl Reader {
     /// while too many threads wait for it.
     fn page(self: &Arc<Self>, format: Format) -> String {
         let begun = Instant::now();
-        let all = if self.mountpoints.is_empty() { mountpoint::list() } else { self.mountpoints.clone() };
+        let all = self.mounts();
         let (sender, found) = mpsc::channel();
         for (number, path) in all.iter().cloned().enumerate() {
             let (reader, sender) = (self.clone(), sender.clone());
@@ -123,7 +151,14 @@ impl Reader {
             }
             let work = move || {
                 // Nobody listens any more to a mount that was silent for too long.
-                let _ = read(&path, |seen| sender.send((number, seen)).is_ok());
+                let report = |seen| sender.send((number, seen)).is_ok();
+                let up = match read(&path, |gauge| report(Seen::Gauge(gauge))) {
+                    Ok(()) => Up::Yes,
+                    // The kernel keeps everybody else out of a private mount, so it may be as well as it likes.
+                    Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Up::Unknown,
+                    Err(_) => Up::No,
+                };
+                report(Seen::End(up));
                 reader.threads().entry(path).and_modify(|count| *count -= 1);
             };
             if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
@@ -133,28 +168,38 @@ impl Reader {
         }
         drop(sender);
         let mut mounts: Vec<_> =
-            all.into_iter().map(|path| Mount { path, is_up: false, gauges: Vec::new() }).collect();
+            all.into_iter().map(|path| Mount { path, up: Up::No, gauges: Vec::new() }).collect();
         while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
             match seen {
-                Some(gauge) => mounts[number].gauges.push(gauge),
-                None => mounts[number].is_up = true,
+                Seen::Gauge(gauge) => mounts[number].gauges.push(gauge),
+                Seen::End(up) => mounts[number].up = up,
             }
         }
         page::render(&mounts, begun.elapsed(), format)
     }
 }
 
-/// Reads the gauges of a mount, and reports each, and at last that there are no more.
-fn read(path: &Path, report: impl Fn(Option<page::Gauge>) -> bool) -> io::Result<()> {
+/// What a thread reports of a mount.
+enum Seen {
+    Gauge(page::Gauge),
+    /// There are no more.
+    End(Up),
+}
+
+/// Reads the gauges of a mount, and reports each.
+fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
     let names = page::names();
+    // Where a mount is gone there may be something else, even supplies of the kernel's.
+    if mountpoint::of(path).is_none() && mountpoint::of(&fs::canonicalize(path)?).is_none() {
+        return Err(io::ErrorKind::NotFound.into());
+    }
     for folder in gauges(path)? {
         // One that goes away meanwhile is not there.
         let Ok(texts) = values::all(&folder, &names) else { continue };
-        if !report(Some(page::Gauge { name: values::folder_name(&folder), texts })) {
-            return Ok(());
+        if !report(page::Gauge { name: values::folder_name(&folder), texts }) {
+            break;
         }
     }
-    report(None);
     Ok(())
 }
 
@@ -165,7 +210,7 @@ mod tests {
     #[test]
     fn a_mount_that_keeps_its_readers_gets_no_more_of_them() {
         let path = PathBuf::from("/no/such/mount");
-        let reader = Reader::new(vec![path.clone()]);
+        let reader = Reader::new(vec![path.clone()], &[]);
         let count = || reader.threads().get(&path).copied();
         assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
         // The page is ready a moment before the thread has ended.

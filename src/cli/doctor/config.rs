@@ -8,7 +8,7 @@ use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use crate::config::{MountOptions, Setup};
 
-const FOLDER: &str = "/etc/gaugefs";
+const FOLDER: &str = crate::folders::CONFIGURATION;
 /// The configuration of gaugefs.service, which names its own mount point.
 const MANY: &str = "gaugefs";
 

@@ -1,7 +1,8 @@
 //! The metrics of gauges as text. One row of [`METRICS`] is one metric.
 //!
 //! Names and units follow Prometheus's rules: base units, `_total` for counters, `_info` for labels. A gauge that does
-//! not have a value has no series of it.
+//! not have a value has no series of it. What a file says is a number, or is escaped in a label: a line end in it
+//! begins no series.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -17,8 +18,17 @@ use crate::condition::Texts;
 /// A mount, and its gauges as far as they have answered.
 pub(super) struct Mount {
     pub(super) path: PathBuf,
-    pub(super) is_up: bool,
+    pub(super) up: Up,
     pub(super) gauges: Vec<Gauge>,
+}
+
+/// Whether the daemon of a mount answers.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Up {
+    Yes,
+    No,
+    /// It is private to another user.
+    Unknown,
 }
 
 /// A gauge's folder.
@@ -43,7 +53,7 @@ struct Metric {
     unit: &'static str,
     help: &'static str,
     /// Labels and value of each series.
-    series: fn(&Gauge) -> Vec<(Labels, String)>,
+    series: fn(&Gauge) -> Vec<(Labels, f64)>,
 }
 
 type Labels = Vec<(&'static str, String)>;
@@ -52,16 +62,12 @@ const fn gauge(
     name: &'static str,
     unit: &'static str,
     help: &'static str,
-    series: fn(&Gauge) -> Vec<(Labels, String)>,
+    series: fn(&Gauge) -> Vec<(Labels, f64)>,
 ) -> Metric {
     Metric { name, kind: Kind::Gauge, unit, help, series }
 }
 
-const fn counter(
-    name: &'static str,
-    help: &'static str,
-    series: fn(&Gauge) -> Vec<(Labels, String)>,
-) -> Metric {
+const fn counter(name: &'static str, help: &'static str, series: fn(&Gauge) -> Vec<(Labels, f64)>) -> Metric {
     Metric { name, kind: Kind::Counter, unit: "", help, series }
 }
 
@@ -74,7 +80,7 @@ static METRICS: &[Metric] = &[
         series: info,
     },
     gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", |gauge| {
-        one(gauge.text("present"))
+        one(gauge.flag("present"))
     }),
     gauge("gaugefs_poll_age_seconds", "seconds", "Age of the values.", |gauge| {
         one(gauge.number("gauge/age_ms").map(|ms| ms / 1000.0))
@@ -112,17 +118,17 @@ static METRICS: &[Metric] = &[
     ),
     gauge("gaugefs_update_status", "", "Update Status, as LearnedStatus() shows it.", |gauge| {
         let bits = gauge.text("gauge/learned_status");
-        one(bits.map(|bits| Bits::named(bits.split_whitespace()).update_status()))
+        one(bits.map(|bits| f64::from(Bits::named(bits.split_whitespace()).update_status())))
     }),
     gauge("gaugefs_seal_state", "", "1 for the state in which the gauge is.", seal),
     gauge("gaugefs_owed", "", "1 while a write or a seal is neither done nor undone.", |gauge| {
-        one(gauge.text("gauge/owed"))
+        one(gauge.flag("gauge/owed"))
     }),
     gauge(
         "gaugefs_memory_lost",
         "",
         "1 while the gauge reports that its RAM has lost the configuration.",
-        |gauge| one(gauge.text("gauge/itpor")),
+        |gauge| one(gauge.flag("gauge/itpor")),
     ),
     gauge(
         "gaugefs_last_error_timestamp_seconds",
@@ -130,7 +136,7 @@ static METRICS: &[Metric] = &[
         "Time of the last failure, as in gauge/last_error.",
         |gauge| {
             let time = gauge.text("gauge/last_error").and_then(|text| text.split_once(": ")?.0.parse().ok());
-            one(time.map(|time: Timestamp| time.as_second()))
+            one(time.map(|time: Timestamp| time.as_second() as f64))
         },
     ),
 ];
@@ -162,8 +168,8 @@ pub(super) fn names() -> [String; 16] {
 }
 
 /// The one series of a gauge.
-fn one(value: Option<impl ToString>) -> Vec<(Labels, String)> {
-    value.map(|value| (Labels::new(), value.to_string())).into_iter().collect()
+fn one(value: Option<f64>) -> Vec<(Labels, f64)> {
+    value.map(|value| (Labels::new(), value)).into_iter().collect()
 }
 
 impl Gauge {
@@ -172,11 +178,16 @@ impl Gauge {
     }
 
     fn number(&self, name: &str) -> Option<f64> {
-        self.text(name)?.parse().ok()
+        self.text(name)?.parse().ok().filter(|number: &f64| number.is_finite())
     }
 
-    fn statistic(&self, name: &str) -> Option<u64> {
-        self.text(&format!("gauge/statistics/{name}"))?.parse().ok()
+    /// A file that holds 0 or 1.
+    fn flag(&self, name: &str) -> Option<f64> {
+        self.number(name).filter(|flag| [0.0, 1.0].contains(flag))
+    }
+
+    fn statistic(&self, name: &str) -> Option<f64> {
+        self.number(&format!("gauge/statistics/{name}"))
     }
 
     fn chip(&self) -> Option<&'static Chip> {
@@ -191,7 +202,7 @@ impl Gauge {
     }
 }
 
-fn info(gauge: &Gauge) -> Vec<(Labels, String)> {
+fn info(gauge: &Gauge) -> Vec<(Labels, f64)> {
     let files = [
         ("model", "model_name"),
         ("serial_number", "serial_number"),
@@ -201,18 +212,18 @@ fn info(gauge: &Gauge) -> Vec<(Labels, String)> {
     ];
     let labels: Labels =
         files.iter().filter_map(|(label, file)| Some((*label, gauge.text(file)?.to_string()))).collect();
-    if labels.is_empty() { Vec::new() } else { vec![(labels, "1".into())] }
+    if labels.is_empty() { Vec::new() } else { vec![(labels, 1.0)] }
 }
 
-fn control_status(gauge: &Gauge) -> Vec<(Labels, String)> {
+fn control_status(gauge: &Gauge) -> Vec<(Labels, f64)> {
     let rows = LEARNING
         .iter()
-        .filter_map(|name| Some((vec![("bit", name.to_string())], u8::from(gauge.bit(name)?).to_string())));
+        .filter_map(|name| Some((vec![("bit", name.to_string())], f64::from(u8::from(gauge.bit(name)?)))));
     rows.collect()
 }
 
 /// From `gauge/seal`, which not everybody may read, or else from CONTROL_STATUS of the parts that show it there.
-fn seal(gauge: &Gauge) -> Vec<(Labels, String)> {
+fn seal(gauge: &Gauge) -> Vec<(Labels, f64)> {
     let by_bits = || match (gauge.bit("SS")?, gauge.bit("FAS")?) {
         (true, _) => Some("sealed"),
         (false, true) => Some("unsealed"),
@@ -221,7 +232,7 @@ fn seal(gauge: &Gauge) -> Vec<(Labels, String)> {
     let Some(state) = gauge.text("gauge/seal").or_else(by_bits) else { return Vec::new() };
     let states = ["sealed", "unsealed", "full-access"];
     states
-        .map(|name| (vec![("state", name.to_string())], u8::from(name == state).to_string()))
+        .map(|name| (vec![("state", name.to_string())], f64::from(u8::from(name == state))))
         .into_iter()
         .collect()
 }
@@ -230,14 +241,18 @@ fn seal(gauge: &Gauge) -> Vec<(Labels, String)> {
 pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String {
     let mut page = Page { text: String::new(), format };
     page.head("gaugefs_build", Kind::Info, "", "Version of the gaugefs that reads the mounts.");
-    page.sample("gaugefs_build", Kind::Info, &[("version", env!("CARGO_PKG_VERSION").into())], "1");
+    page.sample("gaugefs_build", Kind::Info, &[("version", env!("CARGO_PKG_VERSION").into())], 1.0);
     page.head("gaugefs_read_duration_seconds", Kind::Gauge, "seconds", "Time taken to read all gauges.");
-    page.sample("gaugefs_read_duration_seconds", Kind::Gauge, &[], &format!("{:.6}", took.as_secs_f64()));
+    page.sample("gaugefs_read_duration_seconds", Kind::Gauge, &[], took.as_micros() as f64 / 1e6);
     page.head("gaugefs_mount_up", Kind::Gauge, "", "Whether the daemon of the mount answers.");
     let place = |mount: &Mount| ("mountpoint", mount.path.display().to_string());
     for mount in mounts {
-        let up = u8::from(mount.is_up).to_string();
-        page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], &up);
+        let up = match mount.up {
+            Up::Yes => 1.0,
+            Up::No => 0.0,
+            Up::Unknown => continue,
+        };
+        page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], up);
     }
     for metric in METRICS {
         let mut is_first = true;
@@ -249,7 +264,7 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String
                     }
                     let all = [place(mount), ("power_supply", gauge.name.clone())];
                     let all: Labels = all.into_iter().chain(labels).collect();
-                    page.sample(metric.name, metric.kind, &all, &value);
+                    page.sample(metric.name, metric.kind, &all, value);
                 }
             }
         }
@@ -277,19 +292,24 @@ impl Page {
             Kind::Info | Kind::Gauge => "gauge",
         };
         // Writing to a String does not fail.
+        let help = escaped(help);
         let _ = writeln!(self.text, "# HELP {name}{end} {help}\n# TYPE {name}{end} {kind}");
         if is_open && !unit.is_empty() {
             let _ = writeln!(self.text, "# UNIT {name} {unit}");
         }
     }
 
-    fn sample(&mut self, name: &str, kind: Kind, labels: &[(&'static str, String)], value: &str) {
-        let escaped = |text: &str| text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n");
+    fn sample(&mut self, name: &str, kind: Kind, labels: &[(&'static str, String)], value: f64) {
         let labels: Vec<_> =
             labels.iter().map(|(name, text)| format!("{name}=\"{}\"", escaped(text))).collect();
         let labels = if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };
         let _ = writeln!(self.text, "{name}{}{labels} {value}", end(kind));
     }
+}
+
+/// A text in a label, or in the help of OpenMetrics.
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
 /// What the names of samples end in.
@@ -320,17 +340,17 @@ mod tests {
         ];
         let texts = rows.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
         let gauges = vec![Gauge { name: "BAT0".into(), texts }];
-        Mount { path: "/a\"b".into(), is_up: true, gauges }
+        Mount { path: "/a\"b".into(), up: Up::Yes, gauges }
     }
 
     #[test]
     fn a_page_has_the_values_of_the_files_in_base_units() {
-        let gone = Mount { path: "/gone".into(), is_up: false, gauges: Vec::new() };
+        let gone = Mount { path: "/gone".into(), up: Up::No, gauges: Vec::new() };
         let page = render(&[mount(), gone], Duration::from_millis(12), Format::OpenMetrics);
         let of = "{mountpoint=\"/a\\\"b\",power_supply=\"BAT0\"";
         for line in [
             "gaugefs_mount_up{mountpoint=\"/gone\"} 0".to_string(),
-            "gaugefs_read_duration_seconds 0.012000".into(),
+            "gaugefs_read_duration_seconds 0.012".into(),
             "# TYPE gaugefs_chip info".into(),
             format!("gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0a10\"}} 1"),
             "# UNIT gaugefs_poll_age_seconds seconds".into(),
@@ -351,6 +371,40 @@ mod tests {
         assert!(page.ends_with("\n# EOF\n"));
         // What the gauge does not have is not there, nor is its head.
         assert!(!page.contains("gaugefs_memory_lost") && !page.contains("QMAX_UP"), "{page}");
+    }
+
+    #[test]
+    fn regression_a_line_end_in_a_file_or_a_name_begins_no_series() {
+        let evil = "1\nevil_series 666\n# HELP evil \"\\".to_string();
+        let names = [
+            "present",
+            "model_name",
+            "serial_number",
+            "technology",
+            "state_of_health",
+            "capacity_error_margin",
+        ];
+        let names = names.map(String::from).into_iter().chain(super::names());
+        let texts = names.map(|name| (name, evil.clone())).collect();
+        let path = "/run/a\nevil_mount 1".into();
+        let all = [
+            Mount {
+                path,
+                up: Up::Yes,
+                gauges: vec![Gauge { name: evil.clone(), texts }, mount().gauges.remove(0)],
+            },
+            Mount { path: "/private".into(), up: Up::Unknown, gauges: Vec::new() },
+        ];
+        for format in [Format::OpenMetrics, Format::Text] {
+            let page = render(&all, Duration::ZERO, format);
+            for line in page.lines() {
+                let is_ours = ["gaugefs_", "# HELP gaugefs_", "# TYPE gaugefs_", "# UNIT gaugefs_", "# EOF"];
+                assert!(is_ours.iter().any(|ours| line.starts_with(ours)), "{line}");
+            }
+            assert!(page.contains("serial_number=\"1\\nevil_series 666\\n# HELP evil \\\"\\\\\""), "{page}");
+            assert!(page.contains("gaugefs_mount_up{mountpoint=\"/run/a\\nevil_mount 1\"} 1\n"), "{page}");
+            assert!(!page.contains("/private"), "another user's: {page}");
+        }
     }
 
     #[test]

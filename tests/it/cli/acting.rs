@@ -416,6 +416,46 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     }
 }
 
+#[test]
+fn regression_a_mount_that_is_gone_is_down_and_a_private_one_is_unknown() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, gone) = (folder.file("m"), folder.file("gone"));
+    gaugefs(&["mount", "--sim", CHIP, "--private", &at]).done();
+    let up = |page: &str, place: &str| {
+        let head = format!("gaugefs_mount_up{{mountpoint=\"{place}\"}} ");
+        page.lines().find_map(|line| line.strip_prefix(&head)).map(str::to_string)
+    };
+    // Nobody but the owner can say how a private mount is.
+    if geteuid().is_root() {
+        let program = folder.file("gaugefs");
+        fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that everybody may run");
+        for more in [&[][..], &[at.as_str()], &["--expect", &at]] {
+            let mut other = Command::new(&program);
+            other.arg("metrics").args(more).current_dir("/").uid(65534).gid(65534);
+            let page = run(other).done();
+            assert!(up(&page, &at).is_none() && page.contains("gaugefs_build_info"), "{more:?}: {page}");
+        }
+    } else {
+        eprintln!("SKIPPED in part: without root there is no other user");
+    }
+    let page = |more: &[&str]| gaugefs(&[&["metrics"], more].concat()).done();
+    let expected = ["--expect", &at, "--expect", &gone];
+    let both = page(&expected);
+    assert_eq!((up(&both, &at).as_deref(), up(&both, &gone).as_deref()), (Some("1"), Some("0")), "{both}");
+    assert_eq!(both.matches(&format!("gaugefs_mount_up{{mountpoint=\"{at}\"}}")).count(), 1, "{both}");
+    assert!(up(&page(&[&gone]), &gone).as_deref() == Some("0"));
+    gaugefs(&["umount", &at]).done();
+    // Its folder, and supplies in it that are not gaugefs's, do not stand for it.
+    fs::create_dir_all(format!("{gone}/BAT0")).expect("a folder");
+    fs::write(format!("{gone}/BAT0/uevent"), "POWER_SUPPLY_NAME=BAT0\n").expect("a file");
+    let none = page(&expected);
+    assert_eq!((up(&none, &at).as_deref(), up(&none, &gone).as_deref()), (Some("0"), Some("0")), "{none}");
+    assert!(up(&page(&[]), &at).is_none(), "nobody expects it");
+}
+
 /// What docs/fleet runs without privilege gets from a mount of root's.
 #[test]
 fn metrics_and_conditions_need_no_privilege() {
