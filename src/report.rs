@@ -2,8 +2,8 @@
 
 use crate::owner::{Origin, Report};
 use gauge_bus::trace;
-use ti_gauge::chip::{Chip, Evidence, Tier};
-use ti_gauge::text::printable;
+use ti_gauge::chip::{Chip, Evidence, Role, Tier};
+use ti_gauge::text::{hex, printable};
 
 /// How the line about data flash begins.
 const DATA_FLASH: &str = "Data flash: ";
@@ -27,9 +27,17 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
         format!("Documents: {}", chip.documents.join(", ")),
     ];
     about.extend(gauge(chip, report));
+    about.extend(power(chip, report));
+    if !report.firmware.is_empty() {
+        about.push(format!("Answer to FW_VERSION: {}", hex(&report.firmware)));
+    }
+    about.extend(chip.beliefs().map(|belief| format!("Not confirmed: {}", belief.name)));
     about.push(match &report.data_flash {
-        Ok(Some(subclass)) => format!("{DATA_FLASH}{} ({}) was read", subclass.name, subclass.class),
-        Ok(None) => format!("{DATA_FLASH}none is known of this part"),
+        Ok(read) if read.is_empty() => format!("{DATA_FLASH}none is known of this part"),
+        Ok(read) => {
+            let names: Vec<_> = read.iter().map(|row| format!("{} ({})", row.name, row.class)).collect();
+            format!("{DATA_FLASH}{} was read", names.join(", "))
+        }
         Err(why) => format!("{NOT_READ}{}", printable(why)),
     });
     trace::text(&head, &about, origin.address, &report.events)
@@ -67,6 +75,17 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
         }
     }
     about
+}
+
+/// AveragePower() beside what it should be, whose unit differs from part to part.
+fn power(chip: &Chip, report: &Report) -> Option<String> {
+    let named = |name: &str| chip.registers.iter().find(|register| register.name == name);
+    let value = |register| report.snapshot.value(register);
+    let (power, voltage) = (named("AveragePower")?, chip.register(Role::VoltageNow)?);
+    let current = chip.register(Role::CurrentAvg).or(chip.register(Role::CurrentNow))?;
+    let product = voltage.in_unit(value(voltage)?, 1) * current.in_unit(value(current)?, 1) / 1000;
+    let (power, unit) = (value(power)?, power.unit);
+    Some(format!("Power: AveragePower() {power} {unit}, Voltage() x {}() {product} mW", current.name))
 }
 
 /// Why data flash was not read for the report of that text; `None` if it was, or if the part has none.
@@ -109,6 +128,7 @@ mod tests {
             limited: published.limited,
             seal: published.seal,
             snapshot: published.snapshot.clone().expect("a poll"),
+            firmware: Vec::new(),
             data_flash: Err(String::new()),
             events: Vec::new(),
         };
@@ -143,7 +163,7 @@ mod tests {
             rig.ask(Request::Report).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
             assert_eq!(
-                matches!(report.data_flash, Ok(Some(_))),
+                matches!(&report.data_flash, Ok(read) if !read.is_empty()),
                 chip.has_table(),
                 "{}: {:?}",
                 chip.name,
@@ -154,6 +174,35 @@ mod tests {
             assert_eq!(replays(&file).name, chip.name);
         }
         fs::remove_file(&file).expect("it is there");
+    }
+
+    /// What would settle what the tables believe.
+    #[test]
+    fn a_report_has_what_could_confirm_the_table() {
+        for (chip, wanted) in [
+            (
+                "bq34z100-g1",
+                &["Registers (Configuration)", "Power (Configuration)", "Data (Calibration)"][..],
+            ),
+            ("bq34110", &["Answer to FW_VERSION: 011001000001", "; Not confirmed: addresses as printed"]),
+            ("bq35100", &["Answer to FW_VERSION: 010000180008"]),
+            ("bq27220", &["Answer to FW_VERSION: 022000030001"]),
+            ("bq27z561", &["; Power: AveragePower() ", "; Not confirmed: Voltage() before the first"]),
+        ] {
+            let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+            rig.start().expect("it answers");
+            rig.ask(Request::Report).expect("it answers");
+            let report = rig.handle.published().report.clone().expect("a report");
+            let origin = Origin { place: "simulated gauge".into(), address: 0x55, adapter: String::new() };
+            let text = text(rig.handle.chip(), &origin, &report);
+            for part in wanted {
+                assert!(text.contains(part), "{chip}: `{part}` is not in\n{text}");
+            }
+            let doubted = |row: &&&ti_gauge::chip::Subclass| (0x4100..0x5000).contains(&row.start());
+            let has_doubted =
+                report.data_flash.as_ref().expect("it was read").iter().any(|row| doubted(&row));
+            assert_eq!(has_doubted, ["bq34110", "bq35100"].contains(&chip), "{chip}");
+        }
     }
 
     /// CONTRIBUTING.md says how a report comes here, and how the evidence for its chip changes.

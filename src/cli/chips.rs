@@ -154,6 +154,11 @@ fn details(chip: &'static Chip) -> String {
     if !chip.evidence.contains(&Evidence::RealPart) {
         section("Not proven", "on a real part: no report of one has come in; see `gaugefs report --help`");
     }
+    let beliefs: Vec<_> =
+        chip.beliefs().map(|belief| [belief.name, belief.holds].map(String::from)).collect();
+    if !beliefs.is_empty() {
+        section("Not confirmed (docs/BELIEFS.md)", &align(&beliefs));
+    }
     section("Documents", &chip.documents.join("\n"));
     text
 }
@@ -175,5 +180,54 @@ fn scheme(chip: &Chip) -> &'static str {
         Scheme::None => "none",
         scheme if scheme.is_ram() => "RAM",
         _ => "flash",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ti_gauge::chip::BELIEFS;
+
+    use super::*;
+
+    /// After an intended change, run it once with GAUGEFS_GOLDEN=write.
+    #[test]
+    fn the_page_of_beliefs_is_the_list() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/BELIEFS.md");
+        let page = std::fs::read_to_string(&path).expect("the page");
+        let (head, _) = page.split_once("\n| belief |").expect("a table");
+        let mut now = format!(
+            "{head}\n| belief | of | what would decide it | if it is otherwise |\n| --- | --- | --- | --- |\n"
+        );
+        for belief in BELIEFS {
+            let (name, parts, holds) = (belief.name, belief.parts, belief.holds);
+            let (decided_by, otherwise) = (belief.decided_by, belief.otherwise);
+            writeln!(now, "| **{name}**: {holds} | {parts} | {decided_by} | {otherwise} |")
+                .expect("a string");
+        }
+        if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+            std::fs::write(&path, now).expect("the page");
+            return;
+        }
+        assert!(now == page, "docs/BELIEFS.md differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
+    }
+
+    #[test]
+    fn what_is_not_confirmed_is_shown_for_its_parts() {
+        let shows = |chip: &str, name: &str| {
+            let text = details(Chip::by_name(chip).expect("a chip"));
+            text.lines().any(|line| line.trim_start().starts_with(name))
+        };
+        for (name, of, not) in [
+            ("unit of Board Offset", "bq34z100-g1", "bq34110"),
+            ("voltage of the gate", "bq34110", "bq27441-g1"),
+            ("[VOLTSEL] times 5", "bq34z100-g1", "bq34z100-r2"),
+            ("Voltage() before the first", "bq27541", "bq27220"),
+            ("RESET", "bq27426", "bq27541"),
+            ("commits of MACData()", "bq27220", "bq27520-g3"),
+            ("order of the scales", "bq34z100-r2", "bq34z100-g1"),
+            ("addresses as printed", "bq35100", "bq27220"),
+        ] {
+            assert!(shows(of, name) && !shows(not, name), "{name}: {of}, {not}");
+        }
     }
 }

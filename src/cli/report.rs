@@ -16,7 +16,7 @@ use ti_gauge::chip::Chip;
 
 const REPORT: &str = "\
 The file has the gauge's identity and registers, kernel and adapter, and a trace of what a mount
-does: the gauge is identified and polled, and one block of data flash is read that belongs to no one.
+does: the gauge is identified and polled, and a few blocks of data flash are read that belong to no one.
 For that a sealed gauge is unsealed and sealed again. Nothing is written to data flash. Keys are not
 in the file, nor are serial numbers, dates, lots and texts. `gaugefs mount --replay` mounts it.
 

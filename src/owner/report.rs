@@ -10,7 +10,7 @@ use super::{Answers, Attempt, Owner, Seal, Snapshot};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::trace::Event;
 use ti_gauge::chip::{Limited, Subclass};
-use ti_gauge::dataflash::{anonymous, sample};
+use ti_gauge::dataflash::{anonymous, samples};
 
 /// Polls in a report. A mount of the recording needs the first and the second, of which only that reads the slow tier.
 const POLLS: u32 = 3;
@@ -39,8 +39,10 @@ pub struct Report {
     pub seal: Seal,
     /// The last poll.
     pub snapshot: Arc<Snapshot>,
-    /// The subclass of data flash that was read, if the part is known to have any; or why it was not.
-    pub data_flash: Result<Option<&'static Subclass>, String>,
+    /// The whole answer to FW_VERSION of a part that answers with more than a word.
+    pub firmware: Vec<u8>,
+    /// The subclasses of data flash that were read, none if the part is not known to have any; or why they were not.
+    pub data_flash: Result<Vec<&'static Subclass>, String>,
     /// The transfers.
     pub events: Vec<Event>,
 }
@@ -53,6 +55,10 @@ impl Owner {
         let (begun, taken) = (self.gauge.clock.now(), Timestamp::now());
         self.gauge.record();
         let outcome = self.poll_for_report();
+        let firmware = match &outcome {
+            Ok(()) => self.gauge.whole_firmware_answer().unwrap_or_default(),
+            Err(_) => Vec::new(),
+        };
         let published = self.shared.published();
         let data_flash = match &outcome {
             Ok(()) => self.read_for_report(waited + self.gauge.clock.now().saturating_sub(begun)),
@@ -69,7 +75,7 @@ impl Owner {
             return Err(Error::new(self.shared.name(), Cause::Gone("it was not polled; try again".into())));
         };
         let (answers, limited, seal) = (published.answers, published.limited, published.seal);
-        let report = Report { taken, answers, limited, seal, snapshot, data_flash, events };
+        let report = Report { taken, answers, limited, seal, snapshot, firmware, data_flash, events };
         self.shared.publish(|published| published.report = Some(Arc::new(report)));
         self.shared.succeeded(&Attempt::Report);
         Ok(())
@@ -88,18 +94,24 @@ impl Owner {
         Ok(())
     }
 
-    /// Reads the block that belongs to no one, as any access to `df` would. Returns why not, without the names of files.
-    fn read_for_report(&mut self, waited: Duration) -> Result<Option<&'static Subclass>, String> {
+    /// Reads blocks that belong to no one, as any access to `df` would. Returns why not, without the names of files.
+    fn read_for_report(&mut self, waited: Duration) -> Result<Vec<&'static Subclass>, String> {
         let chip = self.gauge.chip;
-        let Some(index) = sample(chip) else { return Ok(None) };
+        let indices = samples(chip);
+        if indices.is_empty() {
+            return Ok(Vec::new());
+        }
         if let Some(limited) = self.limitation() {
             return Err(limited.to_string());
         }
         if self.dataflash.owed().is_some() {
             return Err("an interrupted access is still to be settled".into());
         }
-        match self.read_anew(&[index], waited) {
-            Ok(_) => Ok(Some(&chip.subclasses[index])),
+        let read = self.read_anew(&indices, waited);
+        // What a mount of the recording has not read, this one has not either.
+        self.forget_dataflash();
+        match read {
+            Ok(_) => Ok(indices.iter().map(|&index| &chip.subclasses[index]).collect()),
             Err(error) if error.errno() == Errno::EPERM => {
                 Err("the gauge is sealed and no key opens it".into())
             }

@@ -93,7 +93,7 @@ fn keys_serial_numbers_and_texts_are_not_in_a_report() {
         let text = fs::read_to_string(&file).expect("the report");
         assert_eq!(read(&gauge, "gauge/seal"), seal);
         assert!(
-            text.contains("SerialNumber() = not shown") && text.contains("(Configuration) was read"),
+            text.contains("SerialNumber() = not shown") && text.contains("Safety (Configuration), "),
             "{text}"
         );
         assert_eq!(text.contains("; hidden"), seal == "sealed", "{text}");

@@ -21,6 +21,7 @@ pub mod bq34z100_r2;
 pub mod bq35100;
 pub mod kernel;
 
+mod beliefs;
 mod calibration;
 mod identity;
 mod names;
@@ -28,6 +29,7 @@ mod parameter;
 mod preflight;
 mod recognise;
 
+pub use beliefs::{BELIEFS, Belief};
 pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};

@@ -39,7 +39,7 @@ mod session;
 mod settle;
 mod wear;
 
-pub use anonymous::{anonymous, sample};
+pub use anonymous::{anonymous, sample, samples};
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;

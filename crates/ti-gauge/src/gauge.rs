@@ -30,6 +30,11 @@ const RESET: u16 = 0x0041;
 /// of CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
+/// MACDataLen(), what it counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
+const MAC_DATA_LENGTH: u8 = 0x61;
+const MAC_OVERHEAD: usize = 4;
+const LONGEST_VERSION: usize = 12;
+
 /// Most bytes following Control() that can be read in the same transfer.
 pub const BEHIND: usize = 0x3A;
 
@@ -437,6 +442,24 @@ impl Gauge {
         }
         // No document has such an answer; it tells this part from others all the same.
         Ok(word)
+    }
+
+    /// All bytes that FW_VERSION answers with in MACData(); none on a part that answers with a word.
+    pub fn whole_firmware_answer(&mut self) -> Result<Vec<u8>> {
+        if !self.chip.identity.answers_in_mac_data() {
+            return Ok(Vec::new());
+        }
+        self.command(FW_VERSION)?;
+        self.wait(ANSWER.max(self.chip.access.select));
+        let mut length = [0];
+        self.read(MAC_DATA_LENGTH, &mut length)?;
+        // What follows the answer in the buffer may be of a block that was read before.
+        let count = usize::from(length[0]).saturating_sub(MAC_OVERHEAD).min(LONGEST_VERSION);
+        let mut bytes = vec![0; count];
+        if count > 0 {
+            self.read(self.chip.identity.answer, &mut bytes)?;
+        }
+        Ok(bytes)
     }
 
     /// Reads the answer to CONTROL_STATUS, and with it the registers following Control().

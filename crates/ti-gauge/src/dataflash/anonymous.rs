@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::blocks::{Window, holds_keys};
-use crate::chip::{Chip, FLAT, Kind, Subclass};
+use crate::chip::{Chip, FLAT, Kind, Scheme, Subclass};
 use crate::codec::WINDOW;
 use crate::value::Type;
 use gauge_bus::trace::Event;
@@ -30,6 +30,29 @@ pub fn sample(chip: &Chip) -> Option<usize> {
             && places.len() == 1
             && !places.iter().any(|&place| is_private(chip, place))
     })
+}
+
+/// Registers, Power and Calibration Data: what decides which voltage flash needs, and how currents are measured.
+const DECIDING: [u8; 3] = [64, 68, 104];
+/// Where addresses begin that owners have found lower than printed.
+const DOUBTED: u16 = 0x4100;
+
+/// The subclasses of a report, by their indices: the sample, and what could confirm what the table believes of the part.
+/// None of them has a key, a serial number or a text in any of its blocks.
+pub fn samples(chip: &Chip) -> Vec<usize> {
+    let is_open = |subclass: &Subclass| {
+        let places = windows(subclass);
+        subclass.kind != Kind::Security && !places.iter().any(|&place| is_private(chip, place))
+    };
+    let rows = || chip.subclasses.iter().enumerate().filter(|(_, row)| is_open(row));
+    let deciding = rows().filter(|(_, row)| DECIDING.contains(&row.id) && !row.parameters.is_empty());
+    let is_doubted = |row: &Subclass| chip.access.scheme == Scheme::Mac && row.start() >= DOUBTED;
+    let doubted = rows().find(|(_, row)| is_doubted(row));
+    let mut all: Vec<_> = sample(chip).into_iter().collect();
+    all.extend(deciding.chain(doubted).map(|(index, _)| index));
+    all.sort_unstable();
+    all.dedup();
+    all
 }
 
 /// The blocks that a subclass is in.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use gauge_bus::trace::Event;
 use ti_gauge::chip::{CHIPS, FLAT, Kind, Subclass};
 use ti_gauge::codec::checksum;
-use ti_gauge::dataflash::{anonymous, sample};
+use ti_gauge::dataflash::{anonymous, sample, samples};
 use ti_gauge::value::Type;
 
 use crate::rig::{Rig, first_address};
@@ -95,6 +95,26 @@ fn the_sample_of_every_chip_is_read_and_kept() {
                 assert_eq!(checksum(summed), bytes[34], "{}: {bytes:02x?}", chip.name);
             }
         }
+    }
+}
+
+/// More of data flash, and nothing more of the pack's owner.
+#[test]
+fn the_samples_of_every_chip_hold_no_key_and_no_number() {
+    for chip in CHIPS {
+        let mut rig = Rig::new(chip.name);
+        mark(&rig);
+        let all: Vec<_> = samples(chip).into_iter().map(|index| &chip.subclasses[index]).collect();
+        assert!(all.iter().any(|row| std::ptr::eq(*row, &chip.subclasses[sample(chip).expect("a sample")])));
+        assert!(all.iter().all(|row| row.kind != Kind::Security), "{}", chip.name);
+        rig.gauge.record();
+        let read = rig.dataflash.read(&mut rig.gauge, &all, Duration::ZERO).expect("the default key");
+        let events = rig.gauge.recorded();
+        let shared = anonymous(chip, events);
+        for bytes in [&NUMBER[..], &[NUMBER[1], NUMBER[0]], TEXT] {
+            assert!(!holds(&shared, bytes), "{}: {bytes:02x?}", chip.name);
+        }
+        assert!(read.len() == all.len() && !read.is_empty(), "{}", chip.name);
     }
 }
 
