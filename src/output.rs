@@ -95,9 +95,18 @@ fn cannot_write(path: &Path, error: &io::Error) -> Error {
     Error::host(path.display().to_string(), errno, "it is there already")
 }
 
-/// Whether the reader of standard output has closed the pipe: a command that prints until it is stopped ends.
+/// Whether a write has found that the reader of standard output has closed the pipe.
 pub(crate) fn is_closed() -> bool {
     CLOSED.load(Ordering::SeqCst)
+}
+
+/// Whether the reader of standard output is gone, also if nothing was written since: a command that prints until it is
+/// stopped ends.
+pub(crate) fn is_unread() -> bool {
+    let out = io::stdout();
+    let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];
+    let is_polled = poll(&mut polled, PollTimeout::ZERO).is_ok_and(|count| count > 0);
+    is_closed() || is_polled && polled[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))
 }
 
 /// Prints a line to standard error, such as `gaugefs: warning: ...`.

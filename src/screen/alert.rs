@@ -187,7 +187,7 @@ impl Watching {
 
     fn run(mut self) -> Result<ExitCode> {
         loop {
-            if output::is_closed() && !self.has_programs() {
+            if output::is_unread() && !self.has_programs() {
                 return Ok(ExitCode::SUCCESS);
             }
             let due = self.gauges.iter().map(|gauge| gauge.due).min().expect("there is a gauge");

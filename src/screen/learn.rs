@@ -83,6 +83,9 @@ impl Learn {
         let watch = Watch::start(Some(&self.gauge), None)?;
         let mut watched: Option<(PathBuf, Watched)> = None;
         loop {
+            if output::is_unread() {
+                break;
+            }
             let Some(report) = watch.next(INTERVAL) else { continue };
             let sample = match report.seen {
                 Seen::Sample(sample) => sample,
@@ -122,9 +125,6 @@ impl Learn {
             let changed = watched.state.as_ref().is_none_or(|before| differ(before, &state));
             if self.json || changed {
                 if self.json { print_json(&row(gauge, &state)) } else { print(&text(&state)) }?;
-                if output::is_closed() {
-                    break;
-                }
             }
             match (state.learned, state.spoiled) {
                 (Learned::All, _) => break,

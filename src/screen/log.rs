@@ -165,6 +165,9 @@ impl Log {
         let mut left = self.count.unwrap_or(u64::MAX);
         let mut reported = String::new();
         loop {
+            if out.file.is_none() && output::is_unread() {
+                break;
+            }
             let Some(report) = watch.next(INTERVAL) else { continue };
             match report.seen {
                 Seen::Sample(sample) => {
@@ -188,7 +191,7 @@ impl Log {
                 }
                 Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => {}
             }
-            if left == 0 || output::is_closed() {
+            if left == 0 {
                 break;
             }
         }

@@ -99,7 +99,7 @@ impl Top {
             } else {
                 self.print(&report, &mut printed)?;
             }
-            if output::is_closed() {
+            if output::is_unread() {
                 return Ok(ExitCode::SUCCESS);
             }
             // Every mount has reported, and every gauge often enough.

@@ -532,4 +532,30 @@ mod screen {
             assert_eq!(code, Some(1), "{line:?}");
         }
     }
+
+    /// No event follows the first one, so nothing is written that would fail.
+    #[test]
+    fn regression_what_prints_until_it_is_stopped_ends_with_its_reader() {
+        if !can_mount() {
+            return;
+        }
+        let folder = Folder::new();
+        let at = folder.file("m");
+        gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
+        for line in [
+            &["watch", &*at, "capacity<101"][..],
+            &["learn", "--json", &at],
+            &["log", &at],
+            &["top", "--json", &at],
+        ] {
+            let (mut reader, writer) = std::io::pipe().expect("a pipe");
+            let mut command = command(line);
+            let child = command.stdout(writer).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+            drop(command);
+            assert!(reader.read(&mut [0]).is_ok_and(|length| length == 1), "{line:?}");
+            drop(reader);
+            assert_eq!(ends(child, line[0]), Some(0), "{line:?}");
+        }
+        gaugefs(&["umount", &at]).done();
+    }
 }
