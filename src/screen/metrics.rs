@@ -190,7 +190,7 @@ enum Seen {
 fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
     let names = page::names();
     // Where a mount is gone there may be something else, even supplies of the kernel's.
-    if mountpoint::of(path).is_none() && mountpoint::of(&fs::canonicalize(path)?).is_none() {
+    if mountpoint::of(path).is_none() && mountpoint::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
     for folder in gauges(path)? {
