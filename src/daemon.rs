@@ -143,12 +143,12 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     mounted.wait();
     shutdown.reach(Phase::Ending);
     mountpoint::unmake();
-    finish(&handles);
+    let ended = finish(&handles);
     for (_, place) in &logged {
         ::log::info!("{place} unmounted");
     }
     drop(locks);
-    Ok(())
+    ended
 }
 
 /// The names of the gauges' folders. Gauges without a name get the first of BAT0, BAT1 ... that are free.

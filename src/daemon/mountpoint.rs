@@ -255,9 +255,19 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// Unmounts a gaugefs. One whose daemon does not answer is removed by force. Returns who keeps its daemon running all
-/// the same, as far as this user may see that.
-pub fn unmount(path: &Path) -> Result<Option<String>> {
+/// What remains after a mount was removed.
+#[derive(Default)]
+pub struct Unmounted {
+    /// Who keeps its daemon running all the same, as far as this user may see that.
+    pub elsewhere: Option<String>,
+    /// What is still owed, a line for each gauge: the daemon tries that once more when it ends, but nobody hears of it
+    /// then.
+    pub owed: Vec<String>,
+}
+
+/// Unmounts a gaugefs. One whose daemon does not answer is removed by force.
+pub fn unmount(path: &Path) -> Result<Unmounted> {
+    let mut remains = Vec::new();
     let (path, mounted) = examine(path)?;
     let subject = path.display().to_string();
     let mount = topmost(&table()?, &path).filter(|mount| ours(&mount.kind, &mount.source));
@@ -270,18 +280,21 @@ pub fn unmount(path: &Path) -> Result<Option<String>> {
         return Err(Error::new(subject, Cause::NotPermitted(why)));
     }
     match mounted {
-        Mounted::Alive => retry_busy(|| detach(&path, false)).map_err(|error| {
-            if error.errno() != Errno::EBUSY {
-                return error;
-            }
-            let users = users(&path);
-            let who = if users.is_empty() { String::new() } else { format!(" by {}", users.join(", ")) };
-            let here = std::env::current_dir().is_ok_and(|here| here.starts_with(&path));
-            let until = if here { "after `cd`, from outside of it" } else { "when it is free" };
-            let lazily = if geteuid().is_root() { "umount -l" } else { "fusermount3 -uz" };
-            let why = format!("in use{who}; try again {until}, or detach it with: {lazily} {subject}");
-            Error::new(&subject, Cause::Busy(why))
-        })?,
+        Mounted::Alive => {
+            remains = owed(&path);
+            retry_busy(|| detach(&path, false)).map_err(|error| {
+                if error.errno() != Errno::EBUSY {
+                    return error;
+                }
+                let users = users(&path);
+                let who = if users.is_empty() { String::new() } else { format!(" by {}", users.join(", ")) };
+                let here = std::env::current_dir().is_ok_and(|here| here.starts_with(&path));
+                let until = if here { "after `cd`, from outside of it" } else { "when it is free" };
+                let lazily = if geteuid().is_root() { "umount -l" } else { "fusermount3 -uz" };
+                let why = format!("in use{who}; try again {until}, or detach it with: {lazily} {subject}");
+                Error::new(&subject, Cause::Busy(why))
+            })?;
+        }
         Mounted::Dead | Mounted::Hung => force(&path)?,
         Mounted::Nothing => {
             let there: Vec<_> = list().iter().map(|path| shown(path)).collect();
@@ -296,7 +309,8 @@ pub fn unmount(path: &Path) -> Result<Option<String>> {
             return Err(Error::host(subject, Errno::EINVAL, why));
         }
     }
-    Ok(elsewhere.iter().find(|other| other.remains()).map(ToString::to_string))
+    let elsewhere = elsewhere.iter().find(|other| other.remains()).map(ToString::to_string);
+    Ok(Unmounted { elsewhere, owed: remains })
 }
 
 /// A mount of a gaugefs besides the one that is removed: in the table of a process, or of this one.
@@ -353,6 +367,25 @@ impl fmt::Display for Elsewhere {
             None => Ok(()),
         }
     }
+}
+
+/// Lets the daemon of a mount pay what it owes to its gauges, and returns what remains.
+fn owed(path: &Path) -> Vec<String> {
+    let is_owed =
+        |gauge: &Path| fs::read_to_string(gauge.join("gauge/owed")).is_ok_and(|owed| owed.trim() == "1");
+    let mut remains = Vec::new();
+    for gauge in fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        if !is_owed(&gauge) {
+            continue;
+        }
+        // Before it shows what is owed, it tries to pay it.
+        let _ = fs::write(gauge.join("gauge/settle"), "show");
+        if is_owed(&gauge) {
+            let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+            remains.push(format!("{}: {}", shown(&gauge), why.trim()));
+        }
+    }
+    remains
 }
 
 /// Repeats an attempt for a moment: monitors open files only while they read them.

@@ -73,8 +73,8 @@ fn end(signal: Signal, phase: &mut Phase) {
         Phase::Mounted(path, handles, announcer) => (path, handles, announcer),
         Phase::Serving(handles, announcer) => {
             log::info!("{signal}: ending");
-            answer(handles, announcer);
-            std::process::exit(0);
+            let ended = answer(handles, announcer);
+            std::process::exit(i32::from(ended.is_err()));
         }
         Phase::Ending => return,
     };
@@ -86,46 +86,49 @@ fn end(signal: Signal, phase: &mut Phase) {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
             mountpoint::unmake();
-            answer(handles, announcer);
+            let ended = answer(handles, announcer);
             // Somebody else may have detached it meanwhile.
-            std::process::exit(i32::from(detached.is_err() && mountpoint::is_ours(path)));
+            let remains = detached.is_err() && mountpoint::is_ours(path);
+            std::process::exit(i32::from(remains || ended.is_err()));
         }
         // Somebody else has detached it, but a file is still open.
         Err(_) if !mountpoint::is_ours(path) => {
             mountpoint::unmake();
-            answer(handles, announcer);
-            std::process::exit(0);
+            let ended = answer(handles, announcer);
+            std::process::exit(i32::from(ended.is_err()));
         }
         Err(error) => log::error!("{error}"),
     }
 }
 
 /// Answers every write that was accepted with its outcome, and accepts no other. When it returns, the answers
-/// have reached the kernel, and the locks are removed.
-fn answer(handles: &[Handle], announcer: &fuse::Announcer) {
+/// have reached the kernel, and the locks are removed. An error is that of [`finish`].
+fn answer(handles: &[Handle], announcer: &fuse::Announcer) -> Result<()> {
     announcer.refuse();
-    finish(handles);
+    let ended = finish(handles);
     announcer.stop();
     lock::remove_all();
+    ended
 }
 
-/// Waits until the gauges' owners have completed the requests that were submitted, such as transactions, and
-/// keeps them from doing anything else.
-pub(super) fn finish(handles: &[Handle]) {
-    let (done, is_done) = mpsc::channel::<()>();
+/// Waits until the gauges' owners have completed the requests that were submitted, such as transactions, and have paid
+/// what is owed, and keeps them from doing anything else. What is still owed is in the log, and is an error.
+pub(super) fn finish(handles: &[Handle]) -> Result<()> {
+    let (done, is_done) = mpsc::channel();
     for handle in handles {
         let done = done.clone();
-        // Requests are served in order, and this one changes nothing.
-        let same = handle.published().interval;
-        let stop = move |_| {
+        // Requests are served in order.
+        let stop = move |ended: Result<()>| {
+            let _ = done.send(ended);
             drop(done);
             loop {
                 std::thread::park();
             }
         };
-        handle.submit(Request::Interval(same, Box::new(stop)));
+        handle.submit(Request::End(Box::new(stop)));
     }
     drop(done);
-    // Nothing is ever sent: each owner drops its end with the request, served or not.
-    let _ = is_done.recv();
+    // Each owner drops its end with the request, served or not.
+    let owed = is_done.iter().filter_map(Result::err).inspect(|error| log::error!("{error}"));
+    owed.reduce(|first, _| first).map_or(Ok(()), Err)
 }

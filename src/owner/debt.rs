@@ -9,6 +9,8 @@ use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::dataflash::Decision;
 
+/// Tries when gaugefs ends, and the pause between them.
+const LAST: u32 = 3;
 /// Pause before the first try, which doubles up to the longest.
 const FIRST: Duration = Duration::from_secs(1);
 const LONGEST: Duration = Duration::from_secs(30);
@@ -45,12 +47,13 @@ impl Owner {
     /// Notes and publishes what is owed.
     pub(super) fn note_debt(&mut self) {
         let owed = self.dataflash.owed();
-        self.debt.note(owed.is_some_and(|owed| !owed.needs_decision), self.gauge.clock.now());
-        let text = owed.map_or("", |owed| owed.why);
+        let can_be_paid = owed.as_ref().is_some_and(|owed| !owed.needs_decision);
+        self.debt.note(can_be_paid, self.gauge.clock.now());
+        let text = owed.map_or(String::new(), |owed| owed.why.into_owned());
         let published = self.shared.published();
         if *published.owed != *text {
             if published.owed.is_empty() {
-                self.debt.cause = text.to_string();
+                self.debt.cause = text.clone();
             }
             // The failure that has left it is over when it is no longer owed.
             if text.is_empty() && published.last_error.contains(&self.debt.cause) {
@@ -58,7 +61,7 @@ impl Owner {
             }
             // What was shown of an interrupted write before is out of date.
             self.shared.publish(|published| {
-                (published.owed, published.settling) = (text.into(), "".into());
+                (published.owed, published.settling) = (text.as_str().into(), "".into());
                 published.owed_since = Timestamp::now();
             });
         }
@@ -83,6 +86,23 @@ impl Owner {
         self.note_debt();
     }
 
+    /// Pays what is owed for the last time, because gaugefs ends. An error says what remains, which is then also in the
+    /// log; the next start finds it in the journal.
+    pub(super) fn end(&mut self) -> Result<()> {
+        for attempt in 0..LAST {
+            let is_owed = self.dataflash.owed().is_some_and(|owed| !owed.needs_decision);
+            if is_owed && attempt > 0 {
+                self.gauge.wait(FIRST);
+            }
+            if is_owed {
+                self.pay();
+            }
+        }
+        let Some(owed) = self.dataflash.owed() else { return Ok(()) };
+        let why = format!("gaugefs ends, and this is still owed: {}", owed.why);
+        Err(Error::new(self.shared.name(), Cause::Busy(why)))
+    }
+
     /// Settles what an earlier process has left, before anybody sees what data flash holds.
     pub(super) fn settle(&mut self) {
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
@@ -99,6 +119,9 @@ impl Owner {
 
     /// Shows what is known of an interrupted write, or settles it as somebody has decided.
     pub(super) fn settle_as_decided(&mut self, decision: Option<Decision>, waited: Duration) -> Result<()> {
+        if decision.is_none() && self.dataflash.owed().is_some_and(|owed| !owed.needs_decision) {
+            self.pay();
+        }
         let outcome = match decision {
             None => self.dataflash.examine(&mut self.gauge, waited),
             Some(decision) => self.dataflash.decide(&mut self.gauge, decision, waited),
@@ -181,6 +204,18 @@ mod tests {
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
+        assert_eq!(*rig.handle.published().owed, *"");
+    }
+
+    #[test]
+    fn regression_an_owner_that_ended_sent_no_seal_and_said_nothing() {
+        let mut rig = left_open();
+        let error = rig.ask(Request::End).expect_err("it is silent for a minute");
+        assert!(error.to_string().contains("still owed"), "{error}");
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("unsealed"));
+        rig.clock.sleep(Duration::from_secs(60));
+        rig.ask(Request::End).expect("it answers");
+        assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
         assert_eq!(*rig.handle.published().owed, *"");
     }
 

@@ -45,6 +45,8 @@ pub enum Request {
     Refresh(Done<()>),
     /// Change the time between polls.
     Interval(Duration, Done<()>),
+    /// Pay what is owed for the last time; an error says what remains.
+    End(Done<()>),
     /// The adapter's device node has come or gone: release it, or see whether the gauge is back.
     Look,
 }
@@ -62,7 +64,11 @@ impl Request {
             | Request::Authenticate(..)
             | Request::Settle(..)
             | Request::Calibrate(..) => true,
-            Request::Report(_) | Request::Refresh(_) | Request::Interval(..) | Request::Look => false,
+            Request::Report(_)
+            | Request::Refresh(_)
+            | Request::Interval(..)
+            | Request::End(_)
+            | Request::Look => false,
         }
     }
 
@@ -78,6 +84,7 @@ impl Request {
             Request::Settle(..) => Attempt::Settle,
             Request::Calibrate(..) => Attempt::Calibrate,
             Request::Interval(..) => Attempt::Interval,
+            Request::End(_) => Attempt::Settle,
             Request::Report(_) => Attempt::Report,
             Request::Refresh(_) | Request::Look => Attempt::Poll,
         }
@@ -97,6 +104,7 @@ impl Request {
             Request::Report(done) => share(done, Request::Report),
             Request::Refresh(done) => share(done, Request::Refresh),
             Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
+            Request::End(done) => share(done, Request::End),
             Request::Look => (Request::Look, Box::new(drop)),
         }
     }
@@ -114,7 +122,8 @@ impl Request {
             | Request::Calibrate(_, done)
             | Request::Report(done)
             | Request::Refresh(done)
-            | Request::Interval(_, done) => done(Err(error)),
+            | Request::Interval(_, done)
+            | Request::End(done) => done(Err(error)),
             Request::Look => {}
         }
     }
@@ -254,6 +263,7 @@ impl Owner {
             }
             Request::Report(done) => done(self.make_report(waited)),
             Request::Refresh(done) => done(self.refresh(submitted)),
+            Request::End(done) => done(self.end()),
             Request::Interval(interval, done) => {
                 self.shared.publish(|published| published.interval = interval);
                 self.shared.succeeded(&attempt);

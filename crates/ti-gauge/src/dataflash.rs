@@ -32,6 +32,7 @@ mod calmode;
 mod checks;
 mod io;
 mod keychange;
+mod owedseal;
 mod pack;
 mod preflight;
 mod schemes;
@@ -45,6 +46,7 @@ use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
 use io::{read_subclass, reload, still_open, store, verify_written};
 use keychange::Unfinished;
+use owedseal::OwedSeal;
 use pack::Known;
 pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack, has_lost_memory};
@@ -145,6 +147,8 @@ pub struct DataFlash {
     unfinished: Option<Unfinished>,
     /// The gauge has refused the key of erased flash.
     no_erased_key: bool,
+    /// A seal that is owed beside it.
+    owed_seal: Option<OwedSeal>,
     /// The journal of a read could not be written, which has been reported.
     unrecorded: bool,
 }
@@ -235,9 +239,12 @@ impl DataFlash {
                 return Ok(None);
             }
             let mut session = Session::new(found, asked);
-            // While something is pending its own entry owes the seal.
-            if found == Seal::Sealed && self.find_pending().is_none() {
-                match self.owe(gauge, &mut session, 0) {
+            if found == Seal::Sealed {
+                let owed = match self.find_pending() {
+                    None => self.owe(gauge, &mut session, 0),
+                    Some(_) => self.owe_seal(gauge, &mut session),
+                };
+                match owed {
                     Ok(()) => self.unrecorded = false,
                     // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it
                     // leaves the gauge unsealed.
@@ -274,6 +281,7 @@ impl DataFlash {
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
         let outcome = in_time(gauge, waited, |gauge, _| {
             gauge.go_to(goal)?;
+            self.seal_was_chosen(goal);
             if goal == Seal::Sealed {
                 return Ok(());
             }

@@ -55,6 +55,8 @@ const LINE: usize = 160;
 const PENDING: &str = "journal";
 const WAITING: &str = "waiting";
 const DISMISSED: &str = "dismissed";
+/// And of a seal that is owed beside a write.
+const SEAL: &str = "seal";
 
 /// Where a gauge's journal is kept.
 #[derive(Clone, Debug)]
@@ -455,6 +457,37 @@ impl Journal {
             return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
         }
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
+    }
+
+    /// The file of a seal that is owed beside a write that waits to be settled.
+    fn seal_path(&self) -> PathBuf {
+        self.numbered(SEAL, 0)
+    }
+
+    /// Records that a seal is owed. On return that is on disk.
+    pub(crate) fn owe_seal(&self, identity: &Identity) -> Result<OpenJournal> {
+        self.replace(&self.seal_path(), identity, Seal::Sealed)
+    }
+
+    /// The gauge to which a seal is owed at this place, if one is.
+    pub(crate) fn seal_owed(&self) -> Result<Option<Entry>> {
+        match self.content(&self.seal_path()) {
+            Some(Content::Entry(entry)) => Ok(Some(entry).filter(|entry| self.is_ours(entry))),
+            Some(Content::Unreadable(error)) => Err(error),
+            Some(Content::InUse(_)) | None => Ok(None),
+        }
+    }
+
+    /// Removes the record of a seal that is owed, if there is one.
+    pub(crate) fn seal_paid(&self) -> Result<()> {
+        let path = self.seal_path();
+        if !self.disk.exists(&path) {
+            return Ok(());
+        }
+        let removed = self.disk.remove(&path).and_then(|()| self.disk.sync(&self.folder));
+        removed.map_err(|error| {
+            Error::io(path.display().to_string(), "cannot remove the record of a seal", &error)
+        })
     }
 
     /// Sets an entry aside until its pack comes back, under another name, which is returned.

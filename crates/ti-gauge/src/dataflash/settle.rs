@@ -6,12 +6,14 @@
 //! nothing is written unless the pack is certainly the one, and every byte of its blocks is old, new, erased or
 //! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
 use super::keychange::way_out;
+use super::owedseal::OwedSeal;
 use super::pack::{Match, compare, is_named, shows_another};
 use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
@@ -61,11 +63,11 @@ enum Where {
 }
 
 /// What is owed to a gauge, for everybody else.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Owed<'a> {
     /// What happened and what to do, one line.
-    pub why: &'a str,
-    /// Trying again does not help: a person has to decide.
+    pub why: Cow<'a, str>,
+    /// Trying again does not help with any of it: a person has to decide.
     pub needs_decision: bool,
     /// A write is neither done nor undone; otherwise only the seal is owed.
     pub data: bool,
@@ -142,19 +144,27 @@ impl DataFlash {
 
     /// What is owed to the gauge, if anything is.
     pub fn owed(&self) -> Option<Owed<'_>> {
-        let pending = self.pending.as_ref()?;
-        let data = pending.entry.as_ref().is_none_or(|entry| entry.plan.is_some());
-        let keys = pending.entry.as_ref().and_then(|entry| entry.plan.as_ref()?.key.as_ref());
+        let (pending, seal) = (self.pending.as_ref(), self.owed_seal.as_ref());
+        let data =
+            pending.is_some_and(|pending| pending.entry.as_ref().is_none_or(|entry| entry.plan.is_some()));
+        let why = match (pending, seal) {
+            (Some(pending), Some(seal)) => format!("{}; {}", pending.why, seal.why).into(),
+            (Some(Pending { why, .. }), None) | (None, Some(OwedSeal { why, .. })) => why.as_str().into(),
+            (None, None) => return None,
+        };
+        let needs_decision = seal.is_none() && pending.is_some_and(|pending| pending.undecided);
+        let keys = pending.and_then(|pending| pending.entry.as_ref()?.plan.as_ref()?.key.as_ref());
         let keys = keys.filter(|key| !key.is_over()).map_or(&[][..], |key| &key.names);
-        Some(Owed { why: &pending.why, needs_decision: pending.undecided, data, keys })
+        Some(Owed { why, needs_decision, data, keys })
     }
 
     /// Keeps what a session has left to be settled.
     pub(super) fn keep(&mut self, entry: Option<Entry>, opened: Option<OpenJournal>, left: Left) {
-        let Some(mut entry) = entry else {
-            // A read while something was pending already.
-            return;
-        };
+        let Some(mut entry) = entry else { return };
+        if self.pending.is_some() {
+            // A read while a write waited to be settled: its record is there already.
+            return self.keep_seal(entry, left.why);
+        }
         self.held = opened;
         if !left.data && entry.plan.take().is_some() {
             // Data flash has been read back: only the seal is owed, to whatever gauge of this kind it is.
@@ -243,6 +253,30 @@ impl DataFlash {
     /// `None` if there was nothing to settle. After an error it is still owed.
     pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let begun = gauge.clock.now();
+        let owes_seal = self.find_seal().is_some();
+        let settled = match self.find_pending() {
+            // Only the seal is tried again by itself.
+            Some(Pending { why, undecided: true, .. }) if owes_seal => Err(Error::new("", Cause::Busy(why))),
+            _ => self.settle_writes(gauge, waited),
+        };
+        let sealed = self.pay_seal(gauge, waited + (gauge.clock.now() - begun));
+        match (settled, sealed) {
+            (Ok(Some(settled)), Ok(Some(sealed))) => Ok(Some(format!("{settled}; {sealed}"))),
+            (Ok(one), Ok(other)) => Ok(one.or(other)),
+            (Ok(settled), Err(error)) => {
+                settled.iter().for_each(|settled| log::warn!("{}: {settled}", gauge.chip.name));
+                Err(error)
+            }
+            (Err(error), sealed) => {
+                sealed.iter().flatten().for_each(|sealed| log::warn!("{}: {sealed}", gauge.chip.name));
+                Err(error)
+            }
+        }
+    }
+
+    /// Settles the writes, here and at other places.
+    fn settle_writes(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
+        let begun = gauge.clock.now();
         let mut told = self.settle_here(gauge, waited)?;
         let waited = waited + (gauge.clock.now() - begun);
         match self.search(gauge, Where::Places, waited) {
@@ -327,8 +361,11 @@ impl DataFlash {
 
     /// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
     pub fn examine(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<String> {
-        let Some(pending) = self.find_pending() else { return Ok("nothing to settle\n".into()) };
-        let mut text = format!("{}\n", pending.why);
+        let seal = self.find_seal().map_or(String::new(), |seal| format!("{}\n", seal.why));
+        let Some(pending) = self.find_pending() else {
+            return Ok(if seal.is_empty() { "nothing to settle\n".into() } else { seal });
+        };
+        let mut text = format!("{seal}{}\n", pending.why);
         let Some(entry) = pending.entry else { return Ok(text) };
         let Identity { chip, firmware, serial, .. } = &entry.identity;
         text += &format!(
@@ -358,7 +395,12 @@ impl DataFlash {
     /// Settles an interrupted write as a person has decided. Returns a message for the log.
     pub fn decide(&mut self, gauge: &mut Gauge, decision: Decision, waited: Duration) -> Result<String> {
         let Some(pending) = self.find_pending() else {
-            return Err(Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into())));
+            let sealed = self.pay_seal(gauge, waited);
+            if decision == Decision::Discard {
+                self.forget_seal();
+            }
+            let nothing = || Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into()));
+            return sealed?.ok_or_else(nothing);
         };
         let key = pending.plan().and_then(|plan| plan.key).filter(|key| !key.is_over());
         if let Some(key) = key.filter(|_| decision == Decision::Finish || decision == Decision::Undo)
@@ -595,6 +637,9 @@ impl DataFlash {
         for place in [Where::Places, Where::Waiting] {
             let told = self.search(gauge, place, waited + (gauge.clock.now() - begun))?;
             told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
+        }
+        if let Some(told) = self.pay_seal(gauge, waited + (gauge.clock.now() - begun))? {
+            log::warn!("{}: {told}", gauge.chip.name);
         }
         Ok(waited + (gauge.clock.now() - begun))
     }

@@ -359,7 +359,7 @@ fn regression_a_seal_that_shows_late_was_taken_for_an_open_gauge() {
     let mut rig = Rig::found("bq34z100-g1", Seal::Unsealed);
     rig.sim.set("status_ms", "200").expect("a knob");
     // The seal is sent, and whoever has sent it is given up before the gauge shows it.
-    rig.sim.set("fault", "silence 2 150").expect("a fault");
+    rig.sim.set("fault", "silence 2 60").expect("a fault");
     rig.gauge.limit(Some(Duration::from_millis(40)));
     rig.gauge.close().expect_err("there is no time");
     rig.gauge.limit(None);

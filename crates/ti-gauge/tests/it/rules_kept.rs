@@ -268,3 +268,61 @@ fn nothing_but_register_pointers_is_sent_to_a_part_without_a_table() {
     gauge.read(0x08, &mut [0; 2]).expect("a register");
     assert_eq!(sent.load(Ordering::SeqCst), 0);
 }
+
+/// A pack whose write waits for a person, and is sealed meanwhile.
+fn waiting(folder: &Folder) -> Rig {
+    let mut rig = Rig::found(CHIP, Seal::Sealed);
+    half_way(&mut rig, folder);
+    rig.arrive().expect_err("it may be another pack");
+    assert_eq!(rig.get("seal"), "sealed");
+    rig
+}
+
+/// A gauge that ignores so many SEAL commands that a read leaves it open.
+fn left_open_by_a_read(rig: &mut Rig) {
+    rig.set("fault", &["drop-seal"; 4].join("; "));
+    let error = rig.read(80, 53).expect_err("it cannot be sealed");
+    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(rig.get("seal"), "unsealed");
+}
+
+#[test]
+fn regression_a_seal_was_lost_while_a_write_waited_for_a_decision() {
+    let folder = Folder::new("kept-seal");
+    for restart in [false, true] {
+        let mut rig = waiting(&folder);
+        let flash = rig.sim.flash();
+        left_open_by_a_read(&mut rig);
+        let owed = rig.dataflash.owed().expect("a write and a seal");
+        assert!(owed.data && !owed.needs_decision, "the seal can be tried again: {}", owed.why);
+        let why = owed.why.to_string();
+        assert!(why.contains("restoring the sealed state failed") && why.contains("decides"), "{why}");
+        if restart {
+            rig.start(&folder);
+        }
+        let error = rig.settle().expect_err("the write still waits");
+        assert_eq!(cause(&error), "Busy", "{error}");
+        assert_eq!(rig.get("seal"), "sealed");
+        assert!(rig.sim.flash() == flash, "nothing is written");
+        let owed = rig.dataflash.owed().expect("the write");
+        assert!(owed.needs_decision && !owed.why.contains("sealed state failed"), "{}", owed.why);
+        rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect("it answers");
+        assert_eq!(folder.files(), Vec::<String>::new());
+        assert!(rig.dataflash.owed().is_none());
+    }
+}
+
+#[test]
+fn a_seal_that_is_owed_survives_the_decision_about_the_write() {
+    let folder = Folder::new("kept-seal-decided");
+    let mut rig = waiting(&folder);
+    left_open_by_a_read(&mut rig);
+    rig.set("fault", &["drop-seal"; 4].join("; "));
+    let _ = rig.dataflash.decide(&mut rig.gauge, Decision::Discard, Duration::ZERO);
+    assert_eq!(rig.get("seal"), "unsealed");
+    assert!(rig.dataflash.owed().is_some_and(|owed| !owed.data && !owed.needs_decision));
+    rig.start(&folder);
+    rig.settle().expect("it answers").expect("it was owed");
+    assert_eq!(rig.get("seal"), "sealed");
+    assert!(rig.dataflash.owed().is_none());
+}
