@@ -385,5 +385,8 @@ pub(crate) fn apply(gauge: &Path, changes: &[Difference<'_>], raw: &[RawDifferen
 
 /// A message of the daemon, which does not know under which path its gauge is seen here.
 pub(crate) fn with_gauge(text: &str, gauge: &Path) -> String {
-    text.replace(" GAUGE ", &format!(" {} ", shown(gauge)))
+    let path = shown(gauge).to_string();
+    let is_plain = path.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"/._+-".contains(&byte));
+    let path = if is_plain { path } else { format!("'{}'", path.replace('\'', "'\\''")) };
+    text.replace(" GAUGE ", &format!(" {path} "))
 }

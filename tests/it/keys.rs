@@ -521,6 +521,8 @@ fn regression_the_way_back_from_a_power_cut_in_a_key_change_is_refused() {
     let [at, flash, state, own, old, new] =
         ["m", "flash", "state", "own", "old", "new"].map(|name| folder.file(name));
     let gauge = format!("{at}/BAT0");
+    // As a shell needs it.
+    let quoted = if gauge.contains(' ') { format!("'{gauge}'") } else { gauge.clone() };
     let default = AUTHENTICATION[0];
     write_keys(&own, &format!("unseal = 0414 3672\nfull_access = ffff ffff\nauthentication = {default}\n"));
     let mount = || {
@@ -547,7 +549,7 @@ fn regression_the_way_back_from_a_power_cut_in_a_key_change_is_refused() {
         let ran = gaugefs(&change);
         ran.failed(&[
             "the gauge does not answer",
-            &format!("gaugefs keys change {gauge} {key} --key-file OLD"),
+            &format!("gaugefs keys change {quoted} {key} --key-file OLD"),
         ]);
         assert_eq!(read(&gauge, "gauge/owed"), "1");
         let process = daemon(&at).expect("the daemon runs");
@@ -562,7 +564,9 @@ fn regression_the_way_back_from_a_power_cut_in_a_key_change_is_refused() {
         assert_eq!(read(&gauge, "gauge/owed"), "1");
         let command = shown.out.split("gaugefs ").nth(1).and_then(|rest| rest.split(')').next());
         let command = command.unwrap_or_else(|| panic!("no command in {}", shown.out));
+        let command = command.replace(&quoted, "HERE");
         let words = command.split(' ').map(|word| match word {
+            "HERE" => gauge.as_str(),
             "OLD" if number != 1 => old.as_str(),
             "NEW" if number != 1 => new.as_str(),
             // This one is undone.
