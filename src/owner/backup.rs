@@ -1,7 +1,8 @@
 //! The configuration of a gauge, saved as an image before gaugefs writes to it for the first time.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::ptr;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
@@ -10,8 +11,8 @@ use super::Owner;
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
-use ti_gauge::image;
-use ti_gauge::image::{Image, toml};
+use ti_gauge::dataflash::{self, Change, Row};
+use ti_gauge::image::{self, Entry, Image, toml};
 use ti_gauge::journal;
 
 /// Backups of one gauge's place that are kept.
@@ -65,12 +66,53 @@ impl Backup {
         // The clock may have been put back, so that this is not the newest by its name.
         let mut others = self.files();
         others.retain(|file| *file != path);
-        for old in &others[..others.len().saturating_sub(KEPT - 1)] {
+        let mut packs: Vec<Option<String>> = Vec::new();
+        let originals = others.iter().filter(|file| {
+            let pack = self.pack_of(file);
+            let is_first = !packs.contains(&pack);
+            packs.push(pack);
+            is_first
+        });
+        let originals: Vec<PathBuf> = originals.cloned().collect();
+        let old = &others[..others.len().saturating_sub(KEPT - 1)];
+        for old in old.iter().filter(|old| !originals.contains(old)) {
             if let Err(error) = fs::remove_file(old) {
                 log::warn!("{}: cannot remove this old backup: {error}", old.display());
             }
         }
         Ok(Saved::Written(path))
+    }
+
+    /// Part and serial number in the name of a backup of this place.
+    fn pack_of(&self, file: &Path) -> Option<String> {
+        let rest = file.file_name()?.to_str()?.strip_suffix(SUFFIX)?.strip_prefix(&self.key)?;
+        Some(rest.rsplit_once('-')?.0.to_string())
+    }
+
+    /// The oldest and the newest backup of a pack, whatever the place: those with its calibration or its serial number,
+    /// where these are not what every new pack has.
+    fn own(
+        &self,
+        chip: &'static Chip,
+        bytes: &dyn Fn(Row) -> Option<Vec<u8>>,
+    ) -> Option<[(PathBuf, Image); 2]> {
+        let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        let part = format!("-{}-", chip.name);
+        let mut files: Vec<(String, PathBuf)> = entries
+            .filter_map(|entry| {
+                let name = entry.file_name().into_string().ok()?;
+                let rest = name.strip_suffix(SUFFIX).filter(|rest| rest.contains(&part))?;
+                Some((rest.rsplit_once('-')?.1.to_string(), entry.path()))
+            })
+            .collect();
+        files.sort();
+        let own = |(_, path): &(String, PathBuf)| {
+            let image = Image::open(path, Some(chip)).ok()?;
+            is_own(chip, &image, bytes).then(|| (path.clone(), image))
+        };
+        let oldest = files.iter().find_map(own)?;
+        let newest = files.iter().rev().find_map(own)?;
+        Some([oldest, newest])
     }
 
     /// The backups of this place, oldest first.
@@ -92,9 +134,55 @@ impl Backup {
 }
 
 impl Owner {
-    /// Saves the gauge's configuration, if that has not been done since the gauge came.
-    pub(super) fn back_up(&mut self, waited: Duration) -> Result<()> {
+    /// Makes sure that no row of flash is erased, or will be after these changes: by the table, and by the pack's own
+    /// backups.
+    pub(super) fn check_erased(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+        let chip = self.gauge.chip;
+        let readable = readable(chip);
+        let read = self.read(&readable, waited)?;
+        let bytes = |(subclass, parameter): Row| {
+            let index = chip.subclasses.iter().position(|row| ptr::eq(row, subclass))?;
+            let content = &read[readable.iter().position(|&at| at == index)?];
+            let at = usize::from(parameter.offset - subclass.start());
+            content.get(at..at + parameter.kind.size()).map(<[u8]>::to_vec)
+        };
+        let own = self.backup.as_ref().and_then(|backup| backup.own(chip, &bytes));
+        let mut lost = dataflash::erased(chip, bytes);
+        if let Some([(_, oldest), (_, newest)]) = &own {
+            let of = |image: &Image, (subclass, parameter): Row| {
+                let entries = image.entries.iter();
+                let same =
+                    |entry: &&Entry| ptr::eq(entry.parameter, parameter) && ptr::eq(entry.subclass, subclass);
+                entries.into_iter().find(same).and_then(Entry::bytes)
+            };
+            let since = dataflash::erased_since(chip, |row| of(oldest, row), bytes);
+            lost.extend(
+                since.into_iter().filter(|row| {
+                    of(newest, *row).is_some_and(|bytes| bytes.iter().any(|&byte| byte != 0xff))
+                }),
+            );
+        }
+        lost.retain(|row| !changes.iter().any(|change| covers(change, *row)));
+        lost.dedup_by_key(|(subclass, parameter)| (subclass.id, parameter.offset));
+        if lost.is_empty() {
+            return Ok(());
+        }
+        let remedy = match &own {
+            Some([(path, _), _]) => {
+                format!("write what it had before with gaugefs import GAUGE {}", path.display())
+            }
+            None => "write all of them in one transaction, with gaugefs import from an export of a pack like this one for \
+                     example"
+                .into(),
+        };
+        Err(dataflash::says_erased(&lost, &remedy).into())
+    }
+
+    /// Saves the gauge's configuration, if that has not been done since the gauge came. A pack with an erased row that
+    /// these changes do not write is refused.
+    pub(super) fn back_up(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
         let Some(backup) = self.backup.clone().filter(|_| !self.backed_up) else { return Ok(()) };
+        self.check_erased(changes, waited).map_err(|error| error.within("backup"))?;
         let chip = self.gauge.chip;
         let readable = readable(chip);
         let read = self.read(&readable, waited).map_err(|error| error.within("backup"))?;
@@ -119,6 +207,34 @@ pub(crate) fn readable(chip: &Chip) -> Vec<usize> {
     rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect()
 }
 
+/// Whether a change writes all of a parameter.
+fn covers(change: &Change, (subclass, parameter): Row) -> bool {
+    let (start, end) = (change.place.offset, change.place.offset + change.bytes.len() as u16);
+    change.place.subclass == subclass.id
+        && (start..=end).contains(&parameter.offset)
+        && parameter.offset + parameter.kind.size() as u16 <= end
+}
+
+/// Whether an image is of the pack that has these bytes. What is erased shows nothing.
+fn is_own(chip: &'static Chip, image: &Image, bytes: &dyn Fn(Row) -> Option<Vec<u8>>) -> bool {
+    let mut certain = false;
+    for entry in &image.entries {
+        let (place, row) = ((entry.subclass.id, entry.parameter.offset), (entry.subclass, entry.parameter));
+        if !chip.preflight.marks.contains(&place) || entry.parameter.learned {
+            continue;
+        }
+        let (Some(then), Some(now)) = (entry.bytes(), bytes(row)) else { continue };
+        if now.iter().all(|&byte| byte == 0xff) {
+            continue;
+        }
+        if then != now {
+            return false;
+        }
+        certain |= dataflash::distinguishes(row, &now);
+    }
+    certain
+}
+
 /// The register with the pack's serial number, if the part has one.
 fn serial_number(chip: &Chip) -> Option<&ti_gauge::chip::Register> {
     chip.registers.iter().find(|register| register.name == "SerialNumber")
@@ -127,7 +243,6 @@ fn serial_number(chip: &Chip) -> Option<&ti_gauge::chip::Register> {
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
-    use std::path::Path;
 
     use nix::errno::Errno;
 
@@ -135,8 +250,6 @@ mod tests {
     use super::super::{Request, Settings, Startup};
     use super::*;
     use gauge_bus::clock::Clock as _;
-    use ti_gauge::dataflash::Change;
-    use ti_gauge::image::Entry;
     use ti_gauge::value::Value;
 
     fn folder(name: &str) -> PathBuf {
@@ -174,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_ten_of_a_place_are_kept_whatever_the_pack() {
+    fn the_newest_ten_of_a_place_and_the_first_one_of_each_pack_are_kept() {
         let folder = folder("ten");
         let backup = Backup::new(folder.clone(), "i2c-1-55".into());
         let other = Backup::new(folder.clone(), "i2c-1-55-bus".into());
@@ -186,14 +299,15 @@ mod tests {
         }
         let files = backup.files();
         let values = files.iter().map(|file| Image::open(file, None).expect("an image").entries[0].text());
-        assert_eq!(values.collect::<Vec<_>>(), (15..25).map(|value| value.to_string()).collect::<Vec<_>>());
+        let kept: Vec<_> = (0..2).chain(15..25).map(|value| value.to_string()).collect();
+        assert_eq!(values.collect::<Vec<_>>(), kept);
         assert_eq!(other.files().len(), 1);
         // A clock that was put back.
         let Saved::Written(old) = backup.save(&image(99), 1, second(-1000)).expect("a folder") else {
             panic!("these values are new")
         };
         assert!(old.exists());
-        assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 12, "and nothing else");
+        assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 14, "and nothing else");
         fs::remove_dir_all(folder).expect("it is there");
     }
 
@@ -248,10 +362,61 @@ mod tests {
             let mut rig = Rig::of(chip.name, Settings { backup, ..Settings::default() }, Startup::default());
             rig.owner.open().expect("it answers");
             let begun = rig.clock.now();
-            rig.owner.back_up(Duration::ZERO).expect("the default key");
+            rig.owner.back_up(&[], Duration::ZERO).expect("the default key");
             let taken = rig.clock.now() - begun;
             assert!(taken < Duration::from_secs(8), "{}: {taken:?}", chip.name);
             println!("{}: {taken:?}", chip.name);
+        }
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// Erases a row of flash: subclass and the place of its first byte.
+    fn erase(rig: &Rig, (id, at): (u8, usize)) {
+        rig.sim.set_flash(id.into(), at, &[0xff; 32]);
+        rig.clock.sleep(Duration::from_secs(1));
+    }
+
+    #[test]
+    fn regression_a_pack_with_an_erased_row_was_written_to() {
+        let folder = folder("erased");
+        // Cell Terminate Voltage is in the second row of IT Cfg, and cannot be 65535.
+        for place in [(80, 32), (48, 0)] {
+            let mut rig = with_backup(&folder);
+            erase(&rig, place);
+            let flash = rig.sim.flash();
+            let own_row = if place.0 == 80 { "3100" } else { "3200" };
+            let error = write(&mut rig, own_row).expect_err("a row is erased");
+            let says = error.to_string();
+            assert_eq!(error.errno(), Errno::EBADMSG, "{says}");
+            assert!(says.contains(&format!("subclass {} offset {}", place.0, place.1)), "{says}");
+            assert!(says.contains("gaugefs import") && rig.sim.flash() == flash, "{says}");
+        }
+        let _ = fs::remove_dir_all(folder);
+    }
+
+    /// What the table allows, such as a text of 0xff, its own backup shows to be erased.
+    #[test]
+    fn regression_a_row_that_only_the_backup_shows_to_be_erased_was_written_to() {
+        let folder = folder("compared");
+        let first = |calibration: u8| {
+            let rig = with_backup(&folder);
+            rig.sim.set_flash(104, 11, &[calibration]);
+            rig
+        };
+        let mut rig = first(3);
+        rig.sim.set_flash(58, 0, &[7; 32]);
+        write(&mut rig, "3100").expect("it is whole");
+        for calibration in [3, 5] {
+            let mut rig = first(calibration);
+            erase(&rig, (58, 0));
+            let written = write(&mut rig, "3200");
+            // Another pack may always have had that.
+            let Err(error) = written else {
+                assert_eq!(calibration, 5, "it is not noticed");
+                continue;
+            };
+            let says = error.to_string();
+            assert!(calibration == 3 && says.contains(".backup.toml"), "{says}");
         }
         fs::remove_dir_all(folder).expect("it is there");
     }

@@ -15,7 +15,7 @@ impl Owner {
             self.pay();
         }
         if *job != Job::Leave && self.dataflash.owed().is_none() {
-            self.back_up(waited)?;
+            self.back_up(&[], waited)?;
         }
         let waited = waited + self.gauge.clock.now().saturating_sub(begun);
         let shared = self.shared.clone();

@@ -61,6 +61,11 @@ impl Direct {
         outcome.try_recv().unwrap_or_else(|_| Err(unanswered()))
     }
 
+    /// Makes sure that no row of it is erased, by the table and by its own backups.
+    pub(crate) fn check_erased(&mut self) -> Result<()> {
+        self.owner.check_erased(&[], Duration::ZERO)
+    }
+
     /// The key that is sent to the gauge.
     pub(crate) fn key(&self, name: Name) -> Option<Secret> {
         self.owner.gauge.key(name)

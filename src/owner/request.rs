@@ -367,7 +367,7 @@ impl Owner {
         }
         // While something is still owed the write is refused, and what data flash holds is no configuration.
         if self.dataflash.owed().is_none() {
-            self.back_up(waited)?;
+            self.back_up(changes, waited)?;
         }
         let waited = waited + self.gauge.clock.now().saturating_sub(begun);
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);

@@ -133,6 +133,7 @@ impl Task<'_> {
         let last = self.look()?;
         target::check(&asked, &last, &calibrated)?;
         last.check_same(&expected, &[])?;
+        self.gauge.check_erased()?;
         self.is_settled()?;
         self.entry.fingerprint = Some(last.fingerprint());
         self.entry.changes = last.changed_since(&before);
@@ -238,6 +239,7 @@ impl Task<'_> {
             }
             read => read?,
         };
+        self.gauge.check_erased()?;
         self.entry.serial_before = self.station.plan.serial_row.and_then(|row| flash.text(row));
         let record = self.station.record();
         if let Some(seen) = record.seen(&flash.fingerprint()) {

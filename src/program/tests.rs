@@ -12,8 +12,10 @@ use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim, SimBus};
 use sha2::{Digest, Sha256};
 use ti_gauge::chip::{Chip, Kind};
+use ti_gauge::dataflash::Change;
 use ti_gauge::image::{Image, toml};
-use ti_gauge::journal::{Disk, File, Host};
+use ti_gauge::journal::{Disk, File, Host, Journal};
+use ti_gauge::value::Value;
 use ti_gauge::{codec, text};
 
 use super::record::{Entry, Event};
@@ -931,6 +933,40 @@ fn a_pack_that_is_pulled_out_fails_and_the_next_waits_for_a_decision() {
     let kept = images.flatten().filter(|file| file.path().extension().is_some_and(|end| end == "journal"));
     assert_eq!(kept.count(), 1);
     check_record(&folder);
+}
+
+/// A pack whose power was cut while a row was programmed, and another one like it on the bench meanwhile.
+#[test]
+fn regression_a_pack_with_an_erased_row_passed() {
+    for with_journal in [true, false] {
+        let folder = Folder::new("erased");
+        let clock = Arc::new(SimClock::new());
+        let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+        let torn = new_pack(&clock, 1, None);
+        if with_journal {
+            let journal = Journal::new(folder.file("journals"), "i2c-9-55".into(), "another bench".into());
+            let settings = Settings { journal: Some(journal), ..Settings::default() };
+            let mut gauge = opened(&torn, &clock, settings);
+            torn.set("tear", "erased").and_then(|()| torn.set("fault", "torn-commit 5")).expect("knobs");
+            let row = torn_row();
+            let change = Change::of_value(row, &Value::Int(3100)).expect("it fits");
+            gauge.ask(|done| Request::WriteAll(vec![change], done)).expect_err("it is torn");
+            torn.set("power", "on").expect("a knob");
+        } else {
+            torn.set_flash(80, 32, &[0xff; 32]);
+        }
+        clock.sleep(Duration::from_secs(5));
+        let flash = torn.flash();
+        let said = line.run(&clock, [(new_pack(&clock, 2, None), "none".into())]);
+        assert!(said[0].starts_with("PASS"), "{said:?}");
+        let said = refused(&folder, &line, &clock, &torn, "none");
+        assert!(said.contains(if with_journal { "gaugefs settle" } else { "0xff" }), "{said}");
+        assert!(torn.flash() == flash);
+    }
+}
+
+fn torn_row() -> ti_gauge::dataflash::Row {
+    Chip::by_name(CHIP).and_then(|chip| chip.row("80", "53")).expect("Cell Terminate Voltage")
 }
 
 #[test]

@@ -30,6 +30,7 @@ mod anonymous;
 mod blocks;
 mod calmode;
 mod checks;
+mod erased;
 mod io;
 mod keychange;
 mod owedseal;
@@ -44,10 +45,13 @@ pub use anonymous::{anonymous, sample, samples};
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
+use erased::erased_in;
+pub use erased::{erased, erased_since, says_erased};
 use io::{read_subclass, reload, still_open, store, verify_written};
 use keychange::Unfinished;
 use owedseal::OwedSeal;
 use pack::Known;
+pub use pack::distinguishes;
 pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack, has_lost_memory};
 use schemes::sequence;
@@ -436,6 +440,12 @@ impl DataFlash {
         dirty.retain(|block| block.old != block.new);
         if dirty.is_empty() {
             return Ok(Outcome::Unchanged);
+        }
+        for block in &dirty {
+            let lost = erased_in(gauge.chip, block.place, &block.new);
+            if !lost.is_empty() {
+                return Err(says_erased(&lost, "").at(Step::Check));
+            }
         }
         let in_window = !self.check_gate_after(gauge, changes, &mut dirty, voltage_mv)? && in_window;
         match learning {

@@ -162,7 +162,7 @@ fn word(bytes: &[u8]) -> u16 {
 }
 
 /// Whether these are not the bytes of every pack from the factory, and not those of erased flash either.
-fn distinguishes((_, parameter): Row, bytes: &[u8]) -> bool {
+pub fn distinguishes((_, parameter): Row, bytes: &[u8]) -> bool {
     let default = match parameter.range {
         Range::Int { default, .. } => default.map(Value::Int),
         Range::Float { default, .. } => default.map(Value::Float),

@@ -3,9 +3,11 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::panic::resume_unwind;
+use std::time::Duration;
 
 use gauge_bus::Bus;
-use ti_gauge::dataflash::{DataFlash, Decision, Limits};
+use ti_gauge::chip::{CHIPS, Kind, Subclass};
+use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Row, erased};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
@@ -53,7 +55,7 @@ fn is_left_to_a_person(rig: &mut Rig, folder: &Folder, at: &str) {
     assert!(owed.needs_decision && owed.why.contains("gaugefs settle"), "{at}: {}", owed.why);
     assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(at)), "Busy", "{at}");
     assert!(rig.sim.flash() == flash, "{at}");
-    rig.dataflash.decide(&mut rig.gauge, Decision::Undo, std::time::Duration::ZERO).expect(at);
+    rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect(at);
     assert_eq!(rig.read(48, 11), Ok(vec![0x03, 0xe8]), "{at}");
     assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
     rig.write(58, 3, "0x5a").expect(at);
@@ -152,7 +154,7 @@ fn regression_a_journal_that_was_put_aside_is_never_replaced() {
     for number in 0..3 {
         let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
         half_way(&mut rig, &folder);
-        rig.dataflash.decide(&mut rig.gauge, Decision::Discard, std::time::Duration::ZERO).expect("a folder");
+        rig.dataflash.decide(&mut rig.gauge, Decision::Discard, Duration::ZERO).expect("a folder");
         assert_eq!(folder.files().len(), number + 1);
     }
     assert_eq!(folder.files(), ["i2c-1-55.1.dismissed", "i2c-1-55.2.dismissed", "i2c-1-55.dismissed"]);
@@ -340,4 +342,55 @@ fn a_journal_of_version_2_is_settled() {
     rig.comes_to(folder.journal()).expect("nothing is in the way").expect("there is a journal");
     assert!(rig.sim.flash() == old);
     assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
+}
+
+/// The bytes of a parameter, by a function that reads a subclass.
+fn content(rig: &mut Rig) -> impl Fn(Row) -> Option<Vec<u8>> + use<> {
+    let chip = rig.gauge.chip;
+    let rows: Vec<&Subclass> = chip.subclasses.iter().filter(|row| row.kind != Kind::Security).collect();
+    let read = rig.dataflash.read(&mut rig.gauge, &rows, Duration::ZERO).expect("the default key");
+    move |(subclass, parameter)| {
+        let at = rows.iter().position(|row| std::ptr::eq(*row, subclass))?;
+        let start = usize::from(parameter.offset - subclass.start());
+        Some(read[at][start..start + parameter.kind.size()].to_vec())
+    }
+}
+
+#[test]
+fn no_new_pack_counts_as_erased() {
+    for chip in CHIPS {
+        let lost = erased(chip, content(&mut Rig::new(chip.name)));
+        let names: Vec<_> = lost.iter().map(|(_, parameter)| parameter.name).collect();
+        assert!(names.is_empty(), "{}: {names:?}", chip.name);
+    }
+}
+
+/// A row that was erased without a journal, or whose journal is lost.
+#[test]
+fn regression_a_write_beside_erased_parameters_was_made() {
+    // The second row of IT Cfg from some place on; Cell Terminate Voltage is at 53.
+    for from in [32, 40, 53] {
+        let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
+        let whole = content(&mut rig);
+        rig.sim.set_flash(80, from, &vec![0xff; 64 - from]);
+        let flash = rig.sim.flash();
+        let now = content(&mut rig);
+        let lost = erased(rig.gauge.chip, &now);
+        assert!(!lost.is_empty() && lost.iter().all(|(subclass, _)| subclass.id == 80), "{from}");
+        let error = rig.write(80, 53, "3100").map(drop);
+        if lost.iter().any(|(_, parameter)| parameter.offset != 53) {
+            let error = error.expect_err("the rest of the row stays erased");
+            assert_eq!(cause(&error), "BadChecksum", "{error}");
+            assert!(error.to_string().contains("subclass 80 offset 32"), "{error}");
+            assert!(rig.sim.flash() == flash);
+        }
+        // All of them together.
+        let inside = |row: &Row| usize::from(row.1.offset) >= from && usize::from(row.1.offset) < 64;
+        let it = rig.gauge.chip.subclasses.iter().filter(|subclass| subclass.id == 80);
+        let rows = it.flat_map(|subclass| subclass.parameters.iter().map(move |one| (subclass, one)));
+        let changes: Vec<Change> =
+            rows.filter(inside).map(|row| Change::of_bytes(row, whole(row).expect("it was read"))).collect();
+        rig.write_all(&changes).expect("it is whole then");
+        assert!(erased(rig.gauge.chip, content(&mut rig)).is_empty());
+    }
 }
