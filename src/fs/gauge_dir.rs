@@ -351,9 +351,7 @@ fn owed_and(owed: Option<(Timestamp, &str)>, error: Option<(Timestamp, &str)>) -
 
 /// 1 while a seal is owed, or a write that is neither done nor undone.
 fn owed(gauge: &Supply) -> Option<String> {
-    let published = gauge.published();
-    let is_owed = !published.settling.is_empty() || !published.owed.is_empty();
-    line(u8::from(is_owed)).filter(|_| gauge.has_own_table())
+    line(u8::from(!gauge.published().owed.is_empty())).filter(|_| gauge.has_own_table())
 }
 
 /// What is known of an interrupted write.
