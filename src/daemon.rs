@@ -124,6 +124,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             })?
         }
         None => {
+            preflight::device()?;
             let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
             shutdown.mount(|| {
                 let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;

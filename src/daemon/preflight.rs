@@ -1,6 +1,6 @@
 //! What a mount needs of the machine: one list of checks, of which the mount reports the first that fails, before any
-//! gauge is opened, and `gaugefs mount --check` all. That also looks at what each gauge needs, with the functions that
-//! open it.
+//! gauge is opened, and `gaugefs mount --check` all. That also looks at what each gauge needs, and at /dev/fuse, with the
+//! functions that open them.
 
 use std::collections::HashSet;
 use std::env;
@@ -33,7 +33,7 @@ pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_servic
     let Setup { mount, gauges, .. } = setup;
     let mut found: Vec<Result<()>> = Vec::new();
     if !is_service {
-        found.extend([group(mount), device(), can_mount()]);
+        found.extend([group(mount), can_mount()]);
     }
     found.extend(mount.log.as_deref().map(log::check));
     // Nothing is written there without a write to a gauge.
@@ -58,6 +58,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = super::names(&setup.gauges, &taken);
     found.extend(mount(setup, &names, &taken, false));
+    found.extend(device().err());
     for (name, gauge) in names.iter().zip(&setup.gauges) {
         found.extend(needs_of(name, gauge, &mountpoint).into_iter().map(|error| error.within(name)));
     }
