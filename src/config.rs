@@ -25,7 +25,9 @@ pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, U
 
 pub(crate) use alert::AlertOptions;
 use values::Key;
-pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seconds};
+#[cfg(feature = "screen")]
+pub(crate) use values::seconds;
+pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
 
 // No documentation on these two: clap would take it for the description of the subcommand.
 

@@ -102,6 +102,7 @@ pub(crate) fn is_closed() -> bool {
 
 /// Whether the reader of standard output is gone, also if nothing was written since: a command that prints until it is
 /// stopped ends.
+#[cfg(feature = "screen")]
 pub(crate) fn is_unread() -> bool {
     let out = io::stdout();
     let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];
@@ -120,6 +121,7 @@ pub(crate) fn print_error(text: &str) {
 }
 
 /// Whether a person sees what is printed.
+#[cfg(feature = "screen")]
 pub(crate) fn is_terminal() -> bool {
     io::stdout().is_terminal()
 }
