@@ -483,9 +483,11 @@ fn log_writes_chosen_columns_and_events() {
     let mut log = Foreground(child);
     within(LONG, "a row", || rows(&file).len() >= 2);
     knob("load_ma", "500");
-    within(LONG, "a discharge", || read(&at, "BAT0/status") == "Discharging");
+    // On a busy machine the log may miss a discharge that is over before it looks again.
+    within(LONG, "a discharge in the log", || {
+        fs::read_to_string(&file).expect("the log").contains("Not charging -> Discharging")
+    });
     knob("load_ma", "0");
-    within(LONG, "its end", || read(&at, "BAT0/status") == "Not charging");
     within(LONG, "the rows with both", || {
         let text = fs::read_to_string(&file).expect("the log");
         text.contains("Discharging -> Not charging") && rows(&file).len() >= 4

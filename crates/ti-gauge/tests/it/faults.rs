@@ -106,9 +106,10 @@ fn faults(n: u64) -> Vec<String> {
     faults
 }
 
-/// Transfers that restore and confirm the seal state, after the last look at data memory. Where no flag shows that RAM
-/// was lost, nothing reveals a loss from then on.
-const CLOSING: u64 = 6;
+/// Transfers that restore and confirm the seal state, after the last look at data memory: SEALED, and two looks of three
+/// transfers where a register of its own shows the state. Where no flag shows that RAM was lost, nothing reveals a loss
+/// from then on.
+const CLOSING: u64 = 7;
 
 /// Whether a fault takes the power away after transfer `last` of the write.
 fn is_power_cut_from(fault: &str, last: u64) -> bool {
