@@ -31,6 +31,9 @@ use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
 use gauge_bus::regular;
 
+/// Looks at the kernel's list of locks before one counts as free: it is passed on in pieces, and one whose neighbours are
+/// taken or released meanwhile may be left out.
+const LOOKS: u32 = 3;
 /// How long a holder that is about to end is waited for, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
 const STEP: Duration = Duration::from_millis(50);
@@ -119,9 +122,8 @@ impl Lock {
         // A lock of another account is not for this one to take, but the kernel lists it.
         for other in folders::SYSTEM_LOCKS.map(Path::new).iter().filter(|other| ***other != folder) {
             let path = other.join(&name);
-            let Some(pid) = fs::metadata(&path).ok().and_then(|status| holding(&listed(), &status)) else {
-                continue;
-            };
+            let look = |status: Metadata| (0..LOOKS).find_map(|_| holding(&listed(), &status));
+            let Some(pid) = fs::metadata(&path).ok().and_then(look) else { continue };
             let file = regular::open(File::options().read(true), &path);
             let mountpoint = file.ok().and_then(|mut file| mountpoint_of(&mut file, pid));
             return Ok(Err(Some(Holder { pid, mountpoint })));
