@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -49,19 +49,22 @@ pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
 }
 
 pub(crate) fn run(mut command: Command) -> Ran {
-    let output = command.output().expect("gaugefs runs");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
-    let (mut code, out, mut err) = (output.status.code(), text(output.stdout), text(output.stderr));
-    // The mount namespace of another test has the mounts of this one, too.
-    if code == Some(3) && err.contains("unmounted here") && err.contains("in the mount namespace of") {
-        (code, err) = (Some(0), String::new());
-    }
-    let (gauges, err): (Vec<&str>, Vec<&str>) =
-        err.split_inclusive('\n').partition(|line| line.starts_with("gaugefs: gauge "));
-    Ran { code, out, err: err.concat(), gauges: gauges.into_iter().map(str::to_string).collect() }
+    Ran::of(command.output().expect("gaugefs runs"))
 }
 
 impl Ran {
+    pub(crate) fn of(output: Output) -> Self {
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
+        let (mut code, out, mut err) = (output.status.code(), text(output.stdout), text(output.stderr));
+        // The mount namespace of another test has the mounts of this one, too.
+        if code == Some(3) && err.contains("unmounted here") && err.contains("in the mount namespace of") {
+            (code, err) = (Some(0), String::new());
+        }
+        let (gauges, err): (Vec<&str>, Vec<&str>) =
+            err.split_inclusive('\n').partition(|line| line.starts_with("gaugefs: gauge "));
+        Self { code, out, err: err.concat(), gauges: gauges.into_iter().map(str::to_string).collect() }
+    }
+
     #[track_caller]
     pub(crate) fn done(self) -> String {
         assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);

@@ -107,9 +107,7 @@ fn within(limit: Duration, mut command: Command) -> Ran {
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    let output = child.wait_with_output().expect("it has ended");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
-    Ran { code: output.status.code(), out: text(output.stdout), err: text(output.stderr), gauges: Vec::new() }
+    Ran::of(child.wait_with_output().expect("it has ended"))
 }
 
 #[test]
