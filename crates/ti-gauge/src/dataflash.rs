@@ -23,10 +23,11 @@ use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Entry, Identity, Journal, OpenJournal};
+use crate::journal::{Entry, Identity, Journal, Mark, OpenJournal, Plan};
 use crate::value::Value;
 
 mod anonymous;
+mod assure;
 mod blocks;
 mod calmode;
 mod checks;
@@ -42,6 +43,7 @@ mod settle;
 mod wear;
 
 pub use anonymous::{anonymous, sample, samples};
+use assure::Reference;
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
 use checks::integer;
@@ -243,9 +245,12 @@ impl DataFlash {
                 return Ok(None);
             }
             let mut session = Session::new(found, asked);
+            session.pack.begin(gauge);
             if found == Seal::Sealed {
                 let owed = match self.find_pending() {
-                    None => self.owe(gauge, &mut session, 0),
+                    None => {
+                        self.owe(gauge, &mut session, 0).and_then(|()| self.note_marks(gauge, &mut session))
+                    }
                     Some(_) => self.owe_seal(gauge, &mut session),
                 };
                 match owed {
@@ -261,10 +266,20 @@ impl DataFlash {
                 }
             }
             let read = session.open(gauge).and_then(|()| {
-                // What the pack is compared by later. That it cannot be read is no reason not to read the rest.
-                if let Err(error) = self.learn_marks(gauge) {
-                    log::debug!("{}: {error}", gauge.chip.name);
+                let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
+                if is_broken {
+                    self.suspect(gauge.chip);
                 }
+                // What the pack is compared by later. That it cannot be read is no reason not to read the rest.
+                match self.learn_marks(gauge) {
+                    Ok(Some(row)) if is_broken => {
+                        session.pack.is_exchanged();
+                        return Err(self.other_pack(gauge, row));
+                    }
+                    Ok(_) => {}
+                    Err(error) => log::debug!("{}: {error}", gauge.chip.name),
+                }
+                self.refer(gauge, &mut session);
                 wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
             });
             let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
@@ -342,6 +357,7 @@ impl DataFlash {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
             let mut session = Session::new(found, asked);
+            session.pack.begin(gauge);
             self.owe(gauge, &mut session, 0)?;
             session.now = None;
             let left = calmode::leave(gauge, calibration);
@@ -367,12 +383,16 @@ impl DataFlash {
             }
             self.check_key(gauge, found.seal, changes)?;
             let mut session = Session::new(found.seal, asked);
+            session.pack.begin(gauge);
             self.owe(gauge, &mut session, blocks(changes))?;
             let opened = match found.seal {
                 Seal::Sealed => self.look_while_opening(gauge, &mut session, &found, changes),
                 Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
             };
             let outcome = opened.and_then(|found| self.change(gauge, changes, &found, extras, &mut session));
+            if outcome.is_err() && self.doubts {
+                session.pack.is_exchanged();
+            }
             let outcome = self.end(session, gauge, outcome);
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
@@ -387,22 +407,70 @@ impl DataFlash {
     fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.identity(gauge)?;
         gauge.watch();
-        let entry = session.entry.insert(Entry { identity, machine: None, found: session.found, plan: None });
+        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
+        session.entry = Some(entry);
+        self.refer(gauge, session);
         if let Some(journal) = &self.journal {
-            session.journal = Some(journal.begin(&entry.identity, session.found, blocks)?);
+            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
         }
         Ok(())
+    }
+
+    fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
+        if let Some(journal) = &mut session.journal {
+            journal.plan(&plan)?;
+        }
+        if let Some(entry) = &mut session.entry {
+            entry.plan = Some(plan);
+        }
+        Ok(())
+    }
+
+    /// Records what is known of the pack of which only the seal will be owed.
+    fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
+        let marks = self.marks(gauge.chip);
+        if marks.is_empty() {
+            return Ok(());
+        }
+        self.note(session, Plan::of_marks(marks))
+    }
+
+    /// What distinguishes the pack, as far as it is known.
+    fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
+        let known = if self.fingerprint.is_empty() { &self.known } else { &self.fingerprint };
+        known.marks(chip)
+    }
+
+    /// From now on the session's pack is compared with what is known of it.
+    fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
+        let Some(entry) = &session.entry else { return };
+        let mut reference = Reference::of(entry);
+        if entry.owes_seal() {
+            reference.plan.marks = self.marks(gauge.chip);
+        }
+        session.pack.pack = Some(reference);
     }
 
     /// Ends a session, and keeps what it leaves to be settled.
     fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
         let (outcome, left) = session.close(gauge, outcome);
+        if session.pack.is_another {
+            self.forget();
+            self.doubts = true;
+        }
         self.in_calibration |= session.calibrating.is_some();
+        if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {
+            // Nothing was written: what its pack is known by is all that is left of it.
+            let marks = session.pack.pack.take().map_or(Vec::new(), |pack| pack.plan.marks);
+            if let Err(error) = self.note(&mut session, Plan::of_marks(marks)) {
+                log::warn!("{error}");
+            }
+        }
         match left {
             None => session.remove_journal(),
             Some(left) => {
                 let journal = session.journal.take();
-                self.keep(session.entry.take(), journal, left);
+                self.keep(gauge, session.entry.take(), journal, left);
             }
         }
         outcome
@@ -418,6 +486,18 @@ impl DataFlash {
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
+        if !gauge.is_unbroken_since(found.moment) {
+            // It may have been exchanged since it was confirmed. Nothing was written yet.
+            if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
+                let why = "it was away for a moment after it was unsealed; nothing was written, try again";
+                return Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check));
+            }
+            // The reset that this write needs may seal it.
+            self.check_key(gauge, found.seal, changes)?;
+            self.suspect(gauge.chip);
+            self.confirm(gauge)?;
+            session.pack.begin(gauge);
+        }
         self.check_signature(gauge)?;
         if extras.calibrate {
             session.enter_calibration(gauge)?;
@@ -456,12 +536,8 @@ impl DataFlash {
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let neighbours = self.neighbours(gauge, &dirty)?;
         let plan = settle::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
-        if let Some(journal) = &mut session.journal {
-            journal.plan(&plan)?;
-        }
-        if let Some(entry) = &mut session.entry {
-            entry.plan = Some(plan);
-        }
+        self.note(session, plan)?;
+        self.refer(gauge, session);
         // The write may change the serial number.
         self.identity = None;
         let change =
@@ -586,9 +662,13 @@ fn program(
     session.begin(gauge)?;
     let (mut touched, mut finished) = (0, false);
     let forward = dirty.iter().try_for_each(|block| {
+        let compared = session.pack.compared;
+        session.assure(gauge)?;
+        // Where the pack has been compared, other blocks were loaded.
+        let in_window = in_window && session.pack.compared == compared;
         let block = if in_window { block.clone() } else { reload(gauge, block)? };
         session.go_forward(gauge);
-        store(gauge, &block, &mut touched).map(|()| gauge.statistics.progress.step())
+        store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
     });
     let forward = forward.and_then(|()| {
         if !reset && !sequence(gauge).always_finishes() {

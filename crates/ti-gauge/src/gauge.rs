@@ -1,8 +1,10 @@
 //! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
 //! All transfers go through one method, which counts them. Only this module retries, and only idempotent
-//! transfers; the checksum that commits a block is not one.
+//! transfers; the checksum that commits a block is not one. Whether it is still the same gauge that answers is watched
+//! in `presence`.
 
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -15,6 +17,11 @@ pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};
+
+mod presence;
+
+pub(crate) use presence::Moment;
+use presence::Presence;
 
 /// Address of Control().
 const CONTROL: u8 = 0x00;
@@ -197,10 +204,10 @@ pub struct Gauge {
     byte_writes: bool,
     /// The gauge refused the unseal key; it is not sent again.
     refused: bool,
-    /// One look has shown that the gauge took the unseal key; a block that is read proves it.
-    opened: bool,
-    /// The gauge has accepted the unseal key since it arrived. A refusal is then a disturbance.
-    proven: bool,
+    /// When one look has shown that the gauge took the unseal key; a block that is read proves it.
+    opened: Option<Moment>,
+    /// When the gauge accepted the unseal key, if it has since it arrived. A refusal is then a disturbance.
+    proven: Option<Moment>,
     /// Transfers are not recorded while this is not 0.
     secrets: u32,
     /// The transfers since [`Self::record`].
@@ -212,11 +219,16 @@ pub struct Gauge {
     /// When the gauge last answered, and the longest silence since `watch`.
     answered: Duration,
     silence: Duration,
+    presence: Presence,
+    /// When the last wait was to end.
+    rested: Cell<Duration>,
     /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
     /// that may change the state.
     seen: Option<Seal>,
     /// The seal state that a command of ours leads to, and until when CONTROL_STATUS may show the one before it.
     commanded: Option<(Seal, Duration)>,
+    /// When the seal state was last agreed on.
+    agreed: Option<Moment>,
     /// The last look at CONTROL_STATUS, and how many bytes behind it each look reads.
     look: Look,
     also: usize,
@@ -243,16 +255,19 @@ impl Gauge {
             keys,
             byte_writes,
             refused: false,
-            opened: false,
-            proven: false,
+            opened: None,
+            proven: None,
             secrets: 0,
             recording: None,
             failures: 0,
             stopped: None,
             answered: Duration::ZERO,
             silence: Duration::ZERO,
+            presence: Presence::default(),
+            rested: Cell::default(),
             seen: None,
             commanded: None,
+            agreed: None,
             look: Look::NONE,
             also: 0,
             deadline: None,
@@ -282,6 +297,7 @@ impl Gauge {
     /// Waits without any transfer.
     pub fn wait(&self, time: Duration) {
         if !time.is_zero() {
+            self.rested.set(self.clock.now() + time);
             self.clock.sleep(time);
         }
     }
@@ -291,23 +307,40 @@ impl Gauge {
         if write.len() > 1 && !self.chip.has_table() {
             return Err(BusError::ReadOnly);
         }
+        self.make_ready()?;
+        self.pass(write, read)
+    }
+
+    /// Whatever comes before a transfer.
+    fn make_ready(&mut self) -> Result<(), BusError> {
         if self.is_late() {
             return Err(BusError::Timeout);
         }
+        self.recognise()
+    }
+
+    /// A transfer as it is.
+    fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         if let Some(stopped) = self.stopped {
             self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
         }
+        let begun = self.clock.now();
         Statistics::count(&self.statistics.transfers);
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
         let outcome = self.bus.transfer(write, read);
-        self.stopped = Some(self.clock.now());
+        let stopped = self.clock.now();
+        self.stopped = Some(stopped);
+        self.presence.has_taken(stopped.saturating_sub(begun));
         self.note(write, read, outcome);
         match outcome {
             Ok(()) => {
                 self.silence = self.longest_silence();
                 self.answered = self.clock.now();
             }
-            Err(_) => self.failures += 1,
+            Err(_) => {
+                self.failures += 1;
+                self.presence.doubt();
+            }
         }
         outcome
     }
@@ -382,6 +415,14 @@ impl Gauge {
 
     /// Writes bytes whose effect must not happen twice.
     pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+        self.make_ready()?;
+        self.presence.sends(code, data);
+        self.send(code, data)?;
+        self.presence.sent(code, data, self.chip.access.scheme.is_flat());
+        Ok(())
+    }
+
+    fn send(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
         // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
         // is only ever written as a word.
         if self.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
@@ -413,6 +454,25 @@ impl Gauge {
         self.may_write()?;
         let sent = self.write_once(CONTROL, &code.to_le_bytes());
         sent.map_err(|bus| Error::new(self.subcommand_name(code), Cause::Bus(bus)).at(Step::Control))
+    }
+
+    /// Sends a subcommand that must not reach another gauge: only if nothing has happened since then behind which this
+    /// one could have been exchanged.
+    fn command_since(&mut self, code: u16, moment: Moment) -> Result<()> {
+        self.may_write()?;
+        let subject = self.subcommand_name(code);
+        let mut is_same = true;
+        let sent = self.again(|gauge| {
+            gauge.make_ready()?;
+            is_same = gauge.is_unbroken_since(moment);
+            if is_same { gauge.write_once(CONTROL, &code.to_le_bytes()) } else { Err(BusError::Gone) }
+        });
+        if !is_same {
+            let why =
+                "not sent: the gauge did not answer for a moment, in which its pack may have been exchanged";
+            return Err(Error::new(subject, Cause::NotNow(why.into())).at(Step::Control));
+        }
+        sent.map_err(|bus| Error::new(subject, Cause::Bus(bus)).at(Step::Control))
     }
 
     /// Sends a subcommand and reads the word that it answers with.
@@ -594,7 +654,10 @@ impl Gauge {
             }
             match self.commanded {
                 Some((goal, until)) if seal != goal && self.clock.now() < until => self.wait(SEAL_POLL),
-                _ => return Ok(self.look),
+                _ => {
+                    self.agreed = Some(self.moment());
+                    return Ok(self.look);
+                }
             }
         }
     }
@@ -666,10 +729,9 @@ impl Gauge {
         }
         let failures = self.failures;
         if self.takes(&key, Seal::Unsealed)? {
-            self.opened = true;
             return Ok(());
         }
-        if self.proven || self.failures != failures {
+        if self.proven.is_some() || self.failures != failures {
             let why = "SEALED, and the gauge did not take its key, twice: the bus is disturbed; try again";
             return Err(Error::new(self.chip.model, Cause::NotNow(why.into())).at(Step::Unseal));
         }
@@ -679,20 +741,31 @@ impl Gauge {
         Err(Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal))
     }
 
-    /// Whether the gauge has accepted the unseal key since it arrived.
+    /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
+    /// since behind which it could have been exchanged.
     pub fn key_is_proven(&self) -> bool {
-        self.proven
+        self.proven.is_some_and(|moment| self.is_unbroken_since(moment))
+    }
+
+    /// Whether the unseal key was accepted since the gauge arrived, or by one that was exchanged unnoticed.
+    pub(crate) fn key_has_worked(&self) -> bool {
+        self.proven.is_some() || self.opened.is_some()
     }
 
     /// Notes that the gauge is known to have the unseal key, though it has not been used.
     pub fn prove_key(&mut self) {
-        self.proven = true;
+        self.proven = Some(self.moment());
     }
 
     /// Notes that the gauge is certainly open: it has shown data flash, or two looks agree. If a key has opened it, that
     /// key is right.
     pub fn note_open(&mut self) {
-        self.proven |= self.opened;
+        self.proven = self.opened.or(self.proven);
+    }
+
+    /// Whether the gauge that is there was opened with the unseal key, so that it may be sealed again.
+    pub(crate) fn was_opened(&self) -> bool {
+        self.opened.into_iter().chain(self.proven).any(|moment| self.is_unbroken_since(moment))
     }
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
@@ -714,6 +787,13 @@ impl Gauge {
 
     /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.
     pub fn takes(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
+        if goal == Seal::Unsealed && self.make_ready().is_ok() && self.agreed != Some(self.moment()) {
+            // Another gauge may have come since the state was looked at.
+            let now = self.seal_anew()?;
+            if now != Seal::Sealed {
+                return Ok(now == goal);
+            }
+        }
         if self.try_key(key, goal)? {
             return Ok(true);
         }
@@ -723,11 +803,16 @@ impl Gauge {
             return Err(Error::new(self.chip.model, Cause::TimedOut(why.into())).at(Step::Unseal));
         }
         self.wait(silence);
+        if goal == Seal::Unsealed {
+            // So long nobody has looked.
+            self.lose_sight();
+        }
         self.try_key(key, goal)
     }
 
     /// Sends both words of a key and returns whether the state followed.
     pub fn try_key(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
+        let moment = self.moment();
         self.set_secret(true);
         // A word that was not acknowledged is sent again at once: nothing may come between the two.
         let mut send = |word: &[u8]| self.again(|gauge| gauge.write_once(CONTROL, &[word[1], word[0]]));
@@ -746,7 +831,12 @@ impl Gauge {
         // selection of the block that is read next.
         let is_echoed = goal == Seal::Unsealed && self.chip.access.scheme == Scheme::Block;
         self.seen = is_echoed.then_some(goal);
-        self.seal().map_err(|error| error.at(Step::Unseal)).map(|state| state == goal)
+        let state = self.seal().map_err(|error| error.at(Step::Unseal))?;
+        // Another gauge may have been open already.
+        if state == goal && goal == Seal::Unsealed && self.is_unbroken_since(moment) {
+            self.opened = Some(moment);
+        }
+        Ok(state == goal)
     }
 
     /// Something is sent that leads to a seal state, which CONTROL_STATUS may show late.
@@ -785,6 +875,15 @@ impl Gauge {
 
     /// Seals the gauge, whatever its state is, and confirms it.
     pub fn close(&mut self) -> Result<()> {
+        self.seal_with(|gauge| gauge.command(gauge.chip.security.seal))
+    }
+
+    /// The same, but only if nothing has happened since then behind which the gauge could have been exchanged.
+    pub(crate) fn close_since(&mut self, moment: Moment) -> Result<()> {
+        self.seal_with(|gauge| gauge.command_since(gauge.chip.security.seal, moment))
+    }
+
+    fn seal_with(&mut self, send: impl Fn(&mut Self) -> Result<()>) -> Result<()> {
         let mut outcome = Ok(Seal::Unsealed);
         for attempt in 0..SEALS {
             if attempt > 0 {
@@ -792,13 +891,14 @@ impl Gauge {
                     "SEALED did not reach the gauge, which may have taken it for another command; sent again";
                 log::warn!("{}: {why}", self.chip.name);
             }
-            self.opened = false;
-            let sent = self.command(self.chip.security.seal);
+            self.opened = None;
+            let sent = send(self);
             self.commands(Seal::Sealed);
             outcome = sent.and_then(|()| self.seal());
             match &outcome {
                 Ok(Seal::Sealed) => return Ok(()),
                 Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
+                Err(error) if matches!(error.cause(), Cause::NotNow(_)) => break,
                 _ => self.wait(SEAL_POLL),
             }
         }
@@ -807,11 +907,18 @@ impl Gauge {
         Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
     }
 
-    /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11).
-    pub fn reset(&mut self) -> Result<()> {
+    /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): not to a gauge
+    /// that may have been exchanged since then.
+    pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
         (self.seen, self.commanded) = (Some(Seal::Sealed), None);
-        self.command(RESET).map_err(|error| error.at(Step::Reset))
+        self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))
+    }
+
+    /// The same to whatever gauge is there.
+    pub fn reset(&mut self) -> Result<()> {
+        let moment = self.moment();
+        self.reset_since(moment)
     }
 
     /// The key to send: the configured one, or the manual's default if that is allowed.
@@ -853,7 +960,7 @@ impl Gauge {
 
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
     pub fn forget_refusal(&mut self) {
-        (self.refused, self.opened, self.proven) = (false, false, false);
+        (self.refused, self.opened, self.proven) = (false, None, None);
     }
 }
 

@@ -162,6 +162,7 @@ impl DataFlash {
         gauge.claim()?;
         let found = self.preflight(gauge, &[])?;
         let mut session = Session::new(found.seal, asked);
+        session.pack.begin(gauge);
         match &left {
             Some(_) => self.adopt(gauge, &mut session)?,
             None => self.owe(gauge, &mut session, 0)?,
@@ -177,7 +178,7 @@ impl DataFlash {
         let why = outcome.as_ref().err().map_or(String::new(), ToString::to_string);
         if unknown {
             let journal = session.journal.take();
-            self.keep(session.entry.take(), journal, Left { data: true, why });
+            self.keep(gauge, session.entry.take(), journal, Left::of(true, why));
             return outcome;
         }
         if left.is_some() && !is_known {
@@ -192,7 +193,7 @@ impl DataFlash {
             let why = still_lost(&task.lost);
             log::warn!("{}: {why}", gauge.chip.name);
             let journal = session.journal.take();
-            self.keep(session.entry.take(), journal, Left { data: true, why });
+            self.keep(gauge, session.entry.take(), journal, Left::of(true, why));
             self.leave_to_person();
             return outcome;
         }
@@ -202,7 +203,7 @@ impl DataFlash {
         match is_open {
             true => {
                 let journal = session.journal.take();
-                self.keep(session.entry.take(), journal, Left { data: false, why });
+                self.keep(gauge, session.entry.take(), journal, Left::of(false, why));
             }
             false => session.remove_journal(),
         }
@@ -260,25 +261,19 @@ impl DataFlash {
 
     /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
     /// been used, or be the one that it keeps, which only FULL ACCESS lets one read.
-    pub(super) fn check_key(&self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
+    pub(super) fn check_key(&mut self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
         let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let volatile = gauge.chip.volatile.is_some();
         if found == Seal::Sealed || !resets || volatile || gauge.key_is_proven() {
             return Ok(());
         }
-        if found == Seal::FullAccess
-            && let (KeyStorage::Flash(block), Some(key)) =
-                (&gauge.chip.security.storage, gauge.key(Name::Unseal))
-        {
-            sequence(gauge).enable(gauge)?;
-            let (place, start) = locate(block.subclass, block.start);
-            let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
-            let stored = stored(&key, block.order);
-            let at = start + block.unseal;
-            if window[at..at + stored.len()] == **stored {
-                gauge.prove_key();
-                return Ok(());
-            }
+        if found == Seal::FullAccess && keeps_unseal_key(gauge)? {
+            return Ok(());
+        }
+        // It has worked, and the pack that it has worked on is still there.
+        if gauge.key_has_worked() && self.is_certain(gauge)? {
+            gauge.prove_key();
+            return Ok(());
         }
         let why = format!(
             "found {}, and the reset that this write needs may seal it, but its unseal key has not been tried; seal \
@@ -288,6 +283,24 @@ impl DataFlash {
         );
         Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check))
     }
+}
+
+/// Whether the gauge, which is in FULL ACCESS, keeps the mount's unseal key. Then it is proven.
+pub(super) fn keeps_unseal_key(gauge: &mut Gauge) -> Result<bool> {
+    let (KeyStorage::Flash(block), Some(key)) = (&gauge.chip.security.storage, gauge.key(Name::Unseal))
+    else {
+        return Ok(false);
+    };
+    sequence(gauge).enable(gauge)?;
+    let (place, start) = locate(block.subclass, block.start);
+    let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
+    let stored = stored(&key, block.order);
+    let at = start + block.unseal;
+    let keeps = window[at..at + stored.len()] == **stored;
+    if keeps {
+        gauge.prove_key();
+    }
+    Ok(keeps)
 }
 
 /// The block of keys with one of that name, or why it cannot be changed.
@@ -1113,6 +1126,8 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
     if torn.is_empty() {
         return Ok(());
     }
+    // The keys that it took have shown that it is the one.
+    session.pack.begin(gauge);
     quietly(gauge, |gauge| session.restore(gauge, torn.into_iter(), false))
 }
 

@@ -4,10 +4,11 @@
 use std::time::Duration;
 
 use super::DataFlash;
+use super::assure::Reference;
 use super::session::{Session, in_time};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
-use crate::journal::Entry;
+use crate::journal::{Entry, Plan};
 
 /// A seal that is owed.
 #[derive(Clone, Debug)]
@@ -21,9 +22,12 @@ impl DataFlash {
     /// Records that a sealed gauge is about to be opened while a write waits to be settled.
     pub(super) fn owe_seal(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let identity = self.identity(gauge)?;
-        let entry = session.entry.insert(Entry { identity, machine: None, found: session.found, plan: None });
+        let plan = Some(Plan::of_marks(self.marks(gauge.chip)));
+        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan };
+        session.entry = Some(entry);
+        self.refer(gauge, session);
         if let Some(journal) = &self.journal {
-            session.journal = Some(journal.owe_seal(&entry.identity)?);
+            session.journal = Some(journal.owe_seal(&identity)?);
         }
         Ok(())
     }
@@ -60,7 +64,7 @@ impl DataFlash {
     /// Seals a gauge to which that is owed. Returns a message for the log; `None` if none is owed.
     pub(super) fn pay_seal(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let Some(OwedSeal { entry, .. }) = self.find_seal().cloned() else { return Ok(None) };
-        let sealed = in_time(gauge, waited, |gauge, _| {
+        let sealed = in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             gauge.confirm_identity()?;
             let part = |entry: &Entry| entry.identity.chip == gauge.chip.name;
@@ -71,7 +75,9 @@ impl DataFlash {
             }
             // CONTROL_STATUS may still show the state before the last key.
             gauge.wait(SEAL_LAG);
-            gauge.close()
+            let mut session = Session::new(Seal::Sealed, asked);
+            session.pack.pack = entry.as_ref().map(Reference::of);
+            session.seal(gauge)
         });
         match sealed {
             Ok(()) => {

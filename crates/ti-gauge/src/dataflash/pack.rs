@@ -97,6 +97,12 @@ pub(super) fn compare<E>(
     let planned = |place: Window| {
         plan.blocks.iter().find(|block| (block.subclass, block.base) == (place.subclass, place.base))
     };
+    // Most marks share a window.
+    let mut last: Option<(Window, [u8; WINDOW])> = None;
+    let mut window = |place: Window| match last {
+        Some((known, content)) if known == place => Ok(content),
+        _ => stored(place).inspect(|content| last = Some((place, *content))),
+    };
     let mut certain = false;
     for Mark { subclass: id, offset, bytes } in &plan.marks {
         let Some(row) = row(chip, *id, *offset) else { continue };
@@ -108,7 +114,7 @@ pub(super) fn compare<E>(
         let mut torn = false;
         for (number, offset) in (*offset..).take(bytes.len()).enumerate() {
             let (place, at) = locate(*id, offset);
-            let byte = stored(place)?[at];
+            let byte = window(place)?[at];
             // In a block of the plan each byte has been explained already.
             torn |= planned(place).is_some_and(|_| byte != bytes[number]);
             held.push(byte);
@@ -155,6 +161,32 @@ pub(super) fn is_named(chip: &'static Chip, now: &Identity) -> bool {
     let number = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first());
     let row = number.and_then(|&(id, offset)| row(chip, id, offset));
     row.is_some_and(|row| now.serial != 0 && distinguishes(row, &now.serial.to_be_bytes()))
+}
+
+/// The marks of a pack after a plan was carried out or undone: some may be what it writes.
+pub(super) fn marks_after(plan: &Plan, is_new: bool) -> Vec<Mark> {
+    let after = |subclass: u8, offset: u16, byte: u8| {
+        let (place, at) = locate(subclass, offset);
+        let mut blocks = plan.blocks.iter();
+        let block = blocks.find(|block| (block.subclass, block.base) == (place.subclass, place.base));
+        block.map_or(byte, |block| if is_new { block.new[at] } else { block.old[at] })
+    };
+    let moved = |mark: &Mark| {
+        let bytes =
+            (mark.offset..).zip(&mark.bytes).map(|(offset, &byte)| after(mark.subclass, offset, byte));
+        Mark { bytes: bytes.collect(), ..mark.clone() }
+    };
+    plan.marks.iter().map(moved).collect()
+}
+
+/// The serial number that a plan has, if it is in one of its blocks: the new one, or the old one.
+pub(super) fn serial(chip: &'static Chip, plan: &Plan, is_new: bool) -> Option<u16> {
+    let &(id, offset) = chip.preflight.pack.as_ref()?.rows.first()?;
+    let (place, at) = locate(id, offset);
+    let block =
+        plan.blocks.iter().find(|block| (block.subclass, block.base) == (place.subclass, place.base))?;
+    let bytes = if is_new { &block.new } else { &block.old };
+    chip.serial_register().map(|_| u16::from_be_bytes([bytes[at], bytes[at + 1]]))
 }
 
 fn word(bytes: &[u8]) -> u16 {

@@ -9,7 +9,7 @@ use super::session::Session;
 use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, Gauge, Look, Seal, Statistics, agreed};
+use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
 
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
@@ -74,6 +74,8 @@ pub(super) struct Found {
     pub(super) voltage_mv: u16,
     /// The gauge's data memory is RAM and has been lost.
     pub(super) lost: bool,
+    /// When the gauge was confirmed.
+    pub(super) moment: Moment,
     look: Look,
 }
 
@@ -155,12 +157,13 @@ impl DataFlash {
     /// The same with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
     /// [`Self::look_while_opening`], or [`Self::next_look`].
     pub(super) fn first_look(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+        let moment = gauge.moment();
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
-        let found = read_state(gauge)?;
+        let found = Found { moment, ..read_state(gauge)? };
         if self.check(gauge.chip, &found, changes).is_ok() {
             return Ok(found);
         }
-        let found = read_state(gauge)?;
+        let found = Found { moment, ..read_state(gauge)? };
         self.check(gauge.chip, &found, changes).inspect_err(|error| self.doubt(error))?;
         Ok(found)
     }
@@ -177,7 +180,7 @@ impl DataFlash {
         let opened = session.open(gauge);
         gauge.also_read(0);
         opened?;
-        let second = Found { seal: first.seal, ..Found::of(gauge.chip, gauge.last_look()) };
+        let second = Found { seal: first.seal, ..Found::of(gauge.chip, gauge.last_look(), first.moment) };
         self.agree(gauge, first, second, changes)
     }
 
@@ -204,7 +207,8 @@ impl DataFlash {
         for _ in 0..LOOKS {
             if before.is_like(&now, gauge.chip) {
                 self.check(gauge.chip, &now, changes).inspect_err(|error| self.doubt(error))?;
-                return Ok(Found { voltage_mv: before.voltage_mv.min(now.voltage_mv), ..now });
+                let voltage_mv = before.voltage_mv.min(now.voltage_mv);
+                return Ok(Found { voltage_mv, moment: first.moment, ..now });
             }
             // One that was opened meanwhile is still the gauge that was found sealed.
             let seal = if now.look.seal == now.seal { None } else { Some(now.seal) };
@@ -218,7 +222,7 @@ impl DataFlash {
     /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
     /// distinguishes packs. If that word is a register the type is not read: another part would have to
     /// report this firmware and hold this number at an address where it has something else.
-    fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
+    pub(super) fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;
         let pack = chip.preflight.pack.as_ref();
         if !pack.is_some_and(|pack| matches!(pack.word, Word::Register(_))) {
@@ -366,8 +370,8 @@ impl Change {
 }
 
 impl Found {
-    fn of(chip: &Chip, look: Look) -> Self {
-        let found = Self { seal: look.seal, status: look.status, voltage_mv: 0, lost: false, look };
+    fn of(chip: &Chip, look: Look, moment: Moment) -> Self {
+        let found = Self { seal: look.seal, status: look.status, voltage_mv: 0, lost: false, moment, look };
         Self {
             voltage_mv: found.register(voltage(chip)),
             lost: lost_flag(chip).is_some_and(|(flags, lost)| found.register(flags) & lost != 0),
@@ -464,9 +468,10 @@ fn behind(chip: &Chip) -> usize {
 /// Seal, voltage and flags, in the one read that the seal needs.
 fn read_state(gauge: &mut Gauge) -> Result<Found> {
     gauge.also_read(behind(gauge.chip));
+    let moment = gauge.moment();
     let look = gauge.look_at_status();
     gauge.also_read(0);
-    look.map(|look| Found::of(gauge.chip, look))
+    look.map(|look| Found::of(gauge.chip, look, moment))
 }
 
 /// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in

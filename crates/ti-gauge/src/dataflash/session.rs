@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use gauge_bus::BusError;
 
+use super::assure::Assurance;
 use super::blocks::{Bytes, Dirty};
 use super::calmode;
 use super::io::{reload, store};
@@ -11,7 +12,7 @@ use super::schemes::sequence;
 use crate::chip::{Bit, Calibration};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, SEAL_LAG, Seal};
+use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 use crate::journal::{Entry, KeyPlan, OpenJournal};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
@@ -45,6 +46,8 @@ pub(super) struct Session {
     begun: bool,
     /// Calibration mode was entered and must be left on every exit.
     pub(super) calibrating: Option<&'static Calibration>,
+    /// What is known of the gauge that answers.
+    pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     /// The same on disk.
@@ -56,6 +59,17 @@ pub(super) struct Left {
     /// Data flash is not known; otherwise only the seal is owed.
     pub(super) data: bool,
     pub(super) why: String,
+    /// The gauge holds the new values, if data flash is known.
+    pub(super) is_new: bool,
+    /// When it was certain that the gauge is the one, if it still is.
+    pub(super) certain: Option<Moment>,
+}
+
+impl Left {
+    /// What another than a session leaves.
+    pub(super) fn of(data: bool, why: String) -> Self {
+        Self { data, why, is_new: false, certain: None }
+    }
 }
 
 impl Session {
@@ -68,6 +82,7 @@ impl Session {
             decided: false,
             begun: false,
             calibrating: None,
+            pack: Assurance::default(),
             entry: None,
             journal: None,
         }
@@ -86,7 +101,10 @@ impl Session {
         if self.found == Seal::Sealed {
             self.now = None;
             gauge.unseal()?;
+            self.pack.was_opened = true;
             self.now = Some(Seal::Unsealed);
+            // It is sealed again only if it is certain to be the same one.
+            gauge.learn_selection();
         }
         sequence(gauge).enable(gauge)
     }
@@ -134,6 +152,7 @@ impl Session {
     /// The way back has its own time.
     pub(super) fn go_back(&mut self, gauge: &mut Gauge) {
         self.now = None;
+        self.assure_anew(gauge);
         gauge.limit_until(Some((self.asked + BACK).max(gauge.clock.now() + LEAST_BACK)));
     }
 
@@ -146,8 +165,10 @@ impl Session {
             self.begun = false;
             reopen(gauge, goal)?;
         } else {
+            let moment = self.assure(gauge)?;
             self.note_reset()?;
-            let state = reset(gauge, self.found)?;
+            let state = reset(gauge, self.found, moment)?;
+            self.pack.was_opened |= state == Seal::Sealed;
             gauge.go(state, goal)?;
         }
         self.now = Some(goal);
@@ -195,14 +216,14 @@ impl Session {
     ) -> Result<()> {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
-            outcome = gauge
-                .seal_anew()
-                .and_then(|now| if now == Seal::Sealed { gauge.unseal() } else { Ok(()) })
+            outcome = self
+                .open_again(gauge)
                 .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| {
+                .and_then(|()| self.assure(gauge))
+                .and_then(|_| {
                     blocks.clone().rev().try_for_each(|block| self.restore_block(gauge, block, finished))
                 });
-            if outcome.is_ok() {
+            if outcome.is_ok() || self.pack.is_lost() {
                 break;
             }
             gauge.wait(Duration::from_millis(200));
@@ -222,8 +243,21 @@ impl Session {
         Ok(())
     }
 
+    /// Opens a gauge that is SEALED in the middle of the way back: it has lost its power, or is another one.
+    fn open_again(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if gauge.seal_anew()? != Seal::Sealed {
+            return Ok(());
+        }
+        gauge.lose_sight();
+        gauge.unseal()?;
+        self.pack.was_opened = true;
+        Ok(())
+    }
+
     fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
+        gauge.doubt();
         let present = sequence(gauge).load(gauge, block.place)?;
+        self.assure(gauge)?;
         let wanted = restored(block, &present, finished);
         if wanted == present {
             return Ok(());
@@ -239,25 +273,29 @@ impl Session {
         self.begin(gauge)?;
         let back = block.replacing(present, wanted);
         let back = reload(gauge, &back)?;
-        store(gauge, &back, &mut 0)
+        store(gauge, self, &back, &mut 0)
     }
 
     /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
     /// two. Returns what is left to be settled.
     pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
         gauge.limit_until(Some((self.asked + ANSWER).max(gauge.clock.now() + LEAST_CLOSE)));
-        let left = self.leave_calibration(gauge);
+        // A mode that is still on is not that of another pack, which is left as it was found.
+        let is_another = outcome.is_err() && self.is_another(gauge);
+        let left = if is_another { Ok(()) } else { self.leave_calibration(gauge) };
         let finished = left.and_then(|()| if self.begun { self.finish(gauge) } else { Ok(()) });
         let unfinished = finished.is_err();
         // After a failure the state is read again: a gauge that lost its power comes back sealed.
         let closed = match self.now.filter(|_| outcome.is_ok()) {
+            Some(now) if now == self.found => Ok(()),
+            Some(_) if self.found == Seal::Sealed => self.seal(gauge),
             Some(now) => gauge.go(now, self.found),
             // CONTROL_STATUS may still show the state before the last key.
             None if self.now != Some(self.found) && self.found == Seal::Sealed => {
                 gauge.wait(SEAL_LAG);
-                gauge.close()
+                self.seal(gauge)
             }
-            None => gauge.seal_anew().and_then(|now| gauge.go(now, self.found)),
+            None => self.go_to_found(gauge),
         };
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
         // To a recording nothing is owed.
@@ -266,11 +304,16 @@ impl Session {
                 matches!(error.cause(), Cause::Bus(BusError::NotRecorded | BusError::ReadOnly))
             })
         });
-        let left = |data: bool, error: &Error| (!recorded).then(|| Left { data, why: error.to_string() });
+        let is_new = outcome.is_ok();
+        let certain = self.pack.since().filter(|&moment| !is_another && gauge.is_unbroken_since(moment));
+        let left = |data: bool, error: &Error| {
+            (!recorded).then(|| Left { data, why: error.to_string(), is_new, certain })
+        };
         let found = self.found.as_str();
         match (outcome, finished.and(closed)) {
             (Err(error), Ok(())) => {
-                let left = unknown.then(|| left(true, &error)).flatten();
+                let is_owed = unknown || self.pack.has_come(gauge) && self.found == Seal::Sealed;
+                let left = is_owed.then(|| left(unknown, &error)).flatten();
                 (Err(error), left)
             }
             (Ok(done), Ok(())) => (Ok(done), None),
@@ -312,13 +355,13 @@ fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDO
 /// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then that it was
 /// silent, or [INITCOMP], is the sign, and without any the last RESET counts because it was acknowledged. Returns
 /// the seal state.
-fn reset(gauge: &mut Gauge, found: Seal) -> Result<Seal> {
+fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     let access = &gauge.chip.access;
     let incomplete = gauge.chip.control_status.iter().find(|bit| bit.name == "INITCOMP");
     let incomplete = |status: u16| incomplete.is_some_and(|&Bit { mask, .. }| status & mask == 0);
     let mut state = found;
     for _ in 0..RESETS {
-        gauge.reset()?;
+        gauge.reset_since(moment)?;
         let sent = gauge.clock.now();
         let mut silent = false;
         gauge.wait(access.reset);
@@ -375,7 +418,9 @@ pub(super) fn in_time<T>(
 ) -> Result<T> {
     let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
+    gauge.attend(true);
     let outcome = run(gauge, asked);
+    gauge.attend(false);
     gauge.limit(None);
     outcome
 }

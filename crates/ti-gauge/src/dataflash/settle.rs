@@ -10,19 +10,20 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::assure::Reference;
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
 use super::keychange::way_out;
 use super::owedseal::OwedSeal;
-use super::pack::{Match, compare, is_named, shows_another};
+use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
 use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
 use super::session::{Left, Session, in_time};
 use super::{DataFlash, Place};
-use crate::chip::{Chip, Kind, Word};
+use crate::chip::{Chip, KeyStorage, Kind, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal, agreed};
+use crate::gauge::{Gauge, Moment, Seal, agreed};
 use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan, PlannedBlock};
 use crate::keys::Name;
 use crate::text;
@@ -40,11 +41,16 @@ pub(super) struct Pending {
     /// Its journal is of another place, or waits for its pack: this gauge is not the first one to think of.
     elsewhere: bool,
     why: String,
-    /// The gauge has been watched since: while it has not been silent for long it is the same one.
+    /// This process has begun it: while the gauge has not been silent for long, nobody else has written to its pack.
     watched: bool,
+    /// When it was certain that the gauge is the one, and when its session ended.
+    certain: Option<(Moment, Duration)>,
     /// Only a person can decide.
     undecided: bool,
 }
+
+/// So soon after a session that has left something nobody exchanges a gauge that has answered since.
+const SOON: Duration = Duration::from_secs(1);
 
 /// What of the folder of journals has been compared with this gauge since it arrived.
 #[derive(Clone, Copy, Debug, Default)]
@@ -117,7 +123,9 @@ enum Doubt {
     Weak,
     /// The write was begun elsewhere, and nothing of it shows here.
     Another,
-    Because(String),
+    /// Another pack answers.
+    Exchanged(String),
+    Because(String, Match),
 }
 
 /// A planned block, what the gauge has in its place, and which content that is.
@@ -142,11 +150,21 @@ impl DataFlash {
         Ok(identity)
     }
 
+    /// Whether the gauge, which is open, is certainly the one whose values were read.
+    pub(super) fn is_certain(&mut self, gauge: &mut Gauge) -> Result<bool> {
+        let plan = Plan::of_marks(self.marks(gauge.chip));
+        let Some(then) = self.identity.clone() else { return Ok(false) };
+        let now = identify(gauge)?;
+        sequence(gauge).enable(gauge)?;
+        let same = compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place))?;
+        Ok(then.is_of_part(&now, gauge.chip) && same == Match::Certain)
+    }
+
     /// What is owed to the gauge, if anything is.
     pub fn owed(&self) -> Option<Owed<'_>> {
         let (pending, seal) = (self.pending.as_ref(), self.owed_seal.as_ref());
         let data =
-            pending.is_some_and(|pending| pending.entry.as_ref().is_none_or(|entry| entry.plan.is_some()));
+            pending.is_some_and(|pending| pending.entry.as_ref().is_none_or(|entry| !entry.owes_seal()));
         let why = match (pending, seal) {
             (Some(pending), Some(seal)) => format!("{}; {}", pending.why, seal.why).into(),
             (Some(Pending { why, .. }), None) | (None, Some(OwedSeal { why, .. })) => why.as_str().into(),
@@ -159,24 +177,46 @@ impl DataFlash {
     }
 
     /// Keeps what a session has left to be settled.
-    pub(super) fn keep(&mut self, entry: Option<Entry>, opened: Option<OpenJournal>, left: Left) {
+    pub(super) fn keep(
+        &mut self,
+        gauge: &Gauge,
+        entry: Option<Entry>,
+        opened: Option<OpenJournal>,
+        left: Left,
+    ) {
         let Some(mut entry) = entry else { return };
         if self.pending.is_some() {
             // A read while a write waited to be settled: its record is there already.
             return self.keep_seal(entry, left.why);
         }
         self.held = opened;
-        if !left.data && entry.plan.take().is_some() {
-            // Data flash has been read back: only the seal is owed, to whatever gauge of this kind it is.
+        if !left.data
+            && let Some(plan) = entry.plan.take_if(|plan| plan.key.is_some() || !plan.blocks.is_empty())
+        {
+            let has_key = plan.key.is_none();
+            let marks = if has_key { pack::marks_after(&plan, left.is_new) } else { Vec::new() };
+            // Data flash has been read back: only the seal is owed.
+            if let Some(serial) = pack::serial(gauge.chip, &plan, left.is_new) {
+                entry.identity.serial = serial;
+            }
+            // One whose key has changed is not opened to compare its marks.
+            let owed = Plan { reset: !has_key, ..Plan::of_marks(marks) };
             let replaced = self.journal.as_ref().zip(self.held.as_ref());
-            match replaced.map(|(journal, held)| journal.replace(held.path(), &entry.identity, entry.found)) {
+            let replaced = replaced.map(|(journal, held)| -> Result<OpenJournal> {
+                let mut replaced = journal.replace(held.path(), &entry.identity, entry.found)?;
+                replaced.plan(&owed)?;
+                Ok(replaced)
+            });
+            entry.plan = Some(owed);
+            match replaced {
                 Some(Ok(replaced)) => self.held = Some(replaced),
                 Some(Err(error)) => log::warn!("{error}"),
                 None => {}
             }
         }
         let file = self.held.as_ref().map(|held| held.path().to_path_buf());
-        let pending = Pending { file, watched: true, ..Pending::of(Some(entry), left.why) };
+        let certain = left.certain.map(|moment| (moment, gauge.clock.now()));
+        let pending = Pending { file, watched: true, certain, ..Pending::of(Some(entry), left.why) };
         self.pending = Some(pending);
     }
 
@@ -213,7 +253,7 @@ impl DataFlash {
         (self.searched, self.judged) = (Searched::default(), Vec::new());
         match &mut self.pending {
             Some(pending) if pending.elsewhere => self.pending = None,
-            Some(pending) => (pending.watched, pending.undecided) = (false, false),
+            Some(pending) => (pending.watched, pending.certain, pending.undecided) = (false, None, false),
             None => {}
         }
     }
@@ -372,7 +412,8 @@ impl DataFlash {
             "begun on {chip}, firmware 0x{firmware:04x}, serial number 0x{serial:04x}, found {}\n",
             entry.found.as_str()
         );
-        let Some(plan) = &entry.plan else { return Ok(text + "nothing had been written\n") };
+        let plan = entry.plan.as_ref().filter(|_| !entry.owes_seal());
+        let Some(plan) = plan else { return Ok(text + "nothing had been written\n") };
         if let Some(key) = &plan.key {
             // The keys that the gauge has were found out when it was tried to settle this.
             let names = key.names();
@@ -432,7 +473,9 @@ impl DataFlash {
         // A gauge whose keys nobody may know stays open, if it is.
         let of_keys =
             entry.plan.as_ref().and_then(|plan| plan.key.as_ref()).is_some_and(|key| !key.is_over());
-        let (wrote, owes) = (entry.plan.is_some() && !of_keys, entry.found == Seal::Sealed && !of_keys);
+        let wrote = !of_keys && !entry.owes_seal();
+        let owes = entry.found == Seal::Sealed && !of_keys;
+        let reference = Reference::of(&entry);
         let entry = Entry { plan: None, ..entry };
         let kept = entry.clone();
         let ended = in_time(gauge, waited, |gauge, asked| {
@@ -445,6 +488,7 @@ impl DataFlash {
                 session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
             }
             (session.now, session.entry) = (None, Some(entry));
+            session.pack.pack = Some(reference);
             self.end(session, gauge, Ok(()))
         });
         if let Err(error) = &ended
@@ -453,7 +497,7 @@ impl DataFlash {
             // The next write ends a mode that may still be on.
             self.ours |= wrote;
             if owes {
-                self.keep(Some(kept), None, Left { data: false, why: error.to_string() });
+                self.keep(gauge, Some(kept), None, Left::of(false, error.to_string()));
             }
         }
         ended
@@ -470,8 +514,9 @@ impl DataFlash {
             Some(_) => self.counted(gauge, |dataflash, gauge| {
                 let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
                 let watched = pending.watched && gauge.longest_silence() <= patience;
+                let certain = pending.certain.filter(|(_, left)| gauge.clock.now() < *left + SOON);
                 in_time(gauge, waited, |gauge, asked| {
-                    dataflash.act(gauge, &Pending { watched, ..pending.clone() }, decision, asked)
+                    dataflash.act(gauge, &Pending { watched, certain, ..pending.clone() }, decision, asked)
                 })
             }),
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
@@ -540,6 +585,7 @@ impl DataFlash {
         let mut session = Session::new(now, asked);
         (session.now, session.decided) = (None, decision.is_some());
         session.entry = Some(entry.clone());
+        session.pack.pack = Some(Reference::of(entry));
         session.journal = match self.held.take() {
             Some(held) => Some(held),
             None => match self.journal.as_ref().zip(pending.file.as_ref()) {
@@ -555,6 +601,13 @@ impl DataFlash {
             self.take_over(gauge, entry, &mut session)?;
         }
         let mut outcome = match &entry.plan {
+            _ if entry.owes_seal() && decision.is_none() && session.is_plainly_another(gauge, now)? => {
+                let why = "another pack was left open, and is not here";
+                Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why.into()) })
+            }
+            _ if entry.owes_seal() => {
+                Ok(Verdict::Done("an access was interrupted before anything was written".into()))
+            }
             None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
             Some(plan) if plan.key.is_some() => {
                 let identities = [&entry.identity, &identity];
@@ -564,11 +617,13 @@ impl DataFlash {
                 }
             }
             Some(plan) => {
+                session.pack.was_opened = now == Seal::Sealed;
                 let open = if now == Seal::Sealed { self.unseal(gauge, plan) } else { Ok(()) };
+                gauge.learn_selection();
                 open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
                     let then = &entry.identity;
-                    let task =
-                        Task { plan, then, now: &identity, watched: pending.watched, decision, elsewhere };
+                    let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
+                    let task = Task { plan, then, now: &identity, watched, certain, decision, elsewhere };
                     task.run(gauge, &mut session)
                 })
             }
@@ -577,8 +632,16 @@ impl DataFlash {
             let taken = self.take_over(gauge, entry, &mut session);
             outcome = outcome.and_then(|verdict| taken.map(|()| verdict));
         }
+        let undecided = match &outcome {
+            Ok(Verdict::Undecided(why)) => Some(why.clone()),
+            _ => None,
+        };
         let (outcome, left) = session.close(gauge, outcome);
         self.in_calibration &= session.calibrating.is_some();
+        if let Some(left_open) = session.pack.left_open.take() {
+            self.held = session.journal.take().filter(|_| pending.watched);
+            return Ok(Verdict::Undecided(undecided.unwrap_or(left_open)));
+        }
         match (&outcome, left) {
             (Ok(Verdict::Done(_)), None) => session.remove_journal(),
             (Ok(Verdict::Plausible(message)), None) => {
@@ -602,7 +665,7 @@ impl DataFlash {
         if entry.found == Seal::Sealed {
             session.found = Seal::Sealed;
         }
-        let may_calibrate = entry.plan.as_ref().is_some_and(|plan| plan.key.is_none());
+        let may_calibrate = entry.plan.as_ref().is_some_and(|plan| !plan.blocks.is_empty());
         if self.in_calibration || may_calibrate {
             session.inherit_modes(gauge)?;
         }
@@ -647,7 +710,7 @@ impl DataFlash {
 
 impl Pending {
     fn of(entry: Option<Entry>, why: String) -> Self {
-        Self { entry, file: None, elsewhere: false, why, watched: false, undecided: false }
+        Self { entry, file: None, elsewhere: false, why, watched: false, certain: None, undecided: false }
     }
 
     /// What an earlier process has left.
@@ -667,7 +730,7 @@ impl Pending {
 /// Whether a gauge, by what it shows without a key, may be the one on which something was begun elsewhere.
 fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> bool {
     let then = &entry.identity;
-    match &entry.plan {
+    match entry.plan.as_ref().filter(|_| !entry.owes_seal()) {
         Some(plan) => !shows_another(chip, then, now, plan),
         // Nobody seals a gauge that may have been opened on purpose.
         None => then.serial == now.serial && is_named(chip, now),
@@ -691,6 +754,32 @@ pub(super) fn plan(
         PlannedBlock { subclass, base, written: block.written, old, new }
     });
     Plan { reset, reset_sent: false, marks, blocks: blocks.collect(), key: None }
+}
+
+/// What the gauge says of itself; an error if it is another part.
+pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
+    gauge.confirm_identity()?;
+    let firmware = agreed("Control(FW_VERSION)", || gauge.firmware_version())?;
+    Ok(Identity::of(gauge.chip, firmware, serial_number(gauge)?))
+}
+
+impl Plan {
+    /// Nothing but what is known of the pack.
+    pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
+        Self { reset: false, reset_sent: false, marks, blocks: Vec::new(), key: None }
+    }
+}
+
+impl Entry {
+    /// Whether nothing but the seal is owed.
+    pub(super) fn owes_seal(&self) -> bool {
+        self.plan.as_ref().is_none_or(|plan| plan.blocks.is_empty() && plan.key.is_none())
+    }
+
+    /// Whether it is of a change of keys, after which the gauge may have another one than the mount.
+    pub(super) fn changes_keys(&self) -> bool {
+        self.plan.as_ref().is_some_and(|plan| plan.key.is_some() || plan.blocks.is_empty() && plan.reset)
+    }
 }
 
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
@@ -724,6 +813,11 @@ fn is_certainly(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, ses
 /// what was there before it: whoever has sent it is gone.
 pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     gauge.wait(COMMITTED);
+    look_at(gauge, plan)
+}
+
+/// The same of a gauge on which no commit is at work.
+pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {
         let place = block.place();
@@ -766,6 +860,8 @@ struct Task<'a> {
     then: &'a Identity,
     now: &'a Identity,
     watched: bool,
+    /// See [`Pending::certain`].
+    certain: Option<Moment>,
     decision: Option<Decision>,
     /// It was begun at another place, or waits for its pack.
     elsewhere: bool,
@@ -782,23 +878,45 @@ impl Task<'_> {
                 "a write was interrupted, and the gauge has since lost power and with it its data memory";
             return Ok(Verdict::Done(why.into()));
         }
+        let moment = gauge.moment();
         let seen = look(gauge, self.plan)?;
         let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
         let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
         let whole = intact && (all(Held::Old) || all(Held::New));
         let mut done: fn(String) -> Verdict = Verdict::Done;
-        if self.decision.is_none() {
+        if self.decision.is_some() {
+            // Whichever it is: a person has seen what it holds.
+            session.pack.pack = Some(self.present(gauge)?);
+            session.pack.certain_since(moment);
+        } else {
             match self.doubt(gauge, &seen)? {
-                Doubt::None => {}
-                // Flash is not touched, whichever gauge it is.
-                Doubt::Weak if whole => done = Verdict::Plausible,
+                Doubt::None => session.pack.certain_since(moment),
+                // Flash is not touched, whichever gauge it is. A reset may seal it.
+                Doubt::Weak if whole && opens_again(gauge) => {
+                    session.pack.certain_since(moment);
+                    done = Verdict::Plausible;
+                }
+                Doubt::Weak if whole => {
+                    let held = if all(Held::Old) { "old" } else { "new" };
+                    let why = format!("a write was interrupted; data flash holds the {held} values");
+                    return Ok(Verdict::Plausible(why));
+                }
                 Doubt::Weak => {
                     let why = "this gauge has the serial number and the calibration of every new one, so it may be \
                                another pack";
                     return Ok(Verdict::Undecided(why.into()));
                 }
                 Doubt::Another => return Ok(Verdict::Another),
-                Doubt::Because(why) => return Ok(Verdict::Undecided(why)),
+                Doubt::Exchanged(why) => {
+                    session.pack.is_exchanged();
+                    return Ok(Verdict::Undecided(why));
+                }
+                Doubt::Because(why, same) => {
+                    if same == Match::Certain {
+                        session.pack.certain_since(moment);
+                    }
+                    return Ok(Verdict::Undecided(why));
+                }
             }
         }
         // The mode that the write started may still be on; `begin` detects that.
@@ -856,14 +974,15 @@ impl Task<'_> {
                 Some(0) => ", or the gauge has lost its power and with it its data memory",
                 _ => "",
             };
-            return Ok(Doubt::Because(format!(
+            return Ok(Doubt::Exchanged(format!(
                 "{name} is not what it was then: this is another pack{or_lost}"
             )));
         }
-        if self.watched {
-            return Ok(Doubt::None);
-        }
-        if let Some(Seen { block, stored, .. }) = seen.iter().find(|seen| seen.held == Held::Unexplained) {
+        let certain =
+            same == Match::Certain || self.certain.is_some_and(|moment| gauge.is_unbroken_since(moment));
+        if !(self.watched && certain)
+            && let Some(Seen { block, stored, .. }) = seen.iter().find(|seen| seen.held == Held::Unexplained)
+        {
             let unlike = |&at: &usize| {
                 ![block.old[at], block.new[at], 0xff].contains(&stored[at]) && !block.learned.has(at)
             };
@@ -875,9 +994,19 @@ impl Task<'_> {
                 block.old[at],
                 block.new[at]
             );
-            return Ok(Doubt::Because(why));
+            return Ok(Doubt::Because(why, same));
         }
-        Ok(if same == Match::Weak { Doubt::Weak } else { Doubt::None })
+        Ok(if certain { Doubt::None } else { Doubt::Weak })
+    }
+
+    /// What the pack that is there now is compared with later.
+    fn present(&self, gauge: &mut Gauge) -> Result<Reference> {
+        let mut known = Known::default();
+        for place in mark_windows(gauge.chip) {
+            known.note(gauge.chip, place, sequence(gauge).load(gauge, place)?);
+        }
+        let plan = Plan { marks: known.marks(gauge.chip), ..self.plan.clone() };
+        Ok(Reference { identity: self.now.clone(), plan })
     }
 
     /// Writes the old values. Torn blocks are restored as a whole; of the others only the written bytes, which
@@ -904,6 +1033,7 @@ impl Task<'_> {
             if *held == Held::New || *held == Held::Old && block.is_neighbour() {
                 continue;
             }
+            session.assure(gauge)?;
             session.begin(gauge)?;
             let mut new = block.new;
             let erased = block.is_erased(stored);
@@ -911,13 +1041,18 @@ impl Task<'_> {
                 new[at] = stored[at];
             }
             let block = reload(gauge, &block.replacing(*stored, new))?;
-            store(gauge, &block, &mut 0)?;
+            store(gauge, session, &block, &mut 0)?;
         }
         if self.plan.reset || sequence(gauge).always_finishes() {
             session.finish(gauge)?;
         }
         seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
     }
+}
+
+/// Whether the gauge can be opened again after it was sealed.
+fn opens_again(gauge: &Gauge) -> bool {
+    gauge.was_opened() || matches!(gauge.chip.security.storage, KeyStorage::Fixed(_))
 }
 
 /// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and

@@ -4,6 +4,7 @@ mod anonymous;
 mod calibration;
 mod defaults;
 mod ensemble;
+mod exchange;
 mod faults;
 mod firmware;
 mod flips;

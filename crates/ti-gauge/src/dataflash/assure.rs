@@ -1,0 +1,363 @@
+//! Whether the gauge that answers is still the pack of the session. Nothing is programmed, reset or sealed otherwise.
+//!
+//! While the presence of the gauge is unbroken it is the same one. After a break its marks are compared: a calibration
+//! or serial number of its own shows the pack. Packs as they left the factory cannot be told apart by that; of these
+//! only a block that holds a part of what this very write was about to store is a sign. Without one flash is left as it
+//! is, for whoever has to decide.
+
+use super::blocks::Dirty;
+use super::io::still_open;
+use super::keychange::keeps_unseal_key;
+use super::pack::{self, Match};
+use super::preflight::has_lost_memory;
+use super::schemes::sequence;
+use super::session::{RESTORES, Session};
+use super::settle::{Held, identify, look_at};
+use crate::chip::KeyStorage;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
+use crate::journal::{Entry, Identity, Plan};
+
+/// What the pack of a session is compared with.
+pub(super) struct Reference {
+    pub(super) identity: Identity,
+    /// Its marks, and the blocks that are about to change.
+    pub(super) plan: Plan,
+}
+
+impl Reference {
+    /// What a journal knows of its pack.
+    pub(super) fn of(entry: &Entry) -> Self {
+        let nothing = || Plan::of_marks(Vec::new());
+        Self { identity: entry.identity.clone(), plan: entry.plan.clone().unwrap_or_else(nothing) }
+    }
+}
+
+/// What is known of the gauge that answers.
+#[derive(Default)]
+pub(super) struct Assurance {
+    /// What its pack is compared with.
+    pub(super) pack: Option<Reference>,
+    /// When it was certain that the gauge is the one of the session.
+    since: Option<Moment>,
+    /// How often it was compared, for which other blocks are loaded.
+    pub(super) compared: u32,
+    /// It has to be compared once more, even if its presence is unbroken.
+    anew: bool,
+    /// That was certain once before.
+    was_broken: bool,
+    /// Another pack answers.
+    pub(super) is_another: bool,
+    /// It cannot be told whose pack answers.
+    is_unsure: bool,
+    /// It was SEALED, and opened by this session with its key.
+    pub(super) was_opened: bool,
+    /// Why the gauge that answers is left open: its owner could not open it again.
+    pub(super) left_open: Option<String>,
+}
+
+impl Assurance {
+    /// The gauge that is there is the one of the session.
+    pub(super) fn begin(&mut self, gauge: &Gauge) {
+        self.was_broken |= self.since.is_some() && !self.is_unbroken(gauge);
+        self.since = Some(gauge.moment());
+    }
+
+    /// Whether another pack has come since the session began.
+    pub(super) fn has_come(&self, gauge: &Gauge) -> bool {
+        self.is_another && (self.was_broken || !self.is_unbroken(gauge))
+    }
+
+    /// It was certain then that the gauge is the one of the session.
+    pub(super) fn certain_since(&mut self, moment: Moment) {
+        self.since = Some(moment);
+    }
+
+    /// When that was certain.
+    pub(super) fn since(&self) -> Option<Moment> {
+        self.since
+    }
+
+    /// Whatever is known of the gauge does not apply to the one that answers now.
+    pub(super) fn is_exchanged(&mut self) {
+        self.is_another = true;
+    }
+
+    /// Whether trying again does not help.
+    pub(super) fn is_lost(&self) -> bool {
+        self.is_another || self.is_unsure
+    }
+
+    fn is_unbroken(&self, gauge: &Gauge) -> bool {
+        self.since.is_some_and(|moment| gauge.is_unbroken_since(moment))
+    }
+}
+
+impl Session {
+    /// Looks at the pack before the first byte goes back, whatever has happened: what has failed may be that it is
+    /// another one.
+    pub(super) fn assure_anew(&mut self, gauge: &mut Gauge) {
+        self.pack.anew = true;
+        gauge.doubt();
+    }
+
+    /// Makes sure that the gauge, which is open, is still the pack of the session. Whatever is sent to change it is
+    /// bound to the moment that this returns.
+    pub(super) fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
+        if !self.pack.anew
+            && let Some(moment) = self.pack.since
+            && gauge.is_unbroken_since(moment)
+        {
+            return Ok(moment);
+        }
+        for _ in 0..RESTORES {
+            still_open(gauge)?;
+            let (unbroken, moment) = (self.pack.is_unbroken(gauge), gauge.moment());
+            if unbroken && !self.pack.anew {
+                return Ok(moment);
+            }
+            let compared = self.compare(gauge)?;
+            let certain = match &compared {
+                Match::Certain => true,
+                Match::Weak => unbroken || self.holds_a_part(gauge)?,
+                Match::Other(_) => false,
+            };
+            if !gauge.is_unbroken_since(moment) {
+                continue;
+            }
+            if certain {
+                (self.pack.since, self.pack.anew) = (Some(moment), false);
+                return Ok(moment);
+            }
+            return Err(self.estranged(gauge, compared));
+        }
+        let why = "it falls silent again and again, so its pack cannot be compared with the one before";
+        Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Identify))
+    }
+
+    fn estranged(&mut self, gauge: &Gauge, compared: Match) -> Error {
+        let error = |cause| Error::new(gauge.chip.model, cause).at(Step::Identify);
+        match compared {
+            Match::Other(name) => {
+                self.pack.is_another = true;
+                let why = format!(
+                    "{name} is not what it was a moment ago: another pack answers, and nothing was written to it"
+                );
+                error(Cause::Gone(why))
+            }
+            Match::Certain | Match::Weak => {
+                self.pack.is_unsure = true;
+                let why = "it was away for a moment, and has the serial number and the calibration of every new pack, \
+                           so it may be another one: nothing more was written";
+                error(Cause::NotNow(why.into()))
+            }
+        }
+    }
+
+    /// Compares the gauge, which is open, with the pack of the session.
+    fn compare(&mut self, gauge: &mut Gauge) -> Result<Match> {
+        self.pack.compared += 1;
+        let Some(Reference { identity, plan }) = &self.pack.pack else { return Ok(Match::Weak) };
+        let now = match identify(gauge) {
+            Err(error) if matches!(error.cause(), Cause::Gone(_)) => {
+                return Ok(Match::Other("the part".into()));
+            }
+            now => now?,
+        };
+        if !identity.is_of_part(&now, gauge.chip) {
+            return Ok(Match::Other("the part or its firmware".into()));
+        }
+        if !plan.marks.is_empty() {
+            sequence(gauge).enable(gauge)?;
+        }
+        let same =
+            pack::compare(gauge.chip, identity, &now, plan, |place| sequence(gauge).load(gauge, place))?;
+        // What it was known by is lost with its memory.
+        let is_lost = matches!(same, Match::Other(_)) && has_lost_memory(gauge)?;
+        Ok(if is_lost { Match::Weak } else { same })
+    }
+
+    /// Whether a block holds a part of what was about to be stored, and none holds anything else: no other pack does.
+    fn holds_a_part(&self, gauge: &mut Gauge) -> Result<bool> {
+        let Some(Reference { plan, .. }) = &self.pack.pack else { return Ok(false) };
+        let seen = look_at(gauge, plan)?;
+        let changed = |block: &Dirty| !block.is_neighbour();
+        let torn = seen.iter().any(|seen| seen.held == Held::Torn && changed(&seen.block));
+        Ok(torn && seen.iter().all(|seen| seen.held != Held::Unexplained))
+    }
+
+    /// Whether another pack than that of the session answers, as far as that shows.
+    pub(super) fn is_another(&mut self, gauge: &mut Gauge) -> bool {
+        if !self.pack.is_another
+            && self.pack.since.is_some()
+            && !self.pack.is_unbroken(gauge)
+            && gauge.seal().is_ok_and(|now| now != Seal::Sealed)
+            && !self.pack.is_unbroken(gauge)
+        {
+            self.pack.is_another = matches!(self.compare(gauge), Ok(Match::Other(_)));
+        }
+        self.pack.is_another
+    }
+
+    /// Seals the gauge, if it is the one of the session or is known to open again. Otherwise it is left as it is:
+    /// whoever owns it may not be able to open it.
+    pub(super) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let mut outcome = Ok(());
+        for _ in 0..RESTORES {
+            outcome = match self.may_seal(gauge) {
+                Ok(Some(moment)) => gauge.close_since(moment),
+                Ok(None) => return Ok(()),
+                Err(error) => Err(error),
+            };
+            // A break between the permission and the command; otherwise everything was tried.
+            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+                break;
+            }
+        }
+        outcome
+    }
+
+    /// Since when it is known that the gauge may be sealed; `None` if it is SEALED, and nothing has to be sent.
+    fn may_seal(&mut self, gauge: &mut Gauge) -> Result<Option<Moment>> {
+        if !self.pack.is_another && self.pack.is_unbroken(gauge) {
+            return Ok(self.pack.since);
+        }
+        // A key in ROM fits every gauge of its kind.
+        let is_in_rom = gauge.chip.volatile.is_some();
+        let is_allowed = is_in_rom || !self.pack.is_another || self.pack.was_opened;
+        if is_in_rom || is_allowed && gauge.was_opened() {
+            return Ok(Some(gauge.moment()));
+        }
+        let now = gauge.seal_anew().map_err(|error| error.at(Step::Seal))?;
+        let moment = gauge.moment();
+        if is_allowed && gauge.was_opened() {
+            return Ok(Some(moment));
+        }
+        if now == Seal::Sealed {
+            // CONTROL_STATUS may still show the state before the last key.
+            gauge.wait(SEAL_LAG);
+            if gauge.seal()? == Seal::Sealed {
+                return self.is_sealed(gauge).map(|()| None);
+            }
+        }
+        let compared = match self.pack.is_another {
+            true => Match::Other("its pack".into()),
+            false => match self.compare(gauge) {
+                // Another pack that is open could be read.
+                Err(_) if self.pack.was_opened && gauge.key_has_worked() && self.is_alike(gauge) => {
+                    return Ok(Some(gauge.moment()));
+                }
+                compared => compared?,
+            },
+        };
+        let why = match compared {
+            Match::Certain => {
+                self.pack.since = Some(moment);
+                return Ok(Some(moment));
+            }
+            Match::Other(name) => {
+                self.pack.is_another = true;
+                format!("{name} is another one, so another pack answers; it is open and is left as it is")
+            }
+            // Keys in ROM are those of the manual; where they are kept otherwise no document says how to change them.
+            Match::Weak if matches!(gauge.chip.security.storage, KeyStorage::Fixed(_)) => {
+                return Ok(Some(moment));
+            }
+            Match::Weak if self.entry.as_ref().is_some_and(Entry::changes_keys) => return Ok(Some(moment)),
+            Match::Weak if self.is_known_to_open(gauge)? => return Ok(Some(gauge.moment())),
+            Match::Weak => {
+                let place = &gauge.key_file;
+                format!(
+                    "it is open and may be another pack, whose key is not known, so it is left open; seal it (echo sealed \
+                     > gauge/seal) if the key in {place} is its own"
+                )
+            }
+        };
+        self.pack.left_open = Some(why.clone());
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Seal))
+    }
+
+    /// Whether another pack answers than that which was left open.
+    pub(super) fn is_plainly_another(&mut self, gauge: &mut Gauge, now: Seal) -> Result<bool> {
+        // What a gauge with RAM was known by may be lost with its power.
+        if gauge.chip.volatile.is_some()
+            && let Some(pack) = &mut self.pack.pack
+        {
+            pack.plan.marks.clear();
+        }
+        let marks = self.pack.pack.as_ref().is_some_and(|pack| !pack.plan.marks.is_empty());
+        let has_key = !self.entry.as_ref().is_some_and(Entry::changes_keys);
+        if now == Seal::Sealed && !has_key {
+            return Ok(false);
+        }
+        if marks && now == Seal::Sealed {
+            gauge.unseal()?;
+            self.pack.was_opened = true;
+        }
+        self.pack.is_another = matches!(self.compare(gauge)?, Match::Other(_));
+        Ok(self.pack.is_another)
+    }
+
+    /// Goes to the seal state in which the gauge was found, which was open. Another pack is left as it is now.
+    pub(super) fn go_to_found(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let now = gauge.seal_anew()?;
+        if !self.pack.is_another && (self.pack.is_unbroken(gauge) || now == self.found) {
+            return gauge.go(now, self.found);
+        }
+        if now == Seal::Sealed && !self.pack.is_another {
+            gauge.unseal()?;
+            self.pack.was_opened = true;
+        }
+        let compared = match self.pack.is_another {
+            true => Match::Other("its pack".into()),
+            false => self.compare(gauge)?,
+        };
+        match compared {
+            Match::Certain => gauge.go_to(self.found),
+            // The way from FULL ACCESS to UNSEALED leads through SEALED.
+            Match::Weak if now == Seal::Sealed || gauge.chip.volatile.is_some() => gauge.go_to(self.found),
+            Match::Weak => Ok(()),
+            Match::Other(_) => {
+                self.pack.is_another = true;
+                gauge.seal()?;
+                if self.pack.was_opened && gauge.was_opened() { gauge.close() } else { Ok(()) }
+            }
+        }
+    }
+
+    /// Whether part, firmware and serial number are those of the session's pack.
+    fn is_alike(&self, gauge: &mut Gauge) -> bool {
+        let pack = self.pack.pack.as_ref();
+        pack.is_some_and(|pack| identify(gauge).is_ok_and(|now| now == pack.identity))
+    }
+
+    /// Makes sure that a gauge which is SEALED without our doing is not another pack while that of the session is open.
+    fn is_sealed(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if !(self.pack.was_opened || gauge.key_has_worked()) || self.pack.pack.is_none() {
+            return Ok(());
+        }
+        gauge.unseal()?;
+        let compared = self.compare(gauge);
+        let moment = gauge.moment();
+        gauge.close_since(moment)?;
+        match compared? {
+            Match::Certain | Match::Weak => Ok(()),
+            Match::Other(name) => {
+                self.pack.is_another = true;
+                let why = format!("{name} is another one, so another pack answers, and this one may be open");
+                Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Seal))
+            }
+        }
+    }
+
+    /// Whether the gauge keeps the mount's unseal key, which only FULL ACCESS lets one read.
+    fn is_known_to_open(&mut self, gauge: &mut Gauge) -> Result<bool> {
+        if gauge.seal()? != Seal::FullAccess {
+            match gauge.full_access() {
+                Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => return Ok(false),
+                opened => opened?,
+            }
+        }
+        keeps_unseal_key(gauge)
+    }
+}
