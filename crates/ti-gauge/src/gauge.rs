@@ -229,6 +229,8 @@ pub struct Gauge {
     commanded: Option<(Seal, Duration)>,
     /// When the seal state was last agreed on.
     agreed: Option<Moment>,
+    /// What a command of ours has done that it was not meant to do, until somebody reports it.
+    mishap: Option<String>,
     /// The last look at CONTROL_STATUS, and how many bytes behind it each look reads.
     look: Look,
     also: usize,
@@ -268,6 +270,7 @@ impl Gauge {
             seen: None,
             commanded: None,
             agreed: None,
+            mishap: None,
             look: Look::NONE,
             also: 0,
             deadline: None,
@@ -884,6 +887,7 @@ impl Gauge {
     }
 
     fn seal_with(&mut self, send: impl Fn(&mut Self) -> Result<()>) -> Result<()> {
+        let before = self.agreed.filter(|&moment| self.is_unbroken_since(moment)).map(|_| self.look.status);
         let mut outcome = Ok(Seal::Unsealed);
         for attempt in 0..SEALS {
             if attempt > 0 {
@@ -896,7 +900,12 @@ impl Gauge {
             self.commands(Seal::Sealed);
             outcome = sent.and_then(|()| self.seal());
             match &outcome {
-                Ok(Seal::Sealed) => return Ok(()),
+                Ok(Seal::Sealed) => {
+                    if attempt > 0 {
+                        self.note_enabled(before);
+                    }
+                    return Ok(());
+                }
                 Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
                 Err(error) if matches!(error.cause(), Cause::NotNow(_)) => break,
                 _ => self.wait(SEAL_POLL),
@@ -905,6 +914,28 @@ impl Gauge {
         let state = outcome.map_err(|error| error.at(Step::Seal))?;
         let why = format!("the gauge was sent SEALED {SEALS} times and is still {}", state.as_str());
         Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
+    }
+
+    /// Notes that a SEALED which did not arrive was IT_ENABLE, which differs in one bit: [QEN] is set, and was not before.
+    fn note_enabled(&mut self, before: Option<u16>) {
+        let enabled = self.chip.control_status.iter().find(|bit| bit.name == "QEN").map_or(0, |bit| bit.mask);
+        let is_new = |now: u16| before.is_some_and(|before| before & enabled == 0) && now & enabled != 0;
+        // I2C has no error detection.
+        if is_new(self.look.status) && self.seal_anew().is_ok() && is_new(self.look.status) {
+            let why = "SEALED has reached the gauge as IT_ENABLE: [QEN] is set, and Update Status with it (04), which \
+                       nothing takes back; check whether Impedance Track was to be enabled";
+            self.mishap = Some(why.into());
+        }
+    }
+
+    /// What a command of ours has done that it was not meant to do, once.
+    pub(crate) fn take_mishap(&mut self) -> Option<String> {
+        self.mishap.take()
+    }
+
+    /// How many transfers have failed.
+    pub(crate) fn failures(&self) -> u64 {
+        self.failures
     }
 
     /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): not to a gauge

@@ -112,14 +112,14 @@ impl Session {
         }
         for _ in 0..RESTORES {
             still_open(gauge)?;
-            let (unbroken, moment) = (self.pack.is_unbroken(gauge), gauge.moment());
+            let unbroken = self.pack.is_unbroken(gauge);
             if unbroken && !self.pack.anew {
-                return Ok(moment);
+                return Ok(gauge.moment());
             }
-            let compared = self.compare(gauge)?;
+            let (compared, moment) = self.compare_since(gauge)?;
             let certain = match &compared {
                 Match::Certain => true,
-                Match::Weak => unbroken || self.holds_a_part(gauge)?,
+                Match::Weak => unbroken && self.pack.is_unbroken(gauge) || self.holds_a_part(gauge)?,
                 Match::Other(_) => false,
             };
             if !gauge.is_unbroken_since(moment) {
@@ -156,16 +156,27 @@ impl Session {
 
     /// Compares the gauge, which is open, with the pack of the session.
     fn compare(&mut self, gauge: &mut Gauge) -> Result<Match> {
+        self.compare_since(gauge).map(|(compared, _)| compared)
+    }
+
+    /// The same, with the moment from which on the gauge was compared.
+    fn compare_since(&mut self, gauge: &mut Gauge) -> Result<(Match, Moment)> {
         self.pack.compared += 1;
-        let Some(Reference { identity, plan }) = &self.pack.pack else { return Ok(Match::Weak) };
+        let mut moment = gauge.moment();
+        let Some(Reference { identity, plan }) = &self.pack.pack else { return Ok((Match::Weak, moment)) };
         let now = match identify(gauge) {
             Err(error) if matches!(error.cause(), Cause::Gone(_)) => {
-                return Ok(Match::Other("the part".into()));
+                return Ok((Match::Other("the part".into()), moment));
             }
             now => now?,
         };
         if !identity.is_of_part(&now, gauge.chip) {
-            return Ok(Match::Other("the part or its firmware".into()));
+            return Ok((Match::Other("the part or its firmware".into()), moment));
+        }
+        if gauge.chip.access.scheme.is_flat() && gauge.chip.serial_register().is_none() {
+            // Only marks tell packs of these parts apart, and a subcommand hides what was selected.
+            gauge.learn_selection();
+            moment = gauge.moment();
         }
         if !plan.marks.is_empty() {
             sequence(gauge).enable(gauge)?;
@@ -174,7 +185,7 @@ impl Session {
             pack::compare(gauge.chip, identity, &now, plan, |place| sequence(gauge).load(gauge, place))?;
         // What it was known by is lost with its memory.
         let is_lost = matches!(same, Match::Other(_)) && has_lost_memory(gauge)?;
-        Ok(if is_lost { Match::Weak } else { same })
+        Ok((if is_lost { Match::Weak } else { same }, moment))
     }
 
     /// Whether a block holds a part of what was about to be stored, and none holds anything else: no other pack does.

@@ -23,7 +23,7 @@ use super::blocks::{Bytes, Dirty, Window, learned, locate, secrets};
 use super::io::{COMMITTED, STORES, is_passing, patiently};
 use super::pack::{Match, compare};
 use super::schemes::sequence;
-use super::session::{Left, RESTORES, Session};
+use super::session::{Left, RESTORES, Session, own_up};
 use super::settle::{self, Held, Verdict, look};
 use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
@@ -135,8 +135,9 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<()> {
         let name = change.name.as_str();
-        let outcome = self
-            .counted(gauge, |dataflash, gauge| dataflash.change_key_unnamed(gauge, change, order, waited));
+        let outcome = self.counted(gauge, |dataflash, gauge| {
+            own_up(gauge, |gauge| dataflash.change_key_unnamed(gauge, change, order, waited))
+        });
         gauge.limit(None);
         wipe_stack();
         self.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
@@ -1128,6 +1129,7 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
     }
     // The keys that it took have shown that it is the one.
     session.pack.begin(gauge);
+    gauge.learn_selection();
     quietly(gauge, |gauge| session.restore(gauge, torn.into_iter(), false))
 }
 

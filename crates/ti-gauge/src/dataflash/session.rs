@@ -165,14 +165,37 @@ impl Session {
             self.begun = false;
             reopen(gauge, goal)?;
         } else {
-            let moment = self.assure(gauge)?;
-            self.note_reset()?;
-            let state = reset(gauge, self.found, moment)?;
+            let state = self.reset(gauge)?;
             self.pack.was_opened |= state == Seal::Sealed;
             gauge.go(state, goal)?;
         }
         self.now = Some(goal);
-        sequence(gauge).enable(gauge)
+        sequence(gauge).enable(gauge)?;
+        // What it shows from now on is to be that of the gauge that was reset.
+        if gauge.chip.volatile.is_none() && self.is_another(gauge) {
+            let why = "another pack answers since the reset";
+            return Err(Error::new(gauge.chip.model, Cause::Gone(why.into())).at(Step::Identify));
+        }
+        Ok(())
+    }
+
+    /// Resets the gauge. One that did not acknowledge RESET is compared before it is sent once more.
+    fn reset(&mut self, gauge: &mut Gauge) -> Result<Seal> {
+        let mut outcome = Ok(self.found);
+        for _ in 0..RESETS {
+            let moment = self.assure(gauge)?;
+            self.note_reset()?;
+            outcome = reset(gauge, self.found, moment);
+            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+                break;
+            }
+            // It may have been taken all the same.
+            gauge.wait(gauge.chip.access.reset);
+            if gauge.seal_anew()? == Seal::Sealed {
+                return Ok(Seal::Sealed);
+            }
+        }
+        outcome
     }
 
     /// Takes over what an interrupted write may have left on: this session ends it, whatever else it does.
@@ -352,45 +375,47 @@ fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDO
 }
 
 /// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is
-/// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then that it was
-/// silent, or [INITCOMP], is the sign, and without any the last RESET counts because it was acknowledged. Returns
-/// the seal state.
+/// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then the sign is that it
+/// was silent, that [INITCOMP] is clear, or that it has forgotten which block was selected. An acknowledgement is none.
+/// Returns the seal state.
 fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     let access = &gauge.chip.access;
     let incomplete = gauge.chip.control_status.iter().find(|bit| bit.name == "INITCOMP");
     let incomplete = |status: u16| incomplete.is_some_and(|&Bit { mask, .. }| status & mask == 0);
-    let mut state = found;
-    for _ in 0..RESETS {
+    for attempt in 0..RESETS {
         gauge.reset_since(moment)?;
         let sent = gauge.clock.now();
         let mut silent = false;
-        gauge.wait(access.reset);
+        if attempt == 0 || found == Seal::Sealed {
+            gauge.wait(access.reset);
+        }
         loop {
+            let failures = gauge.failures();
             match gauge.control_status() {
                 Ok((Seal::Sealed, _)) => return Ok(Seal::Sealed),
-                Ok((_, status)) if found != Seal::Sealed && (silent || incomplete(status)) => {
-                    gauge.wait(SEAL_LAG);
-                    return gauge.seal();
+                Ok((_, status)) if found != Seal::Sealed => {
+                    // One failed transfer is a disturbance.
+                    silent |= gauge.failures() > failures + 1;
+                    if silent || incomplete(status) || gauge.has_forgotten_selection() {
+                        gauge.wait(SEAL_LAG);
+                        return gauge.seal();
+                    }
+                    if gauge.clock.now() >= sent + access.reset + RESET_SHOWS {
+                        break;
+                    }
                 }
-                Ok((now, _)) if gauge.clock.now() >= sent + access.reset + RESET_SHOWS => {
-                    state = now;
-                    break;
-                }
+                Ok(_) if gauge.clock.now() >= sent + access.reset + RESET_SHOWS => break,
                 Ok(_) => {}
                 Err(error) if !gauge.may_try_until(sent + access.reset_limit) => {
                     return Err(error.at(Step::Reset));
                 }
                 Err(_) => silent = true,
             }
-            gauge.wait(Duration::from_millis(80));
+            gauge.wait(Duration::from_millis(if found == Seal::Sealed { 80 } else { 40 }));
         }
     }
-    if found == Seal::Sealed {
-        let why = format!("the gauge was sent RESET {RESETS} times and shows no sign of it");
-        return Err(Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Reset));
-    }
-    log::info!("{}: no sign of the reset, which was acknowledged", gauge.chip.name);
-    Ok(state)
+    let why = format!("the gauge was sent RESET {RESETS} times and shows no sign of it");
+    Err(Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Reset))
 }
 
 /// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be
@@ -419,8 +444,19 @@ pub(super) fn in_time<T>(
     let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
     gauge.attend(true);
-    let outcome = run(gauge, asked);
+    let outcome = own_up(gauge, |gauge| run(gauge, asked));
     gauge.attend(false);
     gauge.limit(None);
     outcome
+}
+
+/// Runs an access. What it has done by mistake is reported as what it is, whatever else has become of it.
+pub(super) fn own_up<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
+    let outcome = run(gauge);
+    let Some(mishap) = gauge.take_mishap() else { return outcome };
+    let why = match outcome {
+        Ok(_) => format!("done; but {mishap}"),
+        Err(error) => format!("{error}; {mishap}"),
+    };
+    Err(Error::new("", Cause::StateUnknown(why)))
 }

@@ -226,6 +226,7 @@ impl DataFlash {
         self.identity(gauge)?;
         session.decided = true;
         session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
+        session.pack.pack = session.entry.as_ref().map(Reference::of);
         if session.entry.as_ref().is_some_and(|entry| entry.found == Seal::Sealed) {
             session.found = Seal::Sealed;
         }

@@ -101,6 +101,18 @@ impl Gauge {
         self.rested.set(self.clock.now());
     }
 
+    /// Whether a gauge that was sent RESET, and has not been away, no longer shows the block that was selected.
+    pub(crate) fn has_forgotten_selection(&mut self) -> bool {
+        let [selected] = self.presence.selected[..] else { return false };
+        let mut seen = [[0; 2]; 2];
+        for seen in &mut seen {
+            if self.again(|gauge| gauge.transfer(&[SELECTION], seen)).is_err() {
+                return false;
+            }
+        }
+        seen[0] == seen[1] && seen[0] != selected
+    }
+
     /// Learns what the gauge shows as its selection, so that it is known again from now on.
     pub(crate) fn learn_selection(&mut self) {
         let mut seen = [0; 2];

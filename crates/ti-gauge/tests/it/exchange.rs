@@ -377,7 +377,7 @@ fn is_unseen(draw: &Draw) -> bool {
     // Or the number that the write gives to the first one.
     let is_alike = is_alike || draw.is_new && CASES[draw.case].values.iter().any(|(at, _)| *at == (48, 4));
     // Nobody has looked at the first one before the first transfer.
-    draw.silent.is_zero() && (draw.asleep.is_zero() || draw.at < 10) || is_ram || is_alike
+    draw.silent.is_zero() && (draw.asleep.is_zero() || draw.at < 80) || is_ram || is_alike
 }
 
 #[test]

@@ -367,7 +367,8 @@ fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
                 }
                 Err(error) if cause(error) == "StateUnknown" => {
                     unknown += 1;
-                    assert!(interrupted, "{at}: {error}");
+                    let is_enabled = error.to_string().contains("as IT_ENABLE");
+                    assert!(interrupted || is_enabled, "{at}: {error}");
                     lost += u32::from(!new && !old);
                     // Every such state is recovered by repeating the change with both keys.
                     let mut again = Rig {
