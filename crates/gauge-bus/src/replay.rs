@@ -183,6 +183,11 @@ impl Written {
         }
     }
 
+    /// What was selected, which a gauge shows where it was written.
+    fn selected(&self, register: u8) -> Option<u8> {
+        self.selection.get(usize::from(register.checked_sub(SELECTION)?)).copied()
+    }
+
     fn context(&self, register: u8) -> Context {
         let word = if self.last == SELECTION { self.selection } else { self.control };
         match register {
@@ -258,7 +263,10 @@ impl Replay {
         if let Some(answer) = self.series.get_mut(&key).and_then(Series::next) {
             return answer.map(|bytes| into.copy_from_slice(&bytes));
         }
-        let bytes = (register..=0x7f).map(|at| self.bytes.get(&(self.written.context(at), at)).copied());
+        let bytes = (register..=0x7f).map(|at| {
+            let recorded = self.bytes.get(&(self.written.context(at), at)).copied();
+            recorded.or_else(|| self.written.selected(at))
+        });
         let bytes: Option<Vec<u8>> = bytes.take(into.len()).collect();
         let bytes = bytes.filter(|bytes| bytes.len() == into.len()).ok_or(BusError::NoAck)?;
         into.copy_from_slice(&bytes);
@@ -326,6 +334,19 @@ mod tests {
         assert_eq!(ask(&mut bus, &[9], 1), Ok(vec![4]));
         assert_eq!(ask(&mut bus, &[9], 2), Err(BusError::NoAck));
         assert!(bus.covers(8, 2) && !bus.covers(8, 3));
+    }
+
+    /// A recording of a version that did not ask for it.
+    #[test]
+    fn what_was_selected_is_shown_unless_the_recording_shows_something_else() {
+        let block = "R: AA 40 1\n; 1.0 -> 07\n";
+        let mut bus = replay(&format!("W: AA 3E 30 00\n; 1.0 ok\n{block}"));
+        assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x01], 0), Ok(vec![]));
+        assert_eq!(ask(&mut bus, &[0x3e], 2), Ok(vec![0x30, 0x01]));
+        assert_eq!(ask(&mut bus, &[0x3e], 3), Err(BusError::NoAck));
+        let mut bus = replay(&format!("W: AA 3E 30 00\n; 1.0 ok\nR: AA 3E 2\n; 1.0 -> 30 02\n{block}"));
+        assert_eq!(ask(&mut bus, &[0x3e, 0x30, 0x00], 0), Ok(vec![]));
+        assert_eq!(ask(&mut bus, &[0x3e], 2), Ok(vec![0x30, 0x02]));
     }
 
     #[test]
