@@ -7,6 +7,7 @@ use super::{Answers, Attempt, Owner};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
 use ti_gauge::dataflash::{Outcome, Place};
+use ti_gauge::gauge::agreed;
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
 
@@ -100,7 +101,7 @@ impl Owner {
     }
 
     /// Asks the gauge what it is, and checks that it can be mounted with the chip's table. I2C has no error
-    /// detection, so versions that the table was not proven for are asked for once more.
+    /// detection, so versions that the table was not proven for are asked for until two answers agree.
     fn identify(&mut self) -> Result<(Answers, Option<Limited>)> {
         let chip = self.gauge.chip;
         let answers = self.gauge.identify()?;
@@ -108,8 +109,10 @@ impl Owner {
             Ok(None) => Ok((answers, None)),
             Ok(limited @ Some(Limited::Sibling(_) | Limited::NoTable)) => Ok((answers, limited)),
             Ok(Some(Limited::Unproven)) => {
-                self.gauge.wait(ASK_AGAIN);
-                let again = self.gauge.identify()?;
+                let again = agreed(chip.name, || {
+                    self.gauge.wait(ASK_AGAIN);
+                    self.gauge.identify()
+                })?;
                 Ok((again, check_identity(chip, &again)?))
             }
             Err(error) => Err(error),

@@ -996,7 +996,10 @@ impl Gauge {
 }
 
 /// What two looks in a row agree on, because I2C has no error detection. `subject` is what is looked at.
-pub(crate) fn agreed<T: PartialEq>(subject: &str, mut look: impl FnMut() -> Result<T>) -> Result<T> {
+///
+/// # Errors
+/// [`Cause::Protocol`] if no two agree, and any error of a look.
+pub fn agreed<T: PartialEq>(subject: &str, mut look: impl FnMut() -> Result<T>) -> Result<T> {
     let mut last = look()?;
     for _ in 0..TRIES {
         let next = look()?;
