@@ -871,6 +871,54 @@ pub(crate) fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
+/// Stops a daemon while it has no request: whoever waits for the answer to one that a daemon has taken cannot be ended,
+/// not even by SIGKILL. Without root, where the kernel's list of connections is not mounted, that is left to chance.
+pub(crate) fn stop(daemon: u32, at: &str) {
+    let pid = Pid::from_raw(daemon as i32);
+    for _ in 0..1000 {
+        kill(pid, Signal::SIGSTOP).expect("it runs");
+        within(Duration::from_secs(60), "stopped", || is_stopped(daemon));
+        if requests(at).is_none_or(|count| count == 0) {
+            return;
+        }
+        kill(pid, Signal::SIGCONT).expect("it runs");
+        std::thread::sleep(Duration::from_millis(3));
+    }
+    panic!("{at}: the daemon is never without a request");
+}
+
+/// Whether each thread of a process is stopped.
+fn is_stopped(process: u32) -> bool {
+    let Ok(threads) = fs::read_dir(format!("/proc/{process}/task")) else { return true };
+    threads.flatten().all(|thread| {
+        let status = fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+        status.rsplit(") ").next().is_some_and(|rest| rest.starts_with(['T', 'Z', 'X']) || rest.is_empty())
+    })
+}
+
+/// How many requests of a mount are not answered yet, as far as that can be known.
+fn requests(at: &str) -> Option<u64> {
+    let table = fs::read_to_string("/proc/self/mountinfo").expect("a table");
+    let at = at.replace(' ', "\\040");
+    let mount = table.lines().rfind(|line| line.split(' ').nth(4) == Some(&*at))?;
+    let connection = mount.split(' ').nth(2)?.split_once(':')?.1;
+    let waiting = |folder: &Path| {
+        let count = fs::read_to_string(folder.join(connection).join("waiting")).ok()?;
+        count.trim().parse().ok()
+    };
+    waiting(Path::new("/sys/fs/fuse/connections")).or_else(|| {
+        let folder = crate::scratch::folder();
+        let kind = Some("fusectl");
+        let mounted = nix::mount::mount(kind, &folder, kind, nix::mount::MsFlags::empty(), None::<&str>);
+        let count = mounted.is_ok().then(|| waiting(&folder)).flatten();
+        if mounted.is_ok() {
+            let _ = nix::mount::umount2(&folder, nix::mount::MntFlags::MNT_DETACH);
+        }
+        let _ = fs::remove_dir(&folder);
+        count
+    })
+}
+
 /// A mount in the foreground, killed when the test ends.
 struct Foreground(Child);
 
@@ -1026,7 +1074,7 @@ fn regression_an_ending_daemon_does_not_unmount_the_next_mount() {
     let folder = Folder::new();
     let at = folder.file("m");
     let mut first = Foreground::new(&at, &[]);
-    first.send(Signal::SIGSTOP);
+    stop(first.0.id(), &at);
     // Not with gaugefs, which would abort the connection of a daemon that does not answer.
     let unmounted = Command::new("fusermount3").args(["-u", &at]).status().expect("fusermount3 runs");
     assert!(unmounted.success());

@@ -333,7 +333,7 @@ fn mounts_that_hang_or_are_dead_are_found() {
     }
     let alive = doctor();
     let pid = Pid::from_raw(daemon.id() as i32);
-    kill(pid, Signal::SIGSTOP).expect("it runs");
+    crate::cli::stop(daemon.id(), at);
     let hung = doctor();
     kill(pid, Signal::SIGCONT).expect("it runs");
     daemon.kill().expect("it runs");

@@ -53,7 +53,7 @@ fn every_mounted_gauge_is_listed_even_beside_a_stopped_daemon() {
     );
 
     let pid = Pid::from_raw(daemon.id() as i32);
-    kill(pid, Signal::SIGSTOP).expect("it runs");
+    crate::cli::stop(daemon.id(), &other);
     let start = Instant::now();
     let stopped = gaugefs(&["list"]);
     assert!(start.elapsed() < Duration::from_secs(60), "it hangs");

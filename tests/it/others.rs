@@ -115,7 +115,7 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     let folder = Folder::new();
     let Some(mut stopped) = Daemon::start(folder.file("stopped")) else { return };
     let (at, other) = (stopped.at.clone(), folder.file("other"));
-    stopped.send(Signal::SIGSTOP);
+    crate::cli::stop(stopped.child.id(), &stopped.at);
     within(LIMIT, command(&["mount", "--sim", CHIP, &other])).done();
     within(LIMIT, command(&["umount", &other])).done();
     within(LIMIT, command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
@@ -151,7 +151,7 @@ fn detach_removes_dead_mounts_beside_a_stopped_one() {
         eprintln!("SKIPPED: without root nothing was detached");
         return;
     }
-    stopped.send(Signal::SIGSTOP);
+    crate::cli::stop(stopped.child.id(), &stopped.at);
     dead.child.kill().and_then(|()| dead.child.wait()).expect("it ends");
     // In a mount namespace of its own, because it removes the dead mounts of other tests too.
     let mut detach = Command::new("unshare");

@@ -458,8 +458,6 @@ mod screen {
 
     use nix::fcntl::OFlag;
     use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
-    use nix::sys::signal::{Signal, kill};
-    use nix::unistd::Pid;
 
     use super::*;
 
@@ -503,6 +501,16 @@ mod screen {
         gaugefs(&["umount", &at]).done();
     }
 
+    /// A daemon that is killed also if the test fails: a mount whose daemon is stopped cannot be removed.
+    struct Killed(Child);
+
+    impl Drop for Killed {
+        fn drop(&mut self) {
+            let _ = self.0.kill();
+            let _ = self.0.wait();
+        }
+    }
+
     #[test]
     fn regression_what_watches_a_stopped_daemon_ends() {
         if !can_mount() {
@@ -512,9 +520,9 @@ mod screen {
         let at = folder.file("m");
         let gauge = format!("{at}/BAT0");
         let mut daemon = command(&["mount", "-f", "--sim", CHIP, &at]);
-        let mut daemon = daemon.stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        let daemon = Killed(daemon.stderr(Stdio::null()).spawn().expect("gaugefs runs"));
         crate::cli::within(Duration::from_secs(60), "mounted", || std::path::Path::new(&gauge).exists());
-        kill(Pid::from_raw(daemon.id() as i32), Signal::SIGSTOP).expect("it runs");
+        crate::cli::stop(daemon.0.id(), &at);
         let lines = [
             &["top", "--json", "--count", "1", &*at][..],
             &["top", "--json", "--count", "2", &gauge],
@@ -526,8 +534,7 @@ mod screen {
             (line, command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("gaugefs runs"))
         });
         let codes = started.map(|(line, child)| (line, ends(child, line[0])));
-        kill(Pid::from_raw(daemon.id() as i32), Signal::SIGKILL).expect("it runs");
-        daemon.wait().expect("it ends");
+        drop(daemon);
         for (line, code) in codes {
             assert_eq!(code, Some(1), "{line:?}");
         }

@@ -92,7 +92,7 @@ fn what_a_killed_test_has_left_is_removed() {
     let mut daemon =
         command(&["mount", "-f", "--sim", CHIP, &at("n")]).stderr(Stdio::null()).spawn().expect("it");
     within(Duration::from_secs(60), "mounted", || left.join("n/BAT0").exists());
-    kill(Pid::from_raw(daemon.id() as i32), Signal::SIGSTOP).expect("it runs");
+    crate::cli::stop(daemon.id(), &at("n"));
     assert_eq!(mounts(&left).len(), 2);
     sweep(&parent);
     daemon.wait().expect("it was killed");

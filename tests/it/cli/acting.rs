@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 
-use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, run, within};
+use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, run, stop, within};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);
@@ -137,7 +137,7 @@ fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
     let mut daemon = Foreground::new(&at, &["--poll", "0.5"]);
     let mut gone = Running::new(&folder, &["wait", &at, "missing"]);
     std::thread::sleep(Duration::from_secs(1));
-    daemon.send(Signal::SIGSTOP);
+    stop(daemon.0.id(), &at);
     assert_eq!(gone.ends(), Some(0), "{}", gone.err());
     let out = gaugefs(&["metrics", &at]).done();
     let down = format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 0\n");

@@ -13,7 +13,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::{Value, json};
 
-use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, golden, read, within};
+use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, golden, read, stop, within};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);
@@ -175,7 +175,7 @@ fn top_reports_a_mount_that_hangs_and_one_that_ends() {
     let mut daemon = Foreground::new(&at, &[]);
     let mut screen = Screen::new(&[&at]);
     screen.shows("bq34z100-G1");
-    daemon.send(Signal::SIGSTOP);
+    stop(daemon.0.id(), &at);
     screen.shows("no answer for");
     screen.press("q");
     screen.ends();
