@@ -1,5 +1,7 @@
 //! `gaugefs export`.
 
+use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -7,9 +9,9 @@ use clap::{Args, ValueEnum};
 
 use super::batch::{Batch, FAILED, Report, TROUBLE};
 use super::folder_name;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::mounted;
-use crate::output::{print_file, say, write_file};
+use crate::output::{is_standard_output, print_file, say, write_file};
 use gauge_bus::regular::Replace;
 use ti_gauge::image::Format;
 
@@ -22,7 +24,7 @@ itself; the exit code is the worst.
 
 Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml
-  gaugefs export /run/gauges/BAT0 --format flashstream -o pack.gm.fs
+  gaugefs export /run/gauges/BAT0 -o pack.gm.fs
   gaugefs export /run/gauges/BAT* -o packs/";
 
 /// Write the configuration of mounted gauges to files
@@ -32,10 +34,11 @@ pub(super) struct Export {
     /// Folders of mounted gauges, such as /run/gauges/BAT0
     #[arg(required = true, value_name = "GAUGE")]
     gauges: Vec<PathBuf>,
-    /// Format of the file
-    #[arg(long, value_enum, default_value = "toml")]
-    format: FormatName,
-    /// File to write, or a folder for files such as BAT0.toml [default: standard output]
+    /// Format of the file [default: by its ending .toml, .gg.csv or .gm.fs, otherwise toml]
+    #[arg(long, value_enum)]
+    format: Option<FormatName>,
+    /// File to write, or a folder for files such as BAT0.toml, which is made if its name ends with /
+    /// [default: -, standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -43,7 +46,7 @@ pub(super) struct Export {
 }
 
 /// The names of the formats on the command line.
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FormatName {
     Toml,
     #[value(name = "gg.csv")]
@@ -53,13 +56,19 @@ enum FormatName {
 
 impl Export {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let folder = self.output.as_deref().filter(|output| output.is_dir());
+        let output = self.output.as_deref();
+        let is_new = output.is_some_and(|output| output.as_os_str().as_bytes().ends_with(b"/"));
+        let folder = output.filter(|output| is_new || output.is_dir());
         if folder.is_none() && self.gauges.len() > 1 {
             return misuse(
-                "several gauges need a folder for their files; name one that is there with --output",
+                "several gauges need a folder for their files; name one with --output, such as packs/",
             );
         }
-        if self.output.is_none() && self.batch.json {
+        let format = match output.filter(|_| folder.is_none()).map(|file| self.format_of(file)).transpose() {
+            Ok(format) => format.or(self.format).unwrap_or(FormatName::Toml),
+            Err(why) => return misuse(&why),
+        };
+        if output.is_none_or(is_standard_output) && self.batch.json {
             return misuse("--json needs --output: standard output cannot have the file as well");
         }
         let mut names: Vec<String> = self.gauges.iter().map(|gauge| folder_name(gauge)).collect();
@@ -67,33 +76,60 @@ impl Export {
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             return misuse(&format!("two gauges are named {}; export them one by one", twice[0]));
         }
+        if let Some(folder) = folder {
+            let made = fs::create_dir_all(folder);
+            made.map_err(|error| Error::io(folder.display().to_string(), "cannot make the folder", &error))?;
+        }
         Ok(self.batch.run(&self.gauges, FAILED, |gauge, report| {
             let file = match folder {
-                Some(folder) => Some(folder.join(format!("{}.{}", folder_name(gauge), self.format.ending()))),
+                Some(folder) => Some(folder.join(format!("{}.{}", folder_name(gauge), format.ending()))),
                 None => self.output.clone(),
             };
-            self.export(gauge, file.as_deref(), report)
+            export(gauge, format, file.as_deref(), report)
         }))
     }
 
-    fn export(&self, gauge: &Path, file: Option<&Path>, report: &mut Report) -> Result<u8> {
-        let image = mounted::now(gauge)?;
-        report.identify(gauge);
-        let text = image.write(self.format.into(), |id| mounted::raw_of(gauge, id))?;
-        match file {
-            None => print_file(text.as_bytes())?,
-            Some(file) => {
-                let name = file.display().to_string();
-                write_file(file, text.as_bytes(), Replace::Kept)?;
-                report.file = Some(name);
-            }
+    /// The format of a file, which its ending names. One that is asked for besides has to be the same.
+    fn format_of(&self, file: &Path) -> Result<FormatName, String> {
+        let name = file.display().to_string();
+        let lower = name.to_ascii_lowercase();
+        if lower.ends_with(".df.fs") || lower.ends_with(".bq.fs") {
+            return Err(format!(
+                "{name}: an image for ROM mode is not exported, because nobody could check it; name it .gm.fs for a \
+                 FlashStream, which is sent to a gauge that runs"
+            ));
         }
-        report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
-        for line in &report.passed_over {
-            say(format_args!("{}: {line}", gauge.display()));
+        let all = FormatName::value_variants();
+        let by_name = all.iter().copied().find(|format| lower.ends_with(&format!(".{}", format.ending())));
+        match (self.format, by_name) {
+            (Some(asked), Some(found)) if asked != found => Err(format!(
+                "{name}: --format is {}, but a file of that name is a {}; leave out --format, or name it .{}",
+                asked.name(),
+                found.name(),
+                asked.ending()
+            )),
+            (asked, found) => Ok(asked.or(found).unwrap_or(FormatName::Toml)),
         }
-        Ok(report.read())
     }
+}
+
+fn export(gauge: &Path, format: FormatName, file: Option<&Path>, report: &mut Report) -> Result<u8> {
+    let image = mounted::now(gauge)?;
+    report.identify(gauge);
+    let text = image.write(format.into(), |id| mounted::raw_of(gauge, id))?;
+    match file {
+        None => print_file(text.as_bytes())?,
+        Some(file) => {
+            let name = file.display().to_string();
+            write_file(file, text.as_bytes(), Replace::Kept)?;
+            report.file = Some(name);
+        }
+    }
+    report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
+    for line in &report.passed_over {
+        say(format_args!("{}: {line}", gauge.display()));
+    }
+    Ok(report.read())
 }
 
 /// A command line that cannot be carried out.
@@ -103,6 +139,10 @@ fn misuse(why: &str) -> Result<ExitCode> {
 }
 
 impl FormatName {
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_string())
+    }
+
     /// How the name of its files ends.
     fn ending(self) -> &'static str {
         match self {

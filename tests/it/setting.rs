@@ -290,9 +290,43 @@ fn a_mount_point_of_several_gauges_is_refused_with_their_names() {
     gaugefs(&["export", &both[0], &both[1]]).troubled(&["several gauges need a folder"]);
     gaugefs(&["export", &both[0], &both[0], "-o", &packs]).troubled(&["two gauges are named BAT0"]);
     gaugefs(&["export", "--json", &both[0]]).troubled(&["--json needs --output"]);
+    gaugefs(&["export", "--json", &both[0], "-o", "-"]).troubled(&["--json needs --output"]);
+    // One that is not there is made, if its name says that it is a folder.
+    let new = gauges.folder.file("new/packs");
+    gaugefs(&["export", &both[0], &both[1], "-o", &new]).troubled(&["several gauges need a folder"]);
+    assert!(!Path::new(&new).exists());
+    gaugefs(&["export", &both[0], &both[1], "--format", "gg.csv", "-o", &format!("{new}/")]).done();
+    assert!(Path::new(&format!("{new}/BAT1.gg.csv")).exists());
     let report = gaugefs(&["export", "--json", &both[0], "-o", &packs]).done();
     assert_eq!(json(&report)[0]["file"], format!("{packs}/BAT0.toml"));
     assert_eq!(json(&report)[0]["outcome"], "read");
+}
+
+#[test]
+fn the_ending_of_an_export_chooses_its_format() {
+    let Some(gauges) = two([CHIP, CHIP]) else { return };
+    let gauge = format!("{}/BAT0", gauges.at);
+    for (format, ending) in [("toml", "toml"), ("gg.csv", "gg.csv"), ("flashstream", "gm.fs")] {
+        let (chosen, asked) = (gauges.folder.file(&format!("a.{ending}")), gauges.folder.file("asked"));
+        gaugefs(&["export", &gauge, "-o", &chosen]).done();
+        gaugefs(&["export", &gauge, "--format", format, "-o", &asked]).done();
+        let lines = |file: &str| {
+            let text = fs::read_to_string(file).expect("the export");
+            // The time of the export is in a comment.
+            text.lines()
+                .filter(|line| !line.starts_with(['#', ';', '*']))
+                .map(String::from)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(lines(&chosen), lines(&asked), "{ending}");
+        gaugefs(&["lint", &chosen]).done();
+    }
+    let file = gauges.folder.file("b.gm.fs");
+    gaugefs(&["export", &gauge, "--format", "toml", "-o", &file])
+        .troubled(&["--format is toml, but a file of that name is a flashstream"]);
+    let image = gauges.folder.file("b.df.fs");
+    gaugefs(&["export", &gauge, "-o", &image]).troubled(&["ROM mode"]);
+    assert!(!Path::new(&file).exists() && !Path::new(&image).exists());
 }
 
 #[test]
