@@ -951,11 +951,11 @@ mod tests {
         }
     }
 
-    /// A whole file twice, without the lines that count its parameters.
+    /// A whole file twice, without the lines that count its parameters. A FlashStream is a sequence of writes.
     #[test]
-    fn a_parameter_that_is_there_twice_is_refused_in_every_format() {
+    fn a_parameter_that_is_there_twice_is_refused_in_every_format_that_is_none_of_writes() {
         for chip in CHIPS {
-            for format in FORMATS {
+            for format in [Format::Toml, Format::GgCsv] {
                 let counts = ["parameters = ", "* gaugefs parameters", "; gaugefs commands"];
                 let text = written(&defaults(chip), format);
                 let is_count = |line: &str| counts.iter().any(|count| line.starts_with(count));

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Group, Image, Raw, also_in, at_line, check_count, chip_of, romimage};
+use super::{Group, Image, Raw, at_line, check_count, chip_of, romimage};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
@@ -360,6 +360,10 @@ impl Stream {
 
     /// A word for Control(). Key words are never shown, even in an error.
     fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
+        if self.pending.is_none() {
+            // What is read next is its answer.
+            self.address = None;
+        }
         if std::mem::take(&mut self.half_key) && rest.is_empty() {
             return Ok(());
         }
@@ -424,7 +428,7 @@ impl Stream {
         }
         let start = u16::from(self.block) * WINDOW as u16;
         for (at, byte) in window {
-            self.store(class, start + u16::from(at), byte, line)?;
+            self.store(class, start + u16::from(at), byte, line);
         }
         Ok(())
     }
@@ -464,36 +468,58 @@ impl Stream {
                     self.left_out.push(keys);
                 }
             } else {
-                self.store(FLAT, address, byte, line)?;
+                self.store(FLAT, address, byte, line);
             }
         }
         Ok(())
     }
 
-    /// A byte as a line commits it. A parameter that an earlier line has committed is an error: a gauge would keep the
-    /// later value, but nothing shows which of the two is meant.
-    fn store(&mut self, subclass: u8, offset: u16, byte: u8, line: usize) -> Result<(), String> {
+    /// A byte as a line commits it. Of two lines the later one counts, as for a gauge.
+    fn store(&mut self, subclass: u8, offset: u16, byte: u8, line: usize) {
         let before = self.stored.insert((subclass, offset), (byte, line));
-        let Some((_, first)) = before.filter(|(_, first)| *first != line) else { return Ok(()) };
+        let Some((_, first)) = before.filter(|(old, first)| *first != line && *old != byte) else { return };
         let of_id = self.chip.subclasses.iter().filter(|row| row.id == subclass);
         let mut rows = of_id.flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
         let holds = |row: &Parameter| (row.offset..).take(row.kind.size()).any(|at| at == offset);
-        match rows.find(|(_, row)| holds(row)) {
-            Some((class, row)) => Err(also_in(&self.chip.name_of((class, row)), first)),
-            None => Ok(()),
+        let name = match rows.find(|(_, row)| holds(row)) {
+            Some((class, row)) => self.chip.name_of((class, row)),
+            None => format!("{subclass}/{offset}"),
+        };
+        let note = format!("line {line}: {name} has another value in line {first}; the later one counts");
+        if !self.notes.contains(&note) {
+            self.notes.push(note);
         }
     }
 
+    /// A comparison at which a player would stop, because the file itself has written something else.
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
-        let (SUM, [told, ..], false, Some(class)) = (register, bytes, self.is_mac(), self.class) else {
-            return Ok(());
+        let selected = match (self.is_mac(), self.address, self.class) {
+            (true, Some(address), _) => (FLAT, address, address.to_le_bytes()),
+            (false, _, Some(class)) => (class, u16::from(self.block) * WINDOW as u16, [class, self.block]),
+            _ => return Ok(()),
         };
-        match self.sums.get(&(class, self.block)) {
-            Some(sum) if sum != told => {
-                Err(format!("checksum 0x{told:02x} is expected, but the file wrote 0x{sum:02x}"))
+        let (subclass, start, selection) = selected;
+        let (register, bytes) = match (register, bytes) {
+            (SELECT, [low, high, rest @ ..]) if [*low, *high] == selection => (DATA, rest),
+            (DATA..=SUM, bytes) => (register, bytes),
+            _ => return Ok(()),
+        };
+        for (register, &told) in (register..=SUM).zip(bytes) {
+            let wrote = match register {
+                SUM if self.is_mac() => None,
+                SUM => self.sums.get(&(subclass, self.block)).copied(),
+                _ => start
+                    .checked_add(u16::from(register - DATA))
+                    .and_then(|offset| self.stored.get(&(subclass, offset)))
+                    .map(|(byte, _)| *byte),
+            };
+            if let Some(wrote) = wrote.filter(|wrote| *wrote != told) {
+                let what =
+                    if register == SUM { "checksum".into() } else { format!("register 0x{register:02x} =") };
+                return Err(format!("{what} 0x{told:02x} is expected, but the file wrote 0x{wrote:02x}"));
             }
-            _ => Ok(()),
         }
+        Ok(())
     }
 
     /// The stored bytes as parameters, and the rest as raw bytes.
@@ -856,17 +882,58 @@ mod tests {
     }
 
     #[test]
-    fn a_parameter_that_is_committed_twice_is_refused() {
+    fn of_a_parameter_that_is_committed_twice_the_later_value_counts() {
         let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
-        let error = read("bq34z100-g1", &format!("{text};\n{text}")).expect_err("twice").to_string();
-        assert_eq!(error, "line 7: it-cfg/cell-terminate-voltage is also in line 3; remove one of the two");
+        let later = "W: AA 3E 50 01\nW: AA 55 0C 1D\nW: AA 60 79\n";
+        let (entries, notes) = read("bq34z100-g1", &format!("{text};\n{later}")).expect("an image");
+        assert_eq!(entries, ["7 it-cfg/cell-terminate-voltage 3101"]);
+        let note = "line 7: it-cfg/cell-terminate-voltage has another value in line 3; the later one counts";
+        assert!(notes.iter().any(|line| line == note), "{notes:?}");
         let text = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
-        let error = read("bq34110", &text.repeat(2)).expect_err("twice").to_string();
-        assert_eq!(error, "line 4: calibration-data/cc-offset is also in line 2; remove one of the two");
-        // Another parameter of the same block.
-        let other = "W: AA 3E 50 01\nW: AA 57 00 01\nW: AA 60 7A\n";
-        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
-        assert!(read("bq34z100-g1", &format!("{text}{other}")).is_ok());
+        let later = "W: AA 3E 08 40 FB 51\nW: AA 60 6B 06\n";
+        let (entries, notes) = read("bq34110", &format!("{text}{later}")).expect("an image");
+        assert_eq!(entries, ["4 calibration-data/cc-offset -1199"]);
+        assert!(
+            notes.iter().any(|line| line.contains("line 4: calibration-data/cc-offset has")),
+            "{notes:?}"
+        );
+        // The same value once more.
+        let (_, notes) = read("bq34110", &text.repeat(2)).expect("an image");
+        assert!(!notes.iter().any(|line| line.contains("the later one counts")), "{notes:?}");
+    }
+
+    /// A player would stop there.
+    #[test]
+    fn a_comparison_that_contradicts_what_was_written_is_refused() {
+        let block = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\nW: AA 3E 50 01\n";
+        let flat = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\nW: AA 3E 08 40\n";
+        for (chip, text, line, says) in [
+            ("bq34z100-g1", block, "C: AA 55 0C 1C", None),
+            ("bq34z100-g1", block, "C: AA 54 99 0C", None),
+            (
+                "bq34z100-g1",
+                block,
+                "C: AA 55 0C 1D",
+                Some("register 0x56 = 0x1d is expected, but the file wrote 0x1c"),
+            ),
+            ("bq34z100-g1", block, "C: AA 54 99 0D", Some("register 0x55 = 0x0d is expected")),
+            ("bq34z100-g1", block, "C: AA 60 7B", Some("checksum 0x7b is expected, but the file wrote 0x7a")),
+            ("bq34110", flat, "C: AA 3E 08 40 FB 50", None),
+            (
+                "bq34110",
+                flat,
+                "C: AA 40 FB 51",
+                Some("register 0x41 = 0x51 is expected, but the file wrote 0x50"),
+            ),
+            ("bq34110", flat, "C: AA 3E 08 40 FA", Some("register 0x40 = 0xfa is expected")),
+            ("bq34110", flat, "W: AA 3E 02 00\nC: AA 40 01 10", None),
+        ] {
+            match (read(chip, &format!("{text}{line}\n")), says) {
+                (Ok(_), None) => {}
+                (Err(error), Some(says)) => assert!(error.to_string().contains(says), "{line}: {error}"),
+                (read, _) => panic!("{line}: {read:?}"),
+            }
+        }
     }
 
     #[test]
