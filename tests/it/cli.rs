@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 use std::fs::{self, Permissions};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -14,6 +14,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
+use crate::ends::Connections;
 use crate::scratch;
 
 #[cfg(feature = "screen")]
@@ -875,10 +876,14 @@ pub(crate) fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
 /// not even by SIGKILL. Without root, where the kernel's list of connections is not mounted, that is left to chance.
 pub(crate) fn stop(daemon: u32, at: &str) {
     let pid = Pid::from_raw(daemon as i32);
+    let device = fs::metadata(at).expect("a mount").dev();
+    let connections = Connections::mount().ok();
+    let connections = connections.as_ref().map_or(Path::new("/sys/fs/fuse/connections"), |own| &own.0);
+    let waiting = connections.join(nix::sys::stat::minor(device).to_string()).join("waiting");
     for _ in 0..1000 {
         kill(pid, Signal::SIGSTOP).expect("it runs");
         within(Duration::from_secs(60), "stopped", || is_stopped(daemon));
-        if requests(at).is_none_or(|count| count == 0) {
+        if fs::read_to_string(&waiting).map_or(true, |count| count.trim() == "0") {
             return;
         }
         kill(pid, Signal::SIGCONT).expect("it runs");
@@ -896,34 +901,11 @@ fn is_stopped(process: u32) -> bool {
     })
 }
 
-/// How many requests of a mount are not answered yet, as far as that can be known.
-fn requests(at: &str) -> Option<u64> {
-    let table = fs::read_to_string("/proc/self/mountinfo").expect("a table");
-    let at = at.replace(' ', "\\040");
-    let mount = table.lines().rfind(|line| line.split(' ').nth(4) == Some(&*at))?;
-    let connection = mount.split(' ').nth(2)?.split_once(':')?.1;
-    let waiting = |folder: &Path| {
-        let count = fs::read_to_string(folder.join(connection).join("waiting")).ok()?;
-        count.trim().parse().ok()
-    };
-    waiting(Path::new("/sys/fs/fuse/connections")).or_else(|| {
-        let folder = crate::scratch::folder();
-        let kind = Some("fusectl");
-        let mounted = nix::mount::mount(kind, &folder, kind, nix::mount::MsFlags::empty(), None::<&str>);
-        let count = mounted.is_ok().then(|| waiting(&folder)).flatten();
-        if mounted.is_ok() {
-            let _ = nix::mount::umount2(&folder, nix::mount::MntFlags::MNT_DETACH);
-        }
-        let _ = fs::remove_dir(&folder);
-        count
-    })
-}
-
 /// A mount in the foreground, killed when the test ends.
-struct Foreground(Child);
+pub(crate) struct Foreground(pub(crate) Child);
 
 impl Foreground {
-    fn new(mountpoint: &str, more: &[&str]) -> Self {
+    pub(crate) fn new(mountpoint: &str, more: &[&str]) -> Self {
         let arguments = [&["mount", "-f", "--sim", CHIP, mountpoint], more].concat();
         let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
         let present = Path::new(mountpoint).join("BAT0/present");

@@ -28,14 +28,15 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const ABREAST: u64 = 8;
 
 /// The kernel's list of FUSE connections, where each can be aborted.
-struct Connections(PathBuf);
+pub(crate) struct Connections(pub(crate) PathBuf);
 
 impl Connections {
-    fn mount() -> Self {
-        let folder = scratch::folder();
+    /// Mounts it in a folder of its own, which needs root.
+    pub(crate) fn mount() -> nix::Result<Self> {
+        let folder = Self(scratch::folder());
         let kind = Some("fusectl");
-        mount(kind, &folder, kind, MsFlags::empty(), None::<&str>).expect("connections can be aborted");
-        Self(folder)
+        mount(kind, &folder.0, kind, MsFlags::empty(), None::<&str>)?;
+        Ok(folder)
     }
 }
 
@@ -363,7 +364,7 @@ fn a_daemon_ends_on_sigterm_although_its_detached_mount_is_in_use() {
     if !may_abort() {
         return;
     }
-    let connections = Connections::mount();
+    let connections = Connections::mount().expect("connections can be aborted");
     let mut daemon = Daemon::start("detached", &connections);
     let held = File::open(daemon.file("present")).expect("opens");
     umount2(&daemon.place(), MntFlags::MNT_DETACH).expect("detached");
@@ -382,7 +383,7 @@ fn a_daemon_ended_at_any_moment_ends_and_was_truthful() {
     if !may_abort() {
         return;
     }
-    let connections = Connections::mount();
+    let connections = Connections::mount().expect("connections can be aborted");
     let number = |name: &str, usual| {
         std::env::var(name).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{name}: {text}")))
     };

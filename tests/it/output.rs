@@ -10,7 +10,7 @@ use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use crate::cli::{CHIP, Folder, can_mount, command, gaugefs, run};
+use crate::cli::{CHIP, Folder, Foreground, can_mount, command, gaugefs, run, stop};
 
 /// Each command, with arguments that make it print something, or `None` where it prints nothing, or only with hardware.
 fn printing<'a>(
@@ -501,16 +501,6 @@ mod screen {
         gaugefs(&["umount", &at]).done();
     }
 
-    /// A daemon that is killed also if the test fails: a mount whose daemon is stopped cannot be removed.
-    struct Killed(Child);
-
-    impl Drop for Killed {
-        fn drop(&mut self) {
-            let _ = self.0.kill();
-            let _ = self.0.wait();
-        }
-    }
-
     #[test]
     fn regression_what_watches_a_stopped_daemon_ends() {
         if !can_mount() {
@@ -519,10 +509,9 @@ mod screen {
         let folder = Folder::new();
         let at = folder.file("m");
         let gauge = format!("{at}/BAT0");
-        let mut daemon = command(&["mount", "-f", "--sim", CHIP, &at]);
-        let daemon = Killed(daemon.stderr(Stdio::null()).spawn().expect("gaugefs runs"));
-        crate::cli::within(Duration::from_secs(60), "mounted", || std::path::Path::new(&gauge).exists());
-        crate::cli::stop(daemon.0.id(), &at);
+        // Killed also if the test fails: a mount whose daemon is stopped cannot be removed.
+        let daemon = Foreground::new(&at, &[]);
+        stop(daemon.0.id(), &at);
         let lines = [
             &["top", "--json", "--count", "1", &*at][..],
             &["top", "--json", "--count", "2", &gauge],
