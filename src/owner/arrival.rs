@@ -109,7 +109,11 @@ impl Owner {
             Ok(None) => Ok((answers, None)),
             Ok(limited @ Some(Limited::Sibling(_) | Limited::NoTable)) => Ok((answers, limited)),
             Ok(Some(Limited::Unproven)) => {
+                let mut first = Some(answers);
                 let again = agreed(chip.name, || {
+                    if let Some(answers) = first.take() {
+                        return Ok(answers);
+                    }
                     self.gauge.wait(ASK_AGAIN);
                     self.gauge.identify()
                 })?;
