@@ -64,8 +64,8 @@ impl Export {
                 "several gauges need a folder for their files; name one with --output, such as packs/",
             );
         }
-        let format = match output.filter(|_| folder.is_none()).map(|file| self.format_of(file)).transpose() {
-            Ok(format) => format.or(self.format).unwrap_or(FormatName::Toml),
+        let format = match self.format_of(output.filter(|_| folder.is_none())) {
+            Ok(format) => format,
             Err(why) => return misuse(&why),
         };
         if output.is_none_or(is_standard_output) && self.batch.json {
@@ -90,8 +90,8 @@ impl Export {
     }
 
     /// The format of a file, which its ending names. One that is asked for besides has to be the same.
-    fn format_of(&self, file: &Path) -> Result<FormatName, String> {
-        let name = file.display().to_string();
+    fn format_of(&self, file: Option<&Path>) -> Result<FormatName, String> {
+        let name = file.map_or_else(String::new, |file| file.display().to_string());
         let lower = name.to_ascii_lowercase();
         if lower.ends_with(".df.fs") || lower.ends_with(".bq.fs") {
             return Err(format!(
