@@ -91,7 +91,7 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(3, H1, "OpConfigC",   0x00,   0xFF,   0x9F, "flags").unprinted(),
         P::int(4, H1, "OpConfigD",   0x00,   0xFF,   0x23, "flags").bits(OP_CONFIG_D),
     ] },
-    // 20 images have 14 bytes of it.
+    // A public image sets 14 bytes of it, and none sets more.
     Subclass { class: "Configuration", name: "Power", id: 68, length: 14, kind: Reset,
                parameters: &[
         // No driver knows a HIBERNATE of this part; both are probably unused.
@@ -200,7 +200,7 @@ static SUBCLASSES: &[Subclass] = &[
         // In 20 images it is CC Gain times 1193046.5, the ratio of TI's formulae, or half of that.
         P::float(8, "CC Delta", 30_000.0, 3_000_000.0, 799_341.14, "Num").no_default(),
     ] },
-    // Five images have 19 bytes of it.
+    // The images that set it set 19 bytes.
     Subclass { class: "Calibration", name: "Current", id: 107, length: 19, kind: Reset,
                parameters: &[
         // The default in five images, among the bytes that the bq34z100-G1 has at the places of its class 107.

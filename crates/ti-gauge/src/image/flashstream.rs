@@ -897,7 +897,13 @@ mod tests {
             notes.iter().any(|line| line.contains("line 4: calibration-data/cc-offset has")),
             "{notes:?}"
         );
+        // Another parameter of the same block.
+        let text = "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\n";
+        let other = "W: AA 3E 50 01\nW: AA 57 00 01\nW: AA 60 7A\n";
+        let (_, notes) = read("bq34z100-g1", &format!("{text}{other}")).expect("an image");
+        assert!(!notes.iter().any(|line| line.contains("the later one counts")), "{notes:?}");
         // The same value once more.
+        let text = "W: AA 3E 08 40 FB 50\nW: AA 60 6C 06\n";
         let (_, notes) = read("bq34110", &text.repeat(2)).expect("an image");
         assert!(!notes.iter().any(|line| line.contains("the later one counts")), "{notes:?}");
     }
