@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Role, Word};
 use crate::codec;
-use crate::dataflash::{Change, DataFlash, Extras, Outcome, Place, Row};
+use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::text;
@@ -26,8 +26,7 @@ const FEW_READINGS: usize = 4;
 const AFTER_RESET: Duration = Duration::from_millis(1500);
 /// From a request until its first commit there are 16 s; the readings leave some of them.
 const READ_LIMIT: Duration = Duration::from_secs(12);
-/// Until an offset measurement must show, and the longest time that it may take.
-const BEGINS: Duration = Duration::from_secs(2);
+/// The longest time that the measurement of an offset may take.
 const ENDS: Duration = Duration::from_secs(22);
 const LOOK: Duration = Duration::from_millis(100);
 /// The largest current at which an offset is measured, in mA. Board Offset has 8 bits, and a real load's shunt voltage
@@ -331,10 +330,13 @@ impl Task<'_> {
             return Err(Error::new("Current()", Cause::NotNow(why)).at(Step::Check));
         }
         // CC_OFFSET_SAVE stores the offset of the converter in either case.
-        let mut olds = vec![self.value(offset.row)?];
+        let mut rows = vec![row(self.gauge.chip, offset.row)?];
         if offset.row != self.calibration.cc_offset.row {
-            olds.push(self.value(self.calibration.cc_offset.row)?);
+            rows.push(row(self.gauge.chip, self.calibration.cc_offset.row)?);
         }
+        let waited = self.waited();
+        let values = self.dataflash.expect_measured(self.gauge, &rows, waited)?;
+        let olds: Vec<(Row, Value)> = rows.into_iter().zip(values).collect();
         let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
         let was = text::render(kind, &olds[0].1);
         (self.tell)(&format!("the gauge measures {name}, which is {was}; this may take 16 s"));
@@ -344,6 +346,7 @@ impl Task<'_> {
         let after = measured.and_then(|()| readings(self.gauge, Role::CurrentNow, FEW_READINGS));
         let error = match after {
             Ok(after) if after.mean.abs() <= before.mean.abs() + 1.0 => {
+                self.dataflash.accept_measured();
                 let (_, new) = self.value_now(offset.row).map_err(|error| {
                     let why = format!("measured and stored, but then {error}; {name} was {was}");
                     Error::new("", Cause::StateUnknown(why))
@@ -420,9 +423,8 @@ impl Task<'_> {
             }
             self.gauge.wait(wait);
         }
-        let changes: Vec<_> = olds.iter().filter_map(|(row, old)| Change::of_value(*row, old)).collect();
-        match self.dataflash.write(self.gauge, &changes, Duration::ZERO) {
-            Ok(_) => {
+        match self.dataflash.undo_measured(self.gauge) {
+            Ok(()) => {
                 let why = format!("{error}; the old value was restored and verified: {was}");
                 Err(Error::new("", Cause::RolledBack(why)))
             }

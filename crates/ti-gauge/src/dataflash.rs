@@ -34,6 +34,7 @@ mod checks;
 mod erased;
 mod io;
 mod keychange;
+mod measured;
 mod owedseal;
 mod pack;
 mod preflight;
@@ -51,13 +52,14 @@ use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
 use io::{read_subclass, reload, still_open, store, verify_written};
 use keychange::Unfinished;
+pub(crate) use measured::BEGINS;
 use owedseal::OwedSeal;
 use pack::Known;
 pub use pack::distinguishes;
 pub(crate) use preflight::read_word;
 use preflight::{Found, KnownPack, has_lost_memory};
 use schemes::sequence;
-use session::{Session, in_time};
+use session::{Left, Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched};
 use wear::Wear;
@@ -466,7 +468,9 @@ impl DataFlash {
                 log::warn!("{error}");
             }
         }
-        match left {
+        let plan = session.entry.as_ref().and_then(|entry| entry.plan.as_ref());
+        let by_gauge = outcome.is_ok() && plan.is_some_and(|plan| plan.by_gauge);
+        match left.or_else(|| by_gauge.then(|| Left::to_be_judged(session.pack.since()))) {
             None => session.remove_journal(),
             Some(left) => {
                 let journal = session.journal.take();

@@ -48,6 +48,8 @@ const HEAD_2: &str = "gaugefs journal 2";
 const RESET_SENT: &str = "reset sent\n";
 /// Follows a plan of keys once they have been read back.
 pub(crate) const KEYS_WRITTEN: &str = "written\n";
+/// Of a plan whose values the gauge itself measures.
+const BY_GAUGE: &str = "by gauge\n";
 /// Upper limit for the length of a block's line, and of the other lines together.
 const LINE: usize = 160;
 
@@ -108,12 +110,14 @@ pub(crate) struct Entry {
 }
 
 /// What was about to be written.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Plan {
     /// Whether the gauge needs a reset to work with the new values.
     pub(crate) reset: bool,
     /// The reset may have been sent, so that the gauge may work with the new values.
     pub(crate) reset_sent: bool,
+    /// The gauge itself stores what it measures in the written bytes, and it is not yet judged: `new` is not known.
+    pub(crate) by_gauge: bool,
     /// Values that distinguish packs, as far as they had been read.
     pub(crate) marks: Vec<Mark>,
     pub(crate) blocks: Vec<PlannedBlock>,
@@ -564,8 +568,11 @@ fn refused(path: &Path, error: &io::Error) -> Error {
 }
 
 fn render(plan: &Plan) -> String {
-    let Plan { reset, reset_sent: _, marks, blocks, key } = plan;
+    let Plan { reset, reset_sent: _, by_gauge, marks, blocks, key } = plan;
     let mut text = format!("reset {reset}\n");
+    if *by_gauge {
+        text += BY_GAUGE;
+    }
     if let Some(key) = key {
         text += &key.render();
     }
@@ -632,7 +639,7 @@ fn is_begun(text: &str) -> bool {
     let is_last = |word: &str| word.starts_with(last) || last.starts_with(word);
     let is_plan = || lines.is_empty() || parse_plan(lines).is_some();
     is_torn(text)
-        || is_plan() && ["reset ", "by gauge", "keys ", "mark ", "block ", "end "].into_iter().any(is_last)
+        || is_plan() && ["reset ", BY_GAUGE, "keys ", "mark ", "block ", "end "].into_iter().any(is_last)
 }
 
 fn parse_identity(text: &str) -> Option<Identity> {
@@ -646,8 +653,12 @@ fn parse_identity(text: &str) -> Option<Identity> {
 fn parse_plan(text: &str) -> Option<Plan> {
     let mut lines = text.lines();
     let reset = lines.next()?.strip_prefix("reset ")?.parse().ok()?;
-    let (mut marks, mut blocks, mut key) = (Vec::new(), Vec::new(), None);
+    let (mut marks, mut blocks, mut key, mut by_gauge) = (Vec::new(), Vec::new(), None, false);
     for line in lines {
+        if line == BY_GAUGE.trim_end() {
+            by_gauge = true;
+            continue;
+        }
         if let Some(keys) = line.strip_prefix("keys ") {
             key = Some(KeyPlan::parse(keys)?);
             continue;
@@ -657,7 +668,7 @@ fn parse_plan(text: &str) -> Option<Plan> {
             None => blocks.push(parse_block(line.strip_prefix("block ")?)?),
         }
     }
-    Some(Plan { reset, reset_sent: false, marks, blocks, key })
+    Some(Plan { reset, reset_sent: false, by_gauge, marks, blocks, key })
 }
 
 fn parse_mark(line: &str) -> Option<Mark> {
@@ -692,8 +703,20 @@ mod tests {
         let written = Bytes(0x0060_0000);
         let block = PlannedBlock { subclass: 80, base: 32, written, old: [0xa5; 32], new: [7; 32] };
         let marks = vec![Mark { subclass: 104, offset: 4, bytes: vec![1, 2, 0xff, 0] }];
-        let plan =
-            Plan { reset: true, reset_sent: false, marks, blocks: vec![block.clone(), block], key: None };
+        let blocks = vec![block.clone(), block];
+        for by_gauge in [false, true] {
+            let plan = Plan {
+                reset: true,
+                by_gauge,
+                marks: marks.clone(),
+                blocks: blocks.clone(),
+                ..Plan::default()
+            };
+            only_complete(&plan);
+        }
+    }
+
+    fn only_complete(plan: &Plan) {
         let identity =
             Identity { chip: "bq34z100-g1".into(), device_type: 0x100, firmware: 0x202, serial: 1 };
         let machine = Machine::named("bench");
@@ -701,7 +724,7 @@ mod tests {
             "{HEAD}\ngauge i2c-1 address 0x55\npart bq34z100-g1 0100 0202 0001\nfound sealed\n\
              host bench bench bench\n"
         );
-        let text = head.clone() + &render(&plan);
+        let text = head.clone() + &render(plan);
         assert!(text.len() < LINE * 8, "room for two blocks: {}", text.len());
         let nothing = Entry { identity, machine: Some(machine), found: Seal::Sealed, plan: None };
         let entry = Entry { plan: Some(plan.clone()), ..nothing.clone() };
@@ -729,8 +752,7 @@ mod tests {
             ordered: true,
             written: false,
         };
-        let plan =
-            Plan { reset: false, reset_sent: false, marks: vec![], blocks: vec![], key: Some(key.clone()) };
+        let plan = Plan { key: Some(key.clone()), ..Plan::default() };
         let text = format!("{HEAD}\ngauge a\npart bq34z100-g1 0100 0202 0001\nfound sealed\nhost a b c\n")
             + &render(&plan);
         let read = |rest: &str| {

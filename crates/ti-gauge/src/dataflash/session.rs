@@ -70,6 +70,12 @@ impl Left {
     pub(super) fn of(data: bool, why: String) -> Self {
         Self { data, why, is_new: false, certain: None }
     }
+
+    /// What a gauge is about to store that it has measured itself.
+    pub(super) fn to_be_judged(certain: Option<Moment>) -> Self {
+        let why = "the gauge measures and stores values of its own that are not judged yet";
+        Self { certain, ..Self::of(true, why.into()) }
+    }
 }
 
 impl Session {

@@ -14,6 +14,7 @@ use super::assure::Reference;
 use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
 use super::io::{COMMITTED, reload, store, verify_written};
 use super::keychange::way_out;
+use super::measured;
 use super::owedseal::OwedSeal;
 use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
 use super::preflight::{has_lost_memory, read_word};
@@ -689,6 +690,21 @@ impl DataFlash {
         Err(refused)
     }
 
+    /// The session that has left what is pending is going on: nobody has exchanged the gauge if it has answered since.
+    pub(super) fn still_certain(&mut self, gauge: &Gauge) {
+        if let Some((_, left)) = self.pending.as_mut().and_then(|pending| pending.certain.as_mut()) {
+            *left = gauge.clock.now();
+        }
+    }
+
+    /// What is pending has come to a good end.
+    pub(super) fn is_settled(&mut self) {
+        self.pending = None;
+        if let Some(Err(error)) = self.held.take().map(OpenJournal::remove) {
+            log::warn!("{error}");
+        }
+    }
+
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
     /// requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
@@ -754,7 +770,7 @@ pub(super) fn plan(
         let Window { subclass, base } = block.place;
         PlannedBlock { subclass, base, written: block.written, old, new }
     });
-    Plan { reset, reset_sent: false, marks, blocks: blocks.collect(), key: None }
+    Plan { reset, marks, blocks: blocks.collect(), ..Plan::default() }
 }
 
 /// What the gauge says of itself; an error if it is another part.
@@ -767,7 +783,7 @@ pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
 impl Plan {
     /// Nothing but what is known of the pack.
     pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
-        Self { reset: false, reset_sent: false, marks, blocks: Vec::new(), key: None }
+        Self { marks, ..Self::default() }
     }
 }
 
@@ -828,6 +844,9 @@ pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
         for at in secrets(gauge.chip, place).iter() {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
+        for at in block.written.iter().filter(|_| plan.by_gauge) {
+            block.new[at] = stored[at];
+        }
         let held = classify(&block, &stored);
         seen.push(Seen { block, stored, held });
     }
@@ -879,6 +898,9 @@ impl Task<'_> {
                 "a write was interrupted, and the gauge has since lost power and with it its data memory";
             return Ok(Verdict::Done(why.into()));
         }
+        if self.plan.by_gauge {
+            measured::is_over(gauge)?;
+        }
         let moment = gauge.moment();
         let seen = look(gauge, self.plan)?;
         let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
@@ -892,6 +914,11 @@ impl Task<'_> {
         } else {
             match self.doubt(gauge, &seen)? {
                 Doubt::None => session.pack.certain_since(moment),
+                Doubt::Weak if self.plan.by_gauge && !all(Held::Old) => {
+                    let why = "it was not judged what the gauge has measured and stored, and this gauge has the serial \
+                               number and the calibration of every new one, so it may be another pack";
+                    return Ok(Verdict::Undecided(why.into()));
+                }
                 // Flash is not touched, whichever gauge it is. A reset may seal it.
                 Doubt::Weak if whole && opens_again(gauge) => {
                     session.pack.certain_since(moment);
@@ -927,16 +954,26 @@ impl Task<'_> {
         let forward = match self.decision {
             Some(Decision::Finish) => true,
             Some(Decision::Undo | Decision::Discard) => false,
-            None => intact && all(Held::New),
+            None => intact && all(Held::New) && !self.plan.by_gauge,
         };
+        if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
+            let why = "what the gauge has measured was lost while it was stored: it can only be undone";
+            return Ok(Verdict::Undecided(why.into()));
+        }
         if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
             return Ok(done("a write was interrupted; data flash holds the old values".into()));
         }
         let settled =
             if forward { self.finish(gauge, session, &seen) } else { self.undo(gauge, session, &seen) };
-        let message = match forward {
-            true => "a write was interrupted after its last block; it has been finished and verified",
-            false => "a write was interrupted half way; the old values were restored and verified",
+        let message = match (forward, self.plan.by_gauge) {
+            (true, false) => {
+                "a write was interrupted after its last block; it has been finished and verified"
+            }
+            (false, false) => "a write was interrupted half way; the old values were restored and verified",
+            (true, true) => "what the gauge has measured and stored was kept",
+            (false, true) => {
+                "what the gauge has measured and stored was not judged; the old values were restored and verified"
+            }
         };
         let unknown = |error: Error| {
             Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use ti_gauge::calibration::{Job, run};
-use ti_gauge::dataflash::{DataFlash, Limits};
+use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::Seal;
 
@@ -441,4 +441,139 @@ fn a_host_that_starts_again_leaves_the_calibration_mode_of_an_interrupted_write(
     restart(&rig, &folder, None);
     let (seal, status) = rig.gauge.control_status().expect("it answers");
     assert_eq!((seal, status & 0x1000), (Seal::Sealed, 0));
+}
+
+/// A host that loses power at any transfer of the measurement of an offset, which the gauge itself stores. The next one
+/// finds old values, or what the gauge has measured is undone, unless it had been judged before.
+#[test]
+fn an_offset_that_nobody_has_judged_does_not_outlive_its_host() {
+    let cases = [
+        Case {
+            chip: "bq34z100-g1",
+            knobs: &[("board_offset_ma", "8")],
+            job: Job::BoardOffset,
+            found: Seal::Sealed,
+        },
+        Case {
+            chip: "bq34z100-r2",
+            knobs: &[("cc_offset_ma", "7")],
+            job: Job::CcOffset,
+            found: Seal::Unsealed,
+        },
+    ];
+    let folder = Folder::new("offsets");
+    for case in cases {
+        let start = |rig: &Rig, cut| {
+            host(rig, &folder, cut, |dataflash, gauge| {
+                run(dataflash, gauge, &case.job, Duration::ZERO, &mut |_| {})
+            })
+        };
+        let plain = case.rig();
+        let old = plain.sim.flash();
+        let (done, transfers) = start(&plain, None);
+        done.expect("no power cut").expect("no fault");
+        let new = plain.sim.flash();
+        assert!(old != new && folder.files().is_empty(), "{:?}", folder.files());
+        let (mut undone, mut judged, mut untouched) = (0, 0, 0);
+        for cut in (1..=transfers).flat_map(|at| [(at, false), (at, true)]) {
+            let rig = case.rig();
+            let (outcome, _) = start(&rig, Some(cut));
+            assert!(outcome.is_none_or(|outcome| outcome.is_ok()), "{cut:?}");
+            let journals =
+                folder.files().into_iter().map(|file| std::fs::read_to_string(folder.path().join(file)));
+            let waits =
+                journals.map(|text| text.expect("it is text")).any(|text| text.contains("\nby gauge\n"));
+            let stored = rig.sim.flash() != old;
+            rig.clock.sleep(Duration::from_secs(20));
+            let (said, _) = restart(&rig, &folder, None);
+            let flash = rig.sim.flash();
+            let kept = flash == new;
+            match (waits, stored) {
+                (false, true) => {
+                    assert!(kept, "{cut:?}: {said:?}");
+                    judged += 1;
+                }
+                (true, true) => {
+                    assert!(flash == old, "{cut:?}: {said:?}");
+                    let said = said.clone().flatten().unwrap_or_default();
+                    assert!(said.contains("was not judged; the old values were restored"), "{cut:?}: {said}");
+                    undone += 1;
+                }
+                (_, false) => {
+                    assert!(flash == old, "{cut:?}: {said:?}");
+                    untouched += 1;
+                }
+            }
+            let mut rig = rig;
+            assert_eq!((rig.seal(), folder.files()), (case.found, vec![]), "{cut:?}: {said:?}");
+            assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"), "{cut:?}");
+        }
+        assert!(
+            undone > 0 && judged > 0 && untouched > 0,
+            "{undone} undone, {judged} judged, {untouched} untouched"
+        );
+    }
+}
+
+/// A pack as it left the factory cannot be told from another one: a person decides, and sees what the gauge holds.
+#[test]
+fn an_offset_of_a_new_pack_that_nobody_has_judged_waits_for_a_person() {
+    for (decision, kept) in [(Decision::Undo, false), (Decision::Finish, true)] {
+        let folder = Folder::new("new-offset");
+        let interrupted = |at| {
+            let rig = Rig::new("bq34z100-g1");
+            rig.sim.set("board_offset_ma", "8").expect("a knob");
+            let old = rig.sim.flash();
+            let _ = std::fs::remove_dir_all(folder.path());
+            let (done, _) = host(&rig, &folder, Some((at, true)), |dataflash, gauge| {
+                run(dataflash, gauge, &Job::BoardOffset, Duration::ZERO, &mut |_| {})
+            });
+            assert!(done.is_none(), "stored before transfer {at}");
+            (rig.sim.flash() != old).then_some((rig, old))
+        };
+        let (mut rig, old) = (1..).find_map(interrupted).expect("it stores something");
+        rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        rig.clock.sleep(Duration::from_secs(20));
+        let new = rig.sim.flash();
+        let error = rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect_err("it may be another pack");
+        assert_eq!(cause(&error), "Busy", "{error}");
+        assert!(error.to_string().contains("not judged") && rig.sim.flash() == new, "{error}");
+        let shown = rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it answers");
+        assert!(shown.contains("Board Offset"), "{shown}");
+        rig.dataflash.decide(&mut rig.gauge, decision, Duration::ZERO).expect("no fault");
+        assert_eq!(rig.sim.flash() == new, kept, "{decision:?}");
+        assert_eq!(rig.sim.flash() == old, !kept, "{decision:?}");
+        assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
+    }
+}
+
+/// The gauge stores its result at the end of a measurement, which would undo what was put back before.
+#[test]
+fn an_offset_that_is_still_measured_is_not_settled_yet() {
+    let folder = Folder::new("still-measured");
+    let case = || {
+        let knobs = &[("board_offset_ma", "8")];
+        Case { chip: "bq34z100-g1", knobs, job: Job::BoardOffset, found: Seal::Sealed }.rig()
+    };
+    let old = case().sim.flash();
+    let is_running = |rig: &mut Rig| rig.gauge.control_status().expect("it answers").1 & 0x0C00 != 0;
+    let mut at = 0;
+    let mut rig = loop {
+        at += 1;
+        let mut rig = case();
+        let _ = std::fs::remove_dir_all(folder.path());
+        let (done, _) = host(&rig, &folder, Some((at, true)), |dataflash, gauge| {
+            run(dataflash, gauge, &Job::BoardOffset, Duration::ZERO, &mut |_| {})
+        });
+        assert!(done.is_none(), "it never measures");
+        if is_running(&mut rig) {
+            break rig;
+        }
+    };
+    rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+    let error = rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect_err("it measures");
+    assert!(cause(&error) == "NotNow" && error.to_string().contains("still measures its offset"), "{error}");
+    rig.clock.sleep(Duration::from_secs(20));
+    rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("it is over");
+    assert_eq!((rig.sim.flash() == old, rig.seal(), folder.files()), (true, Seal::Sealed, vec![]));
 }

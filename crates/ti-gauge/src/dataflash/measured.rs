@@ -1,0 +1,92 @@
+//! Values that the gauge itself measures and stores, as the offsets of a calibration. What it is going to store is not
+//! known before, and whether it is right only shows afterwards. Until then the old values are owed, as after an
+//! interrupted write: whoever settles that puts them back.
+
+use std::time::Duration;
+
+use super::blocks::gather;
+use super::session::{Session, in_time};
+use super::settle;
+use super::{Change, DataFlash, Place, Row, old_bytes};
+use crate::chip::Kind;
+use crate::codec;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, agreed};
+use crate::journal::Plan;
+use crate::value::Value;
+
+/// Until it shows that the gauge measures.
+pub(crate) const BEGINS: Duration = Duration::from_secs(2);
+
+impl DataFlash {
+    /// Records that the gauge is about to store values of its own in these rows. Returns the old values.
+    pub(crate) fn expect_measured(
+        &mut self,
+        gauge: &mut Gauge,
+        rows: &[Row],
+        waited: Duration,
+    ) -> Result<Vec<Value>> {
+        let waited = self.settle_first(gauge, waited)?;
+        in_time(gauge, waited, |gauge, asked| {
+            gauge.claim()?;
+            let mut session = Session::new(gauge.seal_anew()?, asked);
+            session.pack.begin(gauge);
+            self.owe(gauge, &mut session, rows.len())?;
+            let noted = session.open(gauge).and_then(|()| self.note_measured(gauge, rows, &mut session));
+            self.end(session, gauge, noted)
+        })
+    }
+
+    fn note_measured(
+        &mut self,
+        gauge: &mut Gauge,
+        rows: &[Row],
+        session: &mut Session,
+    ) -> Result<Vec<Value>> {
+        if let Some(row) = self.learn_marks(gauge)? {
+            return Err(self.other_pack(gauge, row));
+        }
+        let as_they_are = rows.iter().map(|&row| {
+            let bytes = vec![0; row.1.kind.size()];
+            Change { place: Place::of(row), bytes, row: Some(row), saved: false }
+        });
+        let as_they_are: Vec<Change> = as_they_are.collect();
+        let mut blocks = gather(gauge, &as_they_are)?;
+        blocks.iter_mut().for_each(|block| block.new = block.old);
+        blocks.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
+        let olds = as_they_are
+            .iter()
+            .zip(rows)
+            .map(|(change, (_, parameter))| codec::decode(parameter.kind, &old_bytes(change, &blocks)));
+        let olds = olds.collect();
+        let neighbours = self.neighbours(gauge, &blocks)?;
+        let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
+        let plan = settle::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
+        self.note(session, Plan { by_gauge: true, ..plan })?;
+        blocks.iter().for_each(|block| self.known.forget(block.place));
+        Ok(olds)
+    }
+
+    /// What the gauge has stored is right.
+    pub(crate) fn accept_measured(&mut self) {
+        self.is_settled();
+    }
+
+    /// Puts the old values back.
+    pub(crate) fn undo_measured(&mut self, gauge: &mut Gauge) -> Result<()> {
+        self.still_certain(gauge);
+        self.settle(gauge, Duration::ZERO).map(drop)
+    }
+}
+
+/// Makes sure that the gauge does not measure any more: it would store its result later.
+pub(super) fn is_over(gauge: &mut Gauge) -> Result<()> {
+    let Some(calibration) = gauge.chip.calibration else { return Ok(()) };
+    gauge.wait(BEGINS);
+    let running = calibration.board_offset.running | calibration.cc_offset.running;
+    if agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & running != 0))? {
+        let why = "it still measures its offset, which may take 16 s; try again then";
+        return Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check));
+    }
+    Ok(())
+}
