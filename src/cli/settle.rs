@@ -14,7 +14,9 @@ A write that was interrupted is settled by itself where the gauge is certainly t
 Where it is not, nothing is touched and every further write is refused until you decide. Without an
 option this command shows what is known: each parameter with its old value, its new one, and what the
 gauge has now. A change of keys that was interrupted is finished or undone with its two keys, which no
-journal has: this command shows which keys the gauge has, and what to type. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
+journal has: this command shows which keys the gauge has, and what to type. What is written is what was shown: if the
+gauge has changed since, nothing is. On a pack that is not the one the write was begun on, --undo and --finish ask for
+its serial number. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
 
 Examples:
   gaugefs settle /run/gauges/BAT0             what is there to settle
@@ -27,14 +29,17 @@ pub(super) struct Settle {
     /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
     /// Write the old values, verify them and reset the gauge
-    #[arg(long, conflicts_with_all = ["finish", "discard"])]
+    #[arg(long, group = "writes", conflicts_with = "discard")]
     undo: bool,
     /// Write the new values, verify them and reset the gauge
-    #[arg(long, conflicts_with = "discard")]
+    #[arg(long, group = "writes", conflicts_with = "discard")]
     finish: bool,
     /// Leave data flash as it is; the journal is kept under another name
     #[arg(long)]
     discard: bool,
+    /// The serial number of the pack, if it is another one than the write was begun on
+    #[arg(long, value_name = "NUMBER", requires = "writes")]
+    serial: Option<String>,
 }
 
 impl Settle {
@@ -50,7 +55,8 @@ impl Settle {
         if !self.discard {
             mounted::poll(&self.gauge)?;
         }
-        let told = exchange(&self.gauge, word)?;
+        let words = self.serial.map_or(word.to_string(), |serial| format!("{word} {serial}"));
+        let told = exchange(&self.gauge, &words)?;
         // What was decided is done, whether it can be printed or not.
         print(&format!("{}\n", told.trim_end())).map_err(|error| match word {
             "show" => error,

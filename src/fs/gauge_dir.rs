@@ -411,17 +411,26 @@ fn seal(data: &[u8]) -> Result<Seal> {
     found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
 }
 
-/// `show`, or what somebody has decided about an interrupted write.
+/// `show`, or what somebody has decided about an interrupted write, with the serial number of the pack if it is meant
+/// for another one.
 fn decision(data: &[u8]) -> Result<Option<Decision>> {
-    match &*text(data).to_ascii_lowercase() {
-        "show" => Ok(None),
-        "undo" => Ok(Some(Decision::Undo)),
-        "finish" => Ok(Some(Decision::Finish)),
-        "discard" => Ok(Some(Decision::Discard)),
-        _ => Err(Error::new(
-            "settle",
-            Cause::Invalid("not a decision; write show, undo, finish or discard".into()),
-        )),
+    let usage = "not a decision; write show, undo, finish or discard; undo and finish may be followed by the pack's \
+                 serial number";
+    let bad = || Error::new("settle", Cause::Invalid(usage.into()));
+    let words = text(data).to_ascii_lowercase();
+    let mut words = words.split_ascii_whitespace();
+    let (word, number) = (words.next().unwrap_or_default(), words.next());
+    let pack = match number.map(|number| (number, number.strip_prefix("0x"))) {
+        None => None,
+        Some((_, Some(digits))) => Some(u16::from_str_radix(digits, 16).map_err(|_| bad())?),
+        Some((digits, None)) => Some(digits.parse().map_err(|_| bad())?),
+    };
+    match (word, pack, words.next()) {
+        ("show", None, None) => Ok(None),
+        ("undo", pack, None) => Ok(Some(Decision::Undo(pack))),
+        ("finish", pack, None) => Ok(Some(Decision::Finish(pack))),
+        ("discard", None, None) => Ok(Some(Decision::Discard)),
+        _ => Err(bad()),
     }
 }
 

@@ -61,7 +61,7 @@ use preflight::{Found, KnownPack, has_lost_memory};
 use schemes::sequence;
 use session::{Left, Session, in_time};
 pub use settle::{Decision, Owed};
-use settle::{Pending, Searched};
+use settle::{Pending, Searched, Shown};
 use wear::Wear;
 
 /// A place in data flash.
@@ -146,6 +146,8 @@ pub struct DataFlash {
     fingerprint: Known,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
+    /// What was last shown of it.
+    shown: Option<Shown>,
     /// Its journal, locked while this process may go on with it.
     held: Option<OpenJournal>,
     /// How far the journals of other gauges have been compared with this one, and those that are not of it.

@@ -192,7 +192,8 @@ pub(crate) fn run(input: &[u8]) {
             engine.gauge = gauge();
             engine.dataflash = dataflash();
             engine.access(|dataflash, gauge| dataflash.examine(gauge, Duration::ZERO).map(drop));
-            let decision = [Decision::Undo, Decision::Finish, Decision::Discard][usize::from(access) % 3];
+            let decision =
+                [Decision::Undo(None), Decision::Finish(None), Decision::Discard][usize::from(access) % 3];
             engine.access(|dataflash, gauge| dataflash.decide(gauge, decision, Duration::ZERO).map(drop));
         }
     }

@@ -26,7 +26,7 @@ pub(crate) fn run(input: &[u8]) {
         input.windows(part.len()).any(|window| window == part.as_bytes())
     });
     let name = named.unwrap_or("bq34z100-g1");
-    for decision in [None, Some(Decision::Undo), Some(Decision::Finish)] {
+    for decision in [None, Some(Decision::Undo(None)), Some(Decision::Finish(None))] {
         settle(name, &input, decision);
     }
 }

@@ -82,15 +82,44 @@ pub struct Owed<'a> {
     pub keys: &'a [Name],
 }
 
-/// What a person may decide about an interrupted write.
+/// What a person may decide about an interrupted write. What is written to another pack than it was begun on takes that
+/// pack's serial number, as SerialNumber() has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Write the old values.
-    Undo,
+    Undo(Option<u16>),
     /// Write the new values.
-    Finish,
+    Finish(Option<u16>),
     /// Leave the gauge as it is, and put the journal aside.
     Discard,
+}
+
+impl Decision {
+    /// The pack that it names.
+    fn pack(self) -> Option<u16> {
+        match self {
+            Self::Undo(pack) | Self::Finish(pack) => pack,
+            Self::Discard => None,
+        }
+    }
+}
+
+/// What a person was shown of an interrupted write, by which a decision is meant.
+#[derive(Clone, Debug)]
+pub(super) struct Shown {
+    entry: Entry,
+    identity: Identity,
+    blocks: Vec<[u8; WINDOW]>,
+}
+
+impl Shown {
+    /// Whether a gauge is what was shown, but for what it has learned since.
+    fn is(&self, identity: &Identity, seen: &[Seen]) -> bool {
+        let same = |(shown, seen): (&[u8; WINDOW], &Seen)| {
+            (0..WINDOW).all(|at| shown[at] == seen.stored[at] || seen.block.learned.has(at))
+        };
+        self.identity == *identity && self.blocks.iter().zip(seen).all(same)
+    }
 }
 
 /// Which content a block has.
@@ -127,6 +156,15 @@ enum Doubt {
     /// Another pack answers.
     Exchanged(String),
     Because(String, Match),
+}
+
+/// Which gauge somebody has decided about.
+enum Chosen {
+    Itself,
+    /// Another one, named for the message.
+    Another(String),
+    /// Not this one; the text says why.
+    Not(String),
 }
 
 /// A planned block, what the gauge has in its place, and which content that is.
@@ -414,7 +452,7 @@ impl DataFlash {
             "begun on {chip}, firmware 0x{firmware:04x}, serial number 0x{serial:04x}, found {}\n",
             entry.found.as_str()
         );
-        let plan = entry.plan.as_ref().filter(|_| !entry.owes_seal());
+        let plan = entry.plan.clone().filter(|_| !entry.owes_seal());
         let Some(plan) = plan else { return Ok(text + "nothing had been written\n") };
         if let Some(key) = &plan.key {
             // The keys that the gauge has were found out when it was tried to settle this.
@@ -427,11 +465,28 @@ impl DataFlash {
         }
         in_time(gauge, waited, |gauge, asked| {
             self.identity = None;
+            let now = self.identity(gauge)?;
             let found = gauge.seal_anew()?;
             let mut session = Session::new(found, asked);
-            let look = session.open(gauge).and_then(|()| look(gauge, plan));
-            let seen = session.close(gauge, look).0?;
-            Ok(text + &table(gauge.chip, &seen))
+            let look = session.open(gauge).and_then(|()| {
+                let seen = look(gauge, &plan)?;
+                let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
+                Ok((seen, same))
+            });
+            let (seen, same) = session.close(gauge, look).0?;
+            if let Match::Other(name) = same {
+                text += &match number_of(gauge.chip, &now) {
+                    Some(serial) => format!(
+                        "{name} is not what it was then: this is another pack, serial number {serial}; to write to it all \
+                         the same, add --serial {serial}\n"
+                    ),
+                    None => format!("{name} is not what it was then: this is another pack\n"),
+                };
+            }
+            let blocks = seen.iter().map(|seen| seen.stored).collect();
+            text += &table(gauge.chip, &seen);
+            self.shown = Some(Shown { entry, identity: now, blocks });
+            Ok(text)
         })
     }
 
@@ -446,9 +501,12 @@ impl DataFlash {
             return sealed?.ok_or_else(nothing);
         };
         let key = pending.plan().and_then(|plan| plan.key).filter(|key| !key.is_over());
-        if let Some(key) = key.filter(|_| decision == Decision::Finish || decision == Decision::Undo)
-            && (decision == Decision::Finish || self.unfinished.is_none())
-        {
+        let needs_keys = match decision {
+            Decision::Finish(_) => true,
+            Decision::Undo(_) => self.unfinished.is_none(),
+            Decision::Discard => false,
+        };
+        if let Some(key) = key.filter(|_| needs_keys) {
             let why = format!("no journal has keys: {}", way_out(&key.names));
             return Err(Error::new(gauge.chip.name, Cause::NotPermitted(why)));
         }
@@ -625,7 +683,9 @@ impl DataFlash {
                 open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
                     let then = &entry.identity;
                     let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
-                    let task = Task { plan, then, now: &identity, watched, certain, decision, elsewhere };
+                    let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
+                    let task =
+                        Task { plan, then, now: &identity, watched, certain, decision, shown, elsewhere };
                     task.run(gauge, &mut session)
                 })
             }
@@ -883,6 +943,8 @@ struct Task<'a> {
     /// See [`Pending::certain`].
     certain: Option<Moment>,
     decision: Option<Decision>,
+    /// What was shown of it.
+    shown: Option<&'a Shown>,
     /// It was begun at another place, or waits for its pack.
     elsewhere: bool,
 }
@@ -907,8 +969,13 @@ impl Task<'_> {
         let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
         let whole = intact && (all(Held::Old) || all(Held::New));
         let mut done: fn(String) -> Verdict = Verdict::Done;
-        if self.decision.is_some() {
-            // Whichever it is: a person has seen what it holds.
+        let mut another = None;
+        if let Some(decision) = self.decision {
+            another = match self.chosen(gauge, decision, &seen)? {
+                Chosen::Itself => None,
+                Chosen::Another(pack) => Some(pack),
+                Chosen::Not(why) => return Ok(Verdict::Undecided(why)),
+            };
             session.pack.pack = Some(self.present(gauge)?);
             session.pack.certain_since(moment);
         } else {
@@ -952,8 +1019,8 @@ impl Task<'_> {
             session.begin(gauge)?;
         }
         let forward = match self.decision {
-            Some(Decision::Finish) => true,
-            Some(Decision::Undo | Decision::Discard) => false,
+            Some(Decision::Finish(_)) => true,
+            Some(Decision::Undo(_) | Decision::Discard) => false,
             None => intact && all(Held::New) && !self.plan.by_gauge,
         };
         if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
@@ -961,6 +1028,12 @@ impl Task<'_> {
             return Ok(Verdict::Undecided(why.into()));
         }
         if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
+            if let Some(pack) = another {
+                let why = format!(
+                    "another pack than an interrupted write was begun on, {pack}, has the old values already"
+                );
+                return Ok(Verdict::Plausible(why));
+            }
             return Ok(done("a write was interrupted; data flash holds the old values".into()));
         }
         let settled =
@@ -978,6 +1051,14 @@ impl Task<'_> {
         let unknown = |error: Error| {
             Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
         };
+        if let Some(pack) = another {
+            let values = if forward { "new values" } else { "values from before" };
+            let message = format!(
+                "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
+                 verified"
+            );
+            return settled.map(|()| Verdict::Plausible(message)).map_err(unknown);
+        }
         let erased = seen.iter().any(|seen| {
             let secrets = secrets(chip, seen.block.place);
             holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
@@ -992,12 +1073,41 @@ impl Task<'_> {
         settled.map(|()| done(format!("{message}{keys}"))).map_err(unknown)
     }
 
+    /// Whether the gauge is the one about which a person has decided.
+    fn chosen(&self, gauge: &mut Gauge, decision: Decision, seen: &[Seen]) -> Result<Chosen> {
+        let look = "look at it with gaugefs settle GAUGE before you decide";
+        if self.shown.is_some_and(|shown| !shown.is(self.now, seen)) {
+            let why = format!("this is not what was shown: another pack, or it has changed since; {look}");
+            return Ok(Chosen::Not(why));
+        }
+        let number = number_of(gauge.chip, self.now);
+        if let Some(pack) = decision.pack()
+            && (number.is_none() || pack != self.now.serial)
+        {
+            let number = number.unwrap_or("none".into());
+            return Ok(Chosen::Not(format!(
+                "the serial number of this pack is {number}, not 0x{pack:04x}; {look}"
+            )));
+        }
+        let Match::Other(name) = compare_seen(gauge, [self.then, self.now], self.plan, seen)? else {
+            return Ok(Chosen::Itself);
+        };
+        Ok(match (number, decision.pack(), self.shown) {
+            (Some(number), Some(_), _) => Chosen::Another(format!("serial number {number}")),
+            (None, _, Some(_)) => Chosen::Another("which was shown before".into()),
+            (Some(number), None, _) => Chosen::Not(format!(
+                "{name} is not what it was then: this is another pack, serial number {number}; to write to it all the same, \
+                 add --serial {number}"
+            )),
+            (None, _, None) => {
+                Chosen::Not(format!("{name} is not what it was then: this is another pack; {look}"))
+            }
+        })
+    }
+
     /// Why nothing may be written without being told to.
     fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Doubt> {
-        let same = compare(gauge.chip, self.then, self.now, self.plan, |place| {
-            let seen = seen.iter().find(|seen| seen.block.place == place);
-            seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
-        })?;
+        let same = compare_seen(gauge, [self.then, self.now], self.plan, seen)?;
         if self.elsewhere && same != Match::Certain {
             // What the interruption leaves: some of it new, or erased.
             let erased = seen.iter().any(|seen| seen.block.is_erased(&seen.stored));
@@ -1086,6 +1196,19 @@ impl Task<'_> {
         }
         seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
     }
+}
+
+/// Compares a gauge with the one of a plan, whose blocks have been looked at.
+fn compare_seen(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, seen: &[Seen]) -> Result<Match> {
+    compare(gauge.chip, then, now, plan, |place| {
+        let seen = seen.iter().find(|seen| seen.block.place == place);
+        seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
+    })
+}
+
+/// The serial number of a gauge, if it has one, as it is shown.
+fn number_of(chip: &Chip, identity: &Identity) -> Option<String> {
+    chip.serial_register().map(|_| format!("0x{:04x}", identity.serial))
 }
 
 /// Whether the gauge can be opened again after it was sealed.

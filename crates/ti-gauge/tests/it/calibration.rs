@@ -518,7 +518,7 @@ fn an_offset_that_nobody_has_judged_does_not_outlive_its_host() {
 /// A pack as it left the factory cannot be told from another one: a person decides, and sees what the gauge holds.
 #[test]
 fn an_offset_of_a_new_pack_that_nobody_has_judged_waits_for_a_person() {
-    for (decision, kept) in [(Decision::Undo, false), (Decision::Finish, true)] {
+    for (decision, kept) in [(Decision::Undo(None), false), (Decision::Finish(None), true)] {
         let folder = Folder::new("new-offset");
         let interrupted = |at| {
             let rig = Rig::new("bq34z100-g1");

@@ -355,7 +355,7 @@ fn run(seed: u64, draw: &Draw) -> std::result::Result<Vec<String>, String> {
             return Err(format!("{outcome:?}, then, back, {error} <- {at}"));
         }
         told.push("back: left for a person to decide".into());
-        let undone = host.1.decide(&mut host.0, Decision::Undo, Duration::ZERO);
+        let undone = host.1.decide(&mut host.0, Decision::Undo(None), Duration::ZERO);
         undone.map_err(|error| format!("{outcome:?}, then undone: {error} <- {at}"))?;
     }
     let now = scene.first.sim.flash();

@@ -513,7 +513,7 @@ fn regression_a_power_cut_in_a_change_of_keys_cannot_be_settled() {
                         // Nothing else is written, and no wrong key is sent again and again.
                         let wrong = rig.clock.now();
                         rig.dataflash
-                            .decide(&mut rig.gauge, Decision::Finish, Duration::ZERO)
+                            .decide(&mut rig.gauge, Decision::Finish(None), Duration::ZERO)
                             .expect_err("no keys");
                         let row = rig.gauge.chip.subclasses.iter().find(|row| row.kind != Kind::Security);
                         let place = (row.expect("a subclass").id, row.expect("a subclass").start()).into();

@@ -55,7 +55,7 @@ fn is_left_to_a_person(rig: &mut Rig, folder: &Folder, at: &str) {
     assert!(owed.needs_decision && owed.why.contains("gaugefs settle"), "{at}: {}", owed.why);
     assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(at)), "Busy", "{at}");
     assert!(rig.sim.flash() == flash, "{at}");
-    rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect(at);
+    rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO).expect(at);
     assert_eq!(rig.read(48, 11), Ok(vec![0x03, 0xe8]), "{at}");
     assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
     rig.write(58, 3, "0x5a").expect(at);

@@ -282,20 +282,33 @@ fn owed_reason(error: &str) -> String {
 #[test]
 fn a_person_decides_what_becomes_of_a_stale_journal() {
     for (name, stale) in STALE {
-        for decision in [Decision::Undo, Decision::Finish, Decision::Discard] {
+        let pack = (name == "another pack").then_some(1);
+        for decision in [Decision::Undo(pack), Decision::Finish(pack), Decision::Discard] {
             let at = format!("{name}, {decision:?}");
             let folder = Folder::new("decided");
             let mut rig = stale(&folder);
             rig.start(&folder);
             rig.arrive().expect_err(name);
             let (flash, journal) = (rig.sim.flash(), folder.text());
+            for wrong in [Decision::Undo(None), Decision::Finish(None), Decision::Undo(Some(2))] {
+                if pack.is_some() || wrong == Decision::Undo(Some(2)) {
+                    let error = rig.dataflash.decide(&mut rig.gauge, wrong, Duration::ZERO).expect_err(&at);
+                    let says = if wrong == Decision::Undo(Some(2)) {
+                        "0x0001, not 0x0002"
+                    } else {
+                        "--serial 0x0001"
+                    };
+                    assert!(cause(&error) == "Busy" && error.to_string().contains(says), "{at}: {error}");
+                    assert!(rig.sim.flash() == flash && folder.text() == journal, "{at}: {error}");
+                }
+            }
             let said = rig.dataflash.decide(&mut rig.gauge, decision, Duration::ZERO);
             let said = said.unwrap_or_else(|error| panic!("{at}: {error}"));
             let values = (rig.read(48, 11).expect("a read"), rig.read(80, 53).expect("a read"));
             let (old, new) = (vec![0x03, 0xe8], vec![0x08, 0x98]);
             match decision {
-                Decision::Undo => assert_eq!(values, (old, vec![0x0b, 0xb8]), "{at}: {said}"),
-                Decision::Finish => assert_eq!(values, (new, vec![0x0c, 0x1c]), "{at}: {said}"),
+                Decision::Undo(_) => assert_eq!(values, (old, vec![0x0b, 0xb8]), "{at}: {said}"),
+                Decision::Finish(_) => assert_eq!(values, (new, vec![0x0c, 0x1c]), "{at}: {said}"),
                 Decision::Discard => assert!(rig.sim.flash() == flash, "{at}: {said}"),
             }
             // Nothing but what `examine` shows is changed.
@@ -308,12 +321,43 @@ fn a_person_decides_what_becomes_of_a_stale_journal() {
                     let kept = folder.journal().path().with_extension("dismissed");
                     assert_eq!(fs::read_to_string(kept).ok(), journal, "{at}");
                 }
+                // The pack of the journal may come back.
+                _ if pack.is_some() => {
+                    assert_eq!(folder.files(), ["i2c-1-55.waiting"], "{at}");
+                    assert!(!said.contains("restored") && said.contains("another pack"), "{at}: {said}");
+                    assert!(said.contains("serial number 0x0001"), "{at}: {said}");
+                }
                 _ => assert_eq!(folder.files(), Vec::<String>::new(), "{at}"),
             }
             assert_eq!(rig.seal(), Seal::Sealed, "{at}");
             assert!(rig.write(58, 3, "0x5a").is_ok(), "{at}");
         }
     }
+}
+
+/// A decision is about the pack that was shown. Another one that has taken its place meanwhile is not written to, also if
+/// neither can be told from the pack of the journal.
+#[test]
+fn what_was_decided_of_one_pack_is_not_done_to_another() {
+    let folder = Folder::new("shown");
+    let mut rig = another_factory_pack(&folder);
+    rig.start(&folder);
+    rig.arrive().expect_err("a person decides");
+    rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it can be read");
+    let shown = rig.sim.flash();
+    rig.sim.set_flash(48, 15, &(-200_i16).to_be_bytes());
+    let (flash, journal) = (rig.sim.flash(), folder.text());
+    for decision in [Decision::Undo(None), Decision::Finish(None), Decision::Undo(Some(1))] {
+        let error =
+            rig.dataflash.decide(&mut rig.gauge, decision, Duration::ZERO).expect_err("it is not that");
+        assert!(error.to_string().contains("not what was shown"), "{error}");
+        assert!(rig.sim.flash() == flash && folder.text() == journal, "{error}");
+    }
+    assert_eq!(rig.seal(), Seal::Sealed);
+    assert!(shown != flash);
+    rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it can be read");
+    rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO).expect("it is what was shown");
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
 }
 
 /// Another pack as it left the factory differs from the journal's only in a block that is not planned: it holds all
@@ -368,7 +412,7 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
                 assert_eq!(cause(&outcome.expect_err(&at)), "Busy", "{at}");
                 assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(&at)), "Busy", "{at}");
                 assert!(rig.sim.flash() == torn && folder.text().is_some(), "{at}");
-                let undone = rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO);
+                let undone = rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO);
                 undone.expect("a person knows the pack");
                 assert!(rig.sim.flash() == old, "{at}");
             }
@@ -972,7 +1016,8 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                             undecided += 1;
                             assert_eq!((cause(&error), tear), ("Busy", "neighbour"), "{at}: {error}");
                             assert!(rig.sim.flash() == flash && folder.text().is_some(), "{at}: {error}");
-                            let undone = rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO);
+                            let undone =
+                                rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO);
                             undone.unwrap_or_else(|error| panic!("{at}: {error}"));
                             assert_eq!(differences(&old, &rig.sim.flash()), [], "{at}");
                         }

@@ -88,7 +88,7 @@ fn what_was_read_before_a_write_is_settled_is_forgotten() {
     cut(&mut rig, &folder, &changes, programs);
     rig.arrive().expect_err("it may be another pack");
     assert_eq!(rig.read(48, 4).expect("it answers"), [0, 7]);
-    rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect("it answers");
+    rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO).expect("it answers");
     rig.write(48, 11, "2200").expect("it is the same pack");
 }
 
@@ -306,7 +306,7 @@ fn regression_a_seal_was_lost_while_a_write_waited_for_a_decision() {
         assert!(rig.sim.flash() == flash, "nothing is written");
         let owed = rig.dataflash.owed().expect("the write");
         assert!(owed.needs_decision && !owed.why.contains("sealed state failed"), "{}", owed.why);
-        rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect("it answers");
+        rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO).expect("it answers");
         assert_eq!(folder.files(), Vec::<String>::new());
         assert!(rig.dataflash.owed().is_none());
     }

@@ -196,7 +196,9 @@ fn a_write_that_is_undone_after_its_reset_resets_again_when_it_is_settled() {
     let changes = two_blocks(&rig);
     cut(&mut rig, &folder, &changes, |write| write == RESET);
     assert_eq!(rig.capacity(), 2200);
-    rig.dataflash.decide(&mut rig.gauge, Decision::Undo, Duration::ZERO).expect("nothing is in the way");
+    rig.dataflash
+        .decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO)
+        .expect("nothing is in the way");
     assert_eq!(rig.capacity(), 1000);
 }
 
