@@ -123,6 +123,8 @@ struct Task<'a> {
     unordered: bool,
     /// Keys that may have been lost and could not be put back.
     lost: Vec<Name>,
+    /// The row of keys was written and did not read back right: it may hold a key that nobody has.
+    is_unknown: bool,
 }
 
 impl DataFlash {
@@ -385,6 +387,7 @@ impl<'a> Task<'a> {
             erased: change.old.is_erased(),
             unordered: false,
             lost: Vec::new(),
+            is_unknown: false,
         }
     }
 
@@ -873,6 +876,7 @@ impl<'a> Task<'a> {
             // A gauge that has just started stores nothing before it has measured its voltage.
             gauge.wait(MEASURED);
         }
+        self.is_unknown = matches!((state, known), (Keyhole::Open(_), Worked::Neither));
         let KeyChange { name, new, .. } = self.change;
         let known = match (state, known) {
             (Keyhole::Open(_), Worked::Old) => {
@@ -884,8 +888,8 @@ impl<'a> Task<'a> {
                 "the gauge takes the new key, and the old one could not be restored".to_string()
             }
             (Keyhole::Open(_), Worked::Neither) => {
-                "the gauge was open, but the old key could not be restored: which key it takes is unknown; do not \
-                 cut its power"
+                "the gauge is open, but the old key could not be restored: which key it takes is unknown, so it is left \
+                 open; do not cut its power and do not seal it"
                     .to_string()
             }
             (Keyhole::Shut(shut), _) if shut == *name => {
@@ -903,6 +907,29 @@ impl<'a> Task<'a> {
             "{error}; {known}; this mount undoes the change when it can, as long as it runs; or {way}"
         );
         Error::new("", Cause::StateUnknown(why))
+    }
+
+    /// The same, again and again while the gauge can be opened.
+    fn put_back_patiently(&mut self, gauge: &mut Gauge, unfinished: &Unfinished) -> Result<()> {
+        let mut back = self.put_back(gauge, unfinished, &mut 0);
+        for _ in 1..RESTORES {
+            if back.is_ok() {
+                break;
+            }
+            // A gauge that has just started stores nothing before it has measured its voltage.
+            gauge.wait(MEASURED);
+            match self.open_again(gauge) {
+                Keyhole::Open(_) => back = self.put_back(gauge, unfinished, &mut 0),
+                Keyhole::Shut(_) | Keyhole::Silent => break,
+            }
+        }
+        self.is_unknown = back.is_err();
+        back
+    }
+
+    /// Whether nobody may be able to open the gauge again once it is SEALED: what it keeps is no key that was tried.
+    fn is_to_stay_open(&self, gauge: &mut Gauge) -> bool {
+        self.is_unknown && gauge.seal() == Ok(Seal::FullAccess)
     }
 
     /// Puts the old keys back and tries them.
@@ -951,7 +978,13 @@ impl<'a> Task<'a> {
             }
             Match::Certain | Match::Weak => {}
         }
-        self.put_back(gauge, unfinished, &mut 0)?;
+        if let Err(error) = self.put_back_patiently(gauge, unfinished) {
+            if self.is_to_stay_open(gauge) {
+                session.found = Seal::FullAccess;
+                session.now = Some(Seal::FullAccess);
+            }
+            return Err(error.at(Step::Restore));
+        }
         restore_rows(gauge, session, plan)?;
         let name = self.change.name.as_str();
         Ok(Verdict::Done(format!(
@@ -1068,6 +1101,9 @@ impl<'a> Task<'a> {
     fn close(&self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
         let limit = gauge.clock.now() + START;
+        if self.goal == Seal::Sealed && self.is_to_stay_open(gauge) {
+            return outcome;
+        }
         let restore = |gauge: &mut Gauge| match self.goal {
             // CONTROL_STATUS may still show the state before the last key.
             Seal::Sealed if outcome.is_err() => {
@@ -1300,6 +1336,11 @@ fn probe(
                 Verdict::Plausible(message)
             });
         }
+        // What was begun is over, but for what was lost with it.
+        let is_over = key.names.len() > 1 && key.names.contains(&Name::Authentication);
+        if has == [Has::Mine; 2] && lost == Some(Has::Erased) && is_over {
+            return Ok(Verdict::Undecided(still_lost(&[Name::Authentication])));
+        }
         if found != Seal::Sealed && has.contains(&Has::Neither) {
             // Nobody knows whether it could be opened again.
             (session.found, session.now) = (now, Some(now));
@@ -1358,6 +1399,7 @@ fn keys_line(name: Name) -> String {
 }
 
 /// What a gauge does that may have one key or another.
+#[derive(Clone, Copy)]
 enum Keyhole {
     /// It is in FULL ACCESS, and this was the key.
     Open(Worked),

@@ -461,6 +461,47 @@ fn regression_a_gauge_that_loses_its_power_in_a_change_of_keys_loses_its_keys() 
     assert!(undone > 90, "{undone}");
 }
 
+/// What is put back does not read back right, again and again: it may be a key that nobody has, so the gauge stays open
+/// until it can be put right.
+#[test]
+fn a_gauge_with_a_key_that_nobody_has_is_not_sealed() {
+    let folder = Folder::new("keys-corrupt");
+    for chip in ["bq34z100-g1", "bq27520-g3"] {
+        for text in texts(chip) {
+            let at = format!("{chip} {}", parse(text).name.as_str());
+            let mut rig = at_home(chip, &folder, false);
+            let before = rig.sim.flash();
+            rig.set("tear", "erased");
+            rig.set("fault", "torn-commit 1");
+            run(&mut rig, text).expect_err("its power is lost");
+            rig.set("power", "on");
+            rig.pause(3);
+            // Every commit is stored with a wrong bit.
+            for _ in 0..3 {
+                rig.set("fault", &["corrupt-commit"; 60].join(";"));
+                rig.settle().expect_err(&at);
+                assert_eq!(rig.get("seal"), "full-access", "{at}");
+                assert!(rig.dataflash.owed().is_some_and(|owed| owed.data && !owed.needs_decision), "{at}");
+            }
+            rig.set("fault", "none");
+            rig.settle().unwrap_or_else(|error| panic!("{at}: {error}")).expect("it is owed");
+            assert!(rig.sim.flash() == before, "{at}");
+            assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+
+            let mut rig = at_home(chip, &folder, false);
+            rig.set("fault", &["corrupt-commit"; 60].join(";"));
+            let error = run(&mut rig, text).expect_err("nothing is stored right");
+            assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+            assert!(error.to_string().contains("it is left open"), "{at}: {error}");
+            assert_eq!(rig.get("seal"), "full-access", "{at}");
+            rig.set("fault", "none");
+            rig.settle().unwrap_or_else(|error| panic!("{at}: {error}")).expect("it is owed");
+            assert!(rig.sim.flash() == before, "{at}");
+            assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+        }
+    }
+}
+
 /// Another process knows only what the journal has, and what a person gives it.
 #[test]
 fn regression_a_power_cut_in_a_change_of_keys_cannot_be_settled() {
