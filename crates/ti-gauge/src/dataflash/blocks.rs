@@ -42,7 +42,7 @@ impl Bytes {
         self.0 |= 1 << at;
     }
 
-    fn with(self, other: Self) -> Self {
+    pub(super) fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 

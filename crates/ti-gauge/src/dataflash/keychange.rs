@@ -24,7 +24,7 @@ use super::io::{COMMITTED, STORES, is_passing, patiently};
 use super::pack::{Match, compare};
 use super::schemes::sequence;
 use super::session::{Left, RESTORES, Session, own_up};
-use super::settle::{self, Held, Verdict, look};
+use super::settle::{self, Held, Verdict, look, unrestored};
 use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
@@ -909,24 +909,6 @@ impl<'a> Task<'a> {
         Error::new("", Cause::StateUnknown(why))
     }
 
-    /// The same, again and again while the gauge can be opened.
-    fn put_back_patiently(&mut self, gauge: &mut Gauge, unfinished: &Unfinished) -> Result<()> {
-        let mut back = self.put_back(gauge, unfinished, &mut 0);
-        for _ in 1..RESTORES {
-            if back.is_ok() {
-                break;
-            }
-            // A gauge that has just started stores nothing before it has measured its voltage.
-            gauge.wait(MEASURED);
-            match self.open_again(gauge) {
-                Keyhole::Open(_) => back = self.put_back(gauge, unfinished, &mut 0),
-                Keyhole::Shut(_) | Keyhole::Silent => break,
-            }
-        }
-        self.is_unknown = back.is_err();
-        back
-    }
-
     /// Whether nobody may be able to open the gauge again once it is SEALED: what it keeps is no key that was tried.
     fn is_to_stay_open(&self, gauge: &mut Gauge) -> bool {
         self.is_unknown && gauge.seal() == Ok(Seal::FullAccess)
@@ -978,12 +960,13 @@ impl<'a> Task<'a> {
             }
             Match::Certain | Match::Weak => {}
         }
-        if let Err(error) = self.put_back_patiently(gauge, unfinished) {
+        if let Err(error) = self.put_back(gauge, unfinished, &mut 0) {
+            self.is_unknown = true;
             if self.is_to_stay_open(gauge) {
                 session.found = Seal::FullAccess;
                 session.now = Some(Seal::FullAccess);
             }
-            return Err(error.at(Step::Restore));
+            return Err(unrestored(error));
         }
         restore_rows(gauge, session, plan)?;
         let name = self.change.name.as_str();

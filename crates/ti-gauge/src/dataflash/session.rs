@@ -5,7 +5,7 @@ use std::time::Duration;
 use gauge_bus::BusError;
 
 use super::assure::Assurance;
-use super::blocks::{Bytes, Dirty};
+use super::blocks::{Bytes, Dirty, Window};
 use super::calmode;
 use super::io::{reload, store};
 use super::schemes::sequence;
@@ -28,6 +28,8 @@ const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
+/// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
+const MOVES: Duration = Duration::from_millis(1200);
 /// Times that RESET is sent, and how long it may take to show: up to 500 ms in which the gauge does not answer,
 /// or answers as before.
 const RESETS: u32 = 3;
@@ -46,6 +48,8 @@ pub(super) struct Session {
     begun: bool,
     /// Calibration mode was entered and must be left on every exit.
     pub(super) calibrating: Option<&'static Calibration>,
+    /// Bytes that no table calls learned, and that were seen to move by themselves.
+    moving: Vec<(Window, Bytes)>,
     /// What is known of the gauge that answers.
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
@@ -88,6 +92,7 @@ impl Session {
             decided: false,
             begun: false,
             calibrating: None,
+            moving: Vec::new(),
             pack: Assurance::default(),
             entry: None,
             journal: None,
@@ -255,9 +260,33 @@ impl Session {
             if outcome.is_ok() || self.pack.is_lost() {
                 break;
             }
+            if outcome.as_ref().is_err_and(reads_wrong) {
+                blocks.clone().for_each(|block| self.learn_moving(gauge, block));
+            }
             gauge.wait(Duration::from_millis(200));
         }
         outcome.map_err(|error| error.at(Step::Restore))
+    }
+
+    /// Finds out which bytes of a block, that a write does not touch, move by themselves. To put them back would program
+    /// the block again and again.
+    fn learn_moving(&mut self, gauge: &mut Gauge, block: &Dirty) {
+        let Ok(first) = sequence(gauge).load(gauge, block.place) else { return };
+        gauge.wait(MOVES);
+        let Ok(second) = sequence(gauge).load(gauge, block.place) else { return };
+        let moving = Bytes::of(|at| first[at] != second[at]).without(block.written).without(block.learned);
+        if moving != Bytes::default() {
+            let names: Vec<String> = moving.iter().map(|at| block.place.name(at)).collect();
+            log::warn!("{}: {} moves by itself, and is left alone", gauge.chip.name, names.join(", "));
+            self.moving.push((block.place, moving));
+        }
+    }
+
+    /// A block as it goes back: what was seen to move by itself is left to the gauge.
+    fn without_moving(&self, block: &Dirty) -> Dirty {
+        let moving = self.moving.iter().filter(|(place, _)| *place == block.place);
+        let learned = moving.fold(block.learned, |learned, (_, moving)| learned.with(*moving));
+        Dirty { learned, ..block.clone() }
     }
 
     /// Restores those of the blocks that it was not the turn of yet, but that a loss of power has disturbed, as the rows
@@ -285,6 +314,7 @@ impl Session {
 
     fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
         gauge.doubt();
+        let block = &self.without_moving(block);
         let present = sequence(gauge).load(gauge, block.place)?;
         self.assure(gauge)?;
         let wanted = restored(block, &present, finished);
@@ -364,6 +394,11 @@ impl Session {
             }
         }
     }
+}
+
+/// Whether a block was stored and reads otherwise.
+pub(super) fn reads_wrong(error: &Error) -> bool {
+    matches!(error.cause(), Cause::Protocol(_))
 }
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.

@@ -19,7 +19,7 @@ use super::owedseal::OwedSeal;
 use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
 use super::preflight::{has_lost_memory, read_word};
 use super::schemes::sequence;
-use super::session::{Left, Session, in_time};
+use super::session::{Left, Session, in_time, reads_wrong};
 use super::{DataFlash, Place};
 use crate::chip::{Chip, KeyStorage, Kind, Word};
 use crate::codec::{self, WINDOW};
@@ -48,8 +48,12 @@ pub(super) struct Pending {
     certain: Option<(Moment, Duration)>,
     /// Only a person can decide.
     undecided: bool,
+    /// How often what was put back did not read back right, since the gauge has arrived.
+    tries: u32,
 }
 
+/// How often a block that does not read back as it was stored is put back. Each time programs it three times.
+const TRIES: u32 = 3;
 /// So soon after a session that has left something nobody exchanges a gauge that has answered since.
 const SOON: Duration = Duration::from_secs(1);
 
@@ -293,7 +297,9 @@ impl DataFlash {
         (self.searched, self.judged) = (Searched::default(), Vec::new());
         match &mut self.pending {
             Some(pending) if pending.elsewhere => self.pending = None,
-            Some(pending) => (pending.watched, pending.certain, pending.undecided) = (false, None, false),
+            Some(pending) => {
+                (pending.watched, pending.certain, pending.undecided, pending.tries) = (false, None, false, 0)
+            }
             None => {}
         }
     }
@@ -583,6 +589,10 @@ impl DataFlash {
             None => Err(Error::new("", Cause::Busy(pending.why.clone()))),
         };
         self.identity = None;
+        let reads_wrong = verdict.as_ref().is_err_and(|error| {
+            matches!(error.cause(), Cause::StateUnknown(_)) && error.step() == Some(Step::Restore)
+        });
+        let tries = pending.tries + u32::from(reads_wrong);
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
@@ -613,10 +623,17 @@ impl DataFlash {
                     format!("cannot tell whether the interrupted write of {file} was begun on this gauge");
                 return Err(error.within(&what));
             }
+            Err(error) if reads_wrong && tries >= TRIES => {
+                let why = format!(
+                    "an interrupted write is not settled: {error}; that was tried {tries} times, and nothing more is \
+                     written to this gauge until somebody decides: gaugefs settle"
+                );
+                (Error::new(gauge.chip.name, Cause::Busy(why)), true)
+            }
             Err(error) => (error.within("cannot settle an interrupted write"), false),
         };
         let why = error.to_string();
-        self.pending = Some(Pending { why, undecided, ..pending.clone() });
+        self.pending = Some(Pending { why, undecided, tries, ..pending.clone() });
         Err(error)
     }
 
@@ -787,7 +804,16 @@ impl DataFlash {
 
 impl Pending {
     fn of(entry: Option<Entry>, why: String) -> Self {
-        Self { entry, file: None, elsewhere: false, why, watched: false, certain: None, undecided: false }
+        Self {
+            entry,
+            file: None,
+            elsewhere: false,
+            why,
+            watched: false,
+            certain: None,
+            undecided: false,
+            tries: 0,
+        }
     }
 
     /// What an earlier process has left.
@@ -1048,16 +1074,13 @@ impl Task<'_> {
                 "what the gauge has measured and stored was not judged; the old values were restored and verified"
             }
         };
-        let unknown = |error: Error| {
-            Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")))
-        };
         if let Some(pack) = another {
             let values = if forward { "new values" } else { "values from before" };
             let message = format!(
                 "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
                  verified"
             );
-            return settled.map(|()| Verdict::Plausible(message)).map_err(unknown);
+            return settled.map(|()| Verdict::Plausible(message)).map_err(unrestored);
         }
         let erased = seen.iter().any(|seen| {
             let secrets = secrets(chip, seen.block.place);
@@ -1070,7 +1093,7 @@ impl Task<'_> {
             }
             false => "",
         };
-        settled.map(|()| done(format!("{message}{keys}"))).map_err(unknown)
+        settled.map(|()| done(format!("{message}{keys}"))).map_err(unrestored)
     }
 
     /// Whether the gauge is the one about which a person has decided.
@@ -1196,6 +1219,12 @@ impl Task<'_> {
         }
         seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
     }
+}
+
+/// What is not back. If it was stored and reads otherwise, trying again programs it again.
+pub(super) fn unrestored(error: Error) -> Error {
+    let unknown = Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
+    if reads_wrong(&error) { unknown.at(Step::Restore) } else { unknown }
 }
 
 /// Compares a gauge with the one of a plan, whose blocks have been looked at.

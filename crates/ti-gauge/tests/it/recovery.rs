@@ -335,6 +335,48 @@ fn a_person_decides_what_becomes_of_a_stale_journal() {
     }
 }
 
+/// A byte that no table calls learned, or that a user writes, moves by itself every 250 ms. Flash has 20,000 cycles: it
+/// is not programmed again and again.
+#[test]
+fn regression_a_byte_that_moves_by_itself_was_written_again_and_again() {
+    // Beside the value that is written, and in its place; Reserve Cap-mAh is 48/21 to 48/22.
+    for (offset, is_beside) in [(30, true), (12, false)] {
+        let folder = Folder::new("moving");
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        let (sim, clock) = (rig.sim.clone(), rig.clock.clone());
+        rig.start_with(&folder, Keys::default(), move |bus, _, write, read| {
+            let moved = (clock.now().as_millis() / 250) as u8;
+            sim.set_flash(48, offset, &[0x40 | moved & 0x3f]);
+            bus.transfer(write, read)
+        });
+        let mut before = rig.sim.flash();
+        let programmed = |rig: &Rig| rig.get("programmed").parse::<u32>().expect("a number");
+        let mut error = rig.write(48, 11, "2200").expect_err("it does not read back as it was stored");
+        for _ in 0..40 {
+            if rig.dataflash.owed().is_none_or(|owed| owed.needs_decision) {
+                break;
+            }
+            rig.pause(2);
+            if let Err(again) = rig.settle() {
+                error = again;
+            }
+        }
+        assert!(programmed(&rig) <= if is_beside { 4 } else { 16 }, "{}: {error}", programmed(&rig));
+        let owed = rig.dataflash.owed().map(|owed| (owed.needs_decision, owed.why.to_string()));
+        if is_beside {
+            assert_eq!(owed, None, "{error}");
+            assert_eq!(cause(&error), "RolledBack", "{error}");
+            let mut after = rig.sim.flash();
+            let changed = differences(&before, &after);
+            changed.iter().for_each(|&(at, ..)| (before[at], after[at]) = (0, 0));
+            assert!(changed.len() <= 1 && before == after, "{changed:?}");
+        } else {
+            assert!(owed.is_some_and(|(decision, why)| decision && why.contains("tried 3 times")), "{error}");
+        }
+        assert_eq!(rig.get("seal"), "sealed", "{error}");
+    }
+}
+
 /// A decision is about the pack that was shown. Another one that has taken its place meanwhile is not written to, also if
 /// neither can be told from the pack of the journal.
 #[test]
