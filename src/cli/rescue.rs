@@ -119,6 +119,13 @@ fn bring_back(
     if !confirm()? {
         return Err(Error::host(subject, Errno::ECANCELED, "nothing was erased"));
     }
+    // Somebody may have taken minutes to answer.
+    check_state(&mut *gauge, boot, &**clock).map_err(within)?;
+    if rom::look(boot, &**clock).map_err(within)? != found {
+        let why =
+            "the gauge in ROM mode is not the one that was there before the question; nothing was erased";
+        return Err(Error::host(subject, Errno::ENODEV, why));
+    }
     let (mut shown, mut printed) = (0, Ok(()));
     let written = firmware.write(boot, &**clock, &mut |done, all| {
         let percent = done * 100 / all;
@@ -214,12 +221,26 @@ mod firmware;
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
     use super::firmware::{Style, content, file};
     use super::*;
     use gauge_bus::clock::SimClock;
     use gauge_sim::{Options, Sim};
 
     const CHIP: &str = "bq34z100-g1";
+
+    /// What answers at the usual address, or does not, until it is exchanged.
+    struct Exchanged {
+        packs: [gauge_sim::SimBus; 2],
+        is_second: Arc<AtomicBool>,
+    }
+
+    impl Bus for Exchanged {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            self.packs[usize::from(self.is_second.load(Ordering::Relaxed))].transfer(write, read)
+        }
+    }
 
     /// A gauge in normal mode, and another that is left in ROM mode.
     struct Bench {
@@ -230,7 +251,10 @@ mod tests {
 
     impl Bench {
         fn new() -> Self {
-            let clock = Arc::new(SimClock::new());
+            Self::at(Arc::new(SimClock::new()))
+        }
+
+        fn at(clock: Arc<dyn Clock>) -> Self {
             let [normal, left] = [(); 2]
                 .map(|()| Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated gauge"));
             clock.sleep(Duration::from_secs(1));
@@ -251,6 +275,50 @@ mod tests {
             let gauge = Box::new(gauge.bus());
             bring_back(&firmware, chip, gauge, &mut boot, &self.clock, ["a file", "a bus"], &|| Ok(true))
         }
+
+        /// A rescue that ends after so many transfers.
+        fn rescue_until(&self, transfers: u64) {
+            self.left.set("fault", &format!("silence {transfers} 100000")).expect("a fault");
+            self.rescue(&self.left).expect_err("it is silent");
+            self.left.set("fault", "none").expect("a knob");
+            self.clock.sleep(Duration::from_secs(100));
+        }
+    }
+
+    /// Who answers the question may have changed the pack before: one in normal mode is there, or another one in ROM mode,
+    /// whose firmware is half erased.
+    #[test]
+    fn a_gauge_that_comes_while_the_question_is_open_is_not_erased() {
+        let chip = Chip::by_name(CHIP).expect("a chip");
+        let firmware = Firmware::parse(&file(chip, Style::Row), chip).expect("a whole file");
+        let bring = |packs: [&Sim; 2], clock: &Arc<dyn Clock>| {
+            let is_second = Arc::new(AtomicBool::new(false));
+            let at = |address| Exchanged {
+                packs: packs.map(|pack| pack.bus_at(address)),
+                is_second: is_second.clone(),
+            };
+            let (gauge, mut boot) = (Box::new(at(GAUGE_ADDRESS)), at(ROM_ADDRESS));
+            let confirm = || {
+                is_second.store(true, Ordering::Relaxed);
+                Ok(true)
+            };
+            bring_back(&firmware, chip, gauge, &mut boot, clock, ["a file", "a bus"], &confirm)
+        };
+        let bench = Bench::new();
+        let before = bench.normal.flash();
+        let error = bring([&bench.left, &bench.normal], &bench.clock).expect_err("it is in normal mode");
+        assert!(error.to_string().contains("nothing was erased"), "{error}");
+        assert!(bench.normal.flash() == before);
+        assert_eq!(bench.normal.get("programmed").as_deref(), Some("0"));
+
+        // The first one has whole firmware, and the second one has lost its power while it was written.
+        let half = Bench::new();
+        let whole = Bench::at(half.clock.clone());
+        half.rescue_until(40);
+        let before = half.left.firmware();
+        let error = bring([&whole.left, &half.left], &whole.clock).expect_err("it is another one");
+        assert!(error.to_string().contains("not the one that was there"), "{error}");
+        assert!(half.left.firmware() == before);
     }
 
     /// With a gauge in normal mode on the same bus it is not certain whose boot loader answers.
