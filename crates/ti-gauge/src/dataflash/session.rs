@@ -398,7 +398,7 @@ impl Session {
 
 /// Whether a block was stored and reads otherwise.
 pub(super) fn reads_wrong(error: &Error) -> bool {
-    matches!(error.cause(), Cause::Protocol(_))
+    matches!(error.cause(), Cause::Protocol(_)) && error.step() == Some(Step::Verify)
 }
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.

@@ -123,6 +123,27 @@ fn a_block_that_changes_between_two_looks_is_not_believed() {
     }
 }
 
+/// A wrong bit in the number of the block selects one that does not exist, which reads as zeros; another wrong bit at the
+/// second try selects another one of those.
+#[test]
+fn regression_two_blocks_that_do_not_exist_were_believed() {
+    for errors in 2..4 {
+        let mut rig = Rig::new("bq34z100-g1");
+        let mut selections = 0;
+        rig.through(move |bus, write, read| match *write {
+            [0x3e, 48, 0] if selections < errors => {
+                selections += 1;
+                bus.transfer(&[0x3e, 48, 2 << selections], read)
+            }
+            _ => bus.transfer(write, read),
+        });
+        match rig.read(48, 11) {
+            Ok(bytes) => assert_eq!(bytes, [0x03, 0xe8], "{errors} errors"),
+            Err(error) => assert_eq!(cause(&error), "Protocol", "{errors} errors: {error}"),
+        }
+    }
+}
+
 /// A wrong selection, twice, with valid blocks that differ.
 #[test]
 fn a_block_that_was_not_selected_is_not_believed() {

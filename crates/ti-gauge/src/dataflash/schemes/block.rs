@@ -18,6 +18,9 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 /// BlockDataControl() value that selects the blocks a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
 
+/// Selections of a block that the gauge does not echo.
+const SELECTIONS: usize = 3;
+
 pub(super) struct Block;
 
 impl Sequence for Block {
@@ -30,19 +33,28 @@ impl Sequence for Block {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        let first = load_once(gauge, place);
-        if let Ok((window, true)) = first {
-            return Ok(window);
+        let selection = [place.subclass, block_of(place)?];
+        let (mut failed, mut others) = (false, Vec::new());
+        while others.len() < SELECTIONS {
+            match load_once(gauge, place) {
+                Ok(Shown { echo, window }) if echo == selection => return Ok(window),
+                Ok(shown) => others.push(shown),
+                Err(error) if failed => return Err(error),
+                Err(error) => {
+                    failed = true;
+                    if matches!(error.cause(), Cause::Protocol(_)) {
+                        self.enable(gauge)?;
+                    }
+                }
+            }
+            Statistics::count(&gauge.statistics.retries);
         }
-        if first.as_ref().is_err_and(|error| matches!(error.cause(), Cause::Protocol(_))) {
-            self.enable(gauge)?;
-        }
-        // A bit error in the selection loaded another block. A block that does not echo its selection is accepted
-        // if a second selection gives the same bytes.
-        Statistics::count(&gauge.statistics.retries);
-        let (window, echoed) = load_once(gauge, place)?;
-        if echoed || first.is_ok_and(|(first, _)| first == window) {
-            return Ok(window);
+        // A bit error in the selection loads another block, or one that does not exist, which reads as zeros; two bit
+        // errors may load two of those. A gauge that echoes no selection shows the same each time, its echo too.
+        if let [first, rest @ ..] = &others[..]
+            && rest.iter().all(|shown| shown == first)
+        {
+            return Ok(first.window);
         }
         let why = format!("{}: the block reads differently when selected again", place.name(0));
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
@@ -51,9 +63,9 @@ impl Sequence for Block {
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         select(gauge, place)?;
         settle(gauge);
-        match read_window(gauge, place)? {
-            ((window, true), _) => Ok(window),
-            ((_, false), _) => {
+        match read_window(gauge, place)?.0 {
+            Shown { echo, window } if echo == [place.subclass, block_of(place)?] => Ok(window),
+            Shown { .. } => {
                 let why = format!("{}: the gauge does not echo the selection", place.name(0));
                 Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
             }
@@ -132,8 +144,15 @@ fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
-/// Selects a block and reads it until two looks agree. Returns whether the gauge echoes the selection.
-fn load_once(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
+/// What the gauge shows in its window, and which class and block it says that is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Shown {
+    echo: [u8; 2],
+    window: [u8; WINDOW],
+}
+
+/// Selects a block and reads it until two looks agree.
+fn load_once(gauge: &mut Gauge, place: Window) -> Result<Shown> {
     select(gauge, place)?;
     let sum = |gauge: &mut Gauge| {
         let mut sum = [0];
@@ -142,10 +161,10 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], bool)> {
     look_twice(gauge, sum, |gauge| read_window(gauge, place)).map_err(|error| error.within(&place.name(0)))
 }
 
-/// Reads the block, verifies its checksum, and returns whether the gauge echoes the selection.
+/// Reads the block and verifies its checksum, which is returned too.
 /// BlockDataControl() is read too: a bit error can set it to 1, and the window then does not show data
 /// flash although everything else looks valid.
-fn read_window(gauge: &mut Gauge, place: Window) -> Result<(([u8; WINDOW], bool), u8)> {
+fn read_window(gauge: &mut Gauge, place: Window) -> Result<(Shown, u8)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;
     let mut window = [0; WINDOW];
@@ -157,7 +176,7 @@ fn read_window(gauge: &mut Gauge, place: Window) -> Result<(([u8; WINDOW], bool)
     }
     let (sum, reported) = (checksum(&window), bytes[2 + WINDOW]);
     if sum == reported {
-        return Ok(((window, bytes[..2] == [place.subclass, block_of(place)?]), sum));
+        return Ok((Shown { echo: [bytes[0], bytes[1]], window }, sum));
     }
     let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
     Err(Error::new("", Cause::BadChecksum(why)).at(Step::ReadBlock))
