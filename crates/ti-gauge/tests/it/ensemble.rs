@@ -437,7 +437,15 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
     model.back_up(&mut host).map_err(|error| format!("backup: {error} <- {}", about(&"none")))?;
     host.transfers.store(0, Ordering::Relaxed);
     let is_key = access == Key;
-    let outcome = model.act(&mut host);
+    let mut outcome = model.act(&mut host);
+    for _ in 0..4 {
+        // EAGAIN: it was busy with a row of its own.
+        if outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+            model.clock.sleep(Duration::from_secs(1));
+            host.transfers.store(0, Ordering::Relaxed);
+            outcome = model.act(&mut host);
+        }
+    }
     let transfers = host.transfers.load(Ordering::Relaxed);
     if let Err(error) = &outcome
         && !is_refused_untried(error, found)
