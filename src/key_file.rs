@@ -82,6 +82,7 @@ fn open(path: &Path, name: &str) -> Result<(File, Metadata)> {
     Ok((file, status))
 }
 
+#[expect(clippy::disallowed_methods, reason = "it is limited, and the only copy is wiped")]
 fn read(file: File, name: &str) -> Result<Zeroizing<Vec<u8>>> {
     // Reserved at once: growing would leave copies behind that nobody wipes.
     let mut text = Zeroizing::new(Vec::with_capacity(LONGEST + 1));

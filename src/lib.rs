@@ -4,6 +4,7 @@
 //! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
 pub mod cli;
 #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]

@@ -13,7 +13,7 @@
 use std::ffi::OsStr;
 use std::fmt;
 use std::fs::{self, DirBuilder, File, Metadata};
-use std::io::{self, Read, Seek, Write};
+use std::io::{self, Seek, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
@@ -224,7 +224,7 @@ impl fmt::Display for Holder {
 /// A process of the system below `root`, with its program and its user: `process 12 (gaugefs of root)`.
 pub fn process(root: &Path, pid: i32) -> String {
     let folder = root.join(format!("proc/{pid}"));
-    let program = fs::read_to_string(folder.join("comm")).ok();
+    let program = regular::read_text(&folder.join("comm"), regular::SYSTEM).ok();
     let user = fs::metadata(&folder).ok().map(|status| status.uid());
     let (Some(program), Some(uid)) = (program, user) else { return format!("process {pid}") };
     let user =
@@ -261,9 +261,8 @@ fn holder(file: &mut File) -> Option<Holder> {
 
 /// The mount point of the process that holds a lock, if that process has written the lock's file.
 pub fn mountpoint_of(file: &mut File, pid: i32) -> Option<PathBuf> {
-    let mut line = Vec::new();
     file.rewind().ok()?;
-    file.take(8192).read_to_end(&mut line).ok()?;
+    let line = regular::read_from(file, 8192).ok()?;
     let space = line.iter().position(|&byte| byte == b' ')?;
     let writer: i32 = str::from_utf8(&line[..space]).ok()?.parse().ok()?;
     let path = &line[space + 1..];
@@ -273,7 +272,7 @@ pub fn mountpoint_of(file: &mut File, pid: i32) -> Option<PathBuf> {
 
 /// The locks of all processes.
 fn listed() -> String {
-    fs::read_to_string("/proc/locks").unwrap_or_default()
+    regular::read_text(Path::new("/proc/locks"), regular::SYSTEM).unwrap_or_default()
 }
 
 /// The process that holds the lock of a file, in the kernel's list.

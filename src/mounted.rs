@@ -17,7 +17,7 @@ use crate::output::say;
 
 mod file;
 
-pub(crate) use file::{Failure, GaugeFile, KEYS, send, text};
+pub(crate) use file::{Failure, GaugeFile, KEYS, LONGEST, content, send, text};
 
 /// What all commands that take a gauge say of a path that is none.
 const NO_GAUGE: &str = "not a mounted gauge";
@@ -350,7 +350,7 @@ pub(crate) fn same_chemistry(
 /// All bytes of a subclass of a mounted gauge.
 pub(crate) fn raw_of(gauge: &Path, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
     let file = gauge.join(format!("df/{id}/raw"));
-    fs::read(&file)
+    regular::read(&file, LONGEST)
         .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
 }
 

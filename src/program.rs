@@ -26,8 +26,8 @@ use crate::error::{Cause, Error, Result};
 use crate::key_file;
 use crate::mounted;
 use crate::owner::Settings;
-use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, regular};
 
 mod pack;
 mod record;
@@ -364,7 +364,8 @@ impl Station {
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
         // Buses often belong to root, and the person is somebody else.
         let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
-        let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        let host =
+            regular::read_text(Path::new("/proc/sys/kernel/hostname"), regular::SYSTEM).unwrap_or_default();
         Ok(Self {
             who: format!("{user}@{}", host.trim()),
             plan,

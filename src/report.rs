@@ -1,7 +1,9 @@
 //! The text of a [`Report`]: a trace that can be replayed, with everything about the gauge in the lines above it.
 
+use std::path::Path;
+
 use crate::owner::{Origin, Report};
-use gauge_bus::trace;
+use gauge_bus::{regular, trace};
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
 use ti_gauge::text::{hex, printable};
 
@@ -13,7 +15,8 @@ const NOT_READ: &str = "Data flash: not read: ";
 /// The text of a report.
 pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     let head = format!("{} on {}, {:.0}", chip.name, printable(&origin.place), report.taken);
-    let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let release = Path::new("/proc/sys/kernel/osrelease");
+    let kernel = regular::read_text(release, regular::SYSTEM).unwrap_or_default();
     let adapter = match printable(&origin.adapter) {
         adapter if adapter.is_empty() => "none".to_string(),
         adapter => adapter,
@@ -101,7 +104,6 @@ pub(crate) fn chip(text: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
-    use std::path::Path;
     use std::{fs, process};
 
     use super::*;

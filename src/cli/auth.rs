@@ -89,7 +89,7 @@ impl Auth {
 fn order(gauge: &Path) -> Result<Order> {
     let path = gauge.join("gauge/auth_order");
     let name = gauge.display().to_string();
-    match std::fs::read_to_string(&path) {
+    match mounted::content(&path) {
         Ok(word) => Order::by_name(word.trim()).ok_or_else(|| {
             Error::new(path.display().to_string(), Cause::Protocol("is not a byte order".into()))
         }),

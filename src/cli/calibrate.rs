@@ -1,6 +1,5 @@
 //! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -86,7 +85,7 @@ impl Calibrate {
 pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
     mounted::has(gauge, "gauge/calibrate", "calibration")?;
     let file = gauge.join("gauge/calibration");
-    let told = move || fs::read_to_string(&file).unwrap_or_default();
+    let told = move || mounted::content(&file).unwrap_or_default();
     let before = told();
     let (end, ended) = mpsc::channel::<()>();
     let follow = thread::spawn(move || {

@@ -1,6 +1,5 @@
 //! `gaugefs program`: a station at which one pack after the other is connected.
 
-use std::io::BufRead;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -17,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::output::{self, print, say};
 use crate::program::{Place, Plan, Scanner, Screen, Station};
 use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular;
 use ti_gauge::journal::{Disk, Host};
 
 const PROGRAM: &str = "\
@@ -135,6 +135,9 @@ impl Screen for Terminal {
     }
 }
 
+/// A line of standard input has at most so many bytes.
+const LONGEST: u64 = 64 << 10;
+
 /// Lines of standard input.
 struct Input {
     lines: Option<Receiver<String>>,
@@ -153,7 +156,7 @@ impl Scanner for Input {
         let lines = self.lines.get_or_insert_with(|| {
             let (sender, lines) = mpsc::sync_channel(0);
             thread::spawn(move || {
-                let lines = std::io::stdin().lock().lines();
+                let lines = regular::lines(std::io::stdin().lock(), LONGEST);
                 lines.map_while(std::result::Result::ok).try_for_each(|line| sender.send(line).ok())
             });
             lines

@@ -1,6 +1,6 @@
 //! `gaugefs rescue`: brings back a gauge that is left in ROM mode. What is written is decided in [`ti_gauge::rom`].
 
-use std::io::{BufRead, IsTerminal};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -208,10 +208,10 @@ fn is_confirmed(chip: &Chip) -> Result<bool> {
          Is it a {}? Type yes to go on: ",
         chip.model
     ))?;
-    let mut line = String::new();
-    let read = std::io::stdin().lock().read_line(&mut line);
-    read.map_err(|error| Error::io("", "cannot read the answer", &error))?;
-    Ok(line.trim() == "yes")
+    // A terminal's longest line.
+    let line = regular::lines(std::io::stdin().lock(), 4096).next().transpose();
+    let line = line.map_err(|error| Error::io("", "cannot read the answer", &error))?;
+    Ok(line.is_some_and(|line| line.trim() == "yes"))
 }
 
 #[cfg(test)]

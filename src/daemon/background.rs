@@ -14,6 +14,7 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 
+use gauge_bus::regular;
 use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, setsid};
 
 use crate::error::{Error, Result};
@@ -43,7 +44,8 @@ pub fn start() -> Result<ExitCode> {
     let mut child = command.spawn().map_err(failed)?;
     let mut answer = Vec::new();
     if let Some(out) = &mut child.stdout {
-        out.take(READY.len() as u64).read_to_end(&mut answer).map_err(failed)?;
+        let length = READY.len() as u64;
+        answer = regular::read_from(out.take(length), length).map_err(failed)?;
     }
     if answer == READY {
         return Ok(ExitCode::SUCCESS);

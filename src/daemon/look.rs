@@ -5,7 +5,6 @@
 //! return in time.
 
 use std::ffi::OsStr;
-use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
@@ -26,6 +25,8 @@ use crate::output::print_file;
 /// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
 const LIMIT: Duration = Duration::from_secs(5);
+/// What a child prints is no longer than this, even of very many gauges.
+const LONGEST: usize = 4 << 20;
 
 /// What a look has found out within its time limit.
 #[derive(Debug, Default)]
@@ -56,7 +57,7 @@ pub(crate) struct Listed {
 impl Listed {
     /// Reads what causes no transfer.
     fn read(path: &Path) -> Self {
-        let text = |name: &str| Some(fs::read_to_string(path.join(name)).ok()?.trim().to_string());
+        let text = |name: &str| Some(mounted::content(&path.join(name)).ok()?.trim().to_string());
         let (part, serial) = mounted::pack(path);
         let capacity = text("capacity").and_then(|text| text.parse().ok());
         let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
@@ -142,7 +143,7 @@ pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(
     Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
 }
 
-/// What a pipe delivers until its end or until the deadline, and whether that was the deadline.
+/// What a pipe delivers until its end, until the deadline or until it is too long, and whether that was not its end.
 fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
     let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
     loop {
@@ -153,6 +154,7 @@ fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
             Ok(0) => return (bytes, true),
             Ok(_) => match pipe.read(&mut piece) {
                 Ok(0) => return (bytes, false),
+                Ok(_) if bytes.len() > LONGEST => return (bytes, true),
                 Ok(length) => bytes.extend_from_slice(&piece[..length]),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(_) => return (bytes, false),

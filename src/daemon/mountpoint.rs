@@ -23,8 +23,9 @@ use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
-use crate::lock;
+use crate::{lock, mounted};
 use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular;
 
 const TABLE: &str = "/proc/self/mountinfo";
 /// The source of every mount of gaugefs, as mountinfo shows it.
@@ -351,7 +352,7 @@ impl Elsewhere {
 /// Where a process has a gaugefs of a connection mounted; `None` is this process.
 fn mounts_of(process: Option<i32>, connection: u64) -> Vec<PathBuf> {
     let table = process.map_or_else(|| TABLE.into(), |process| format!("/proc/{process}/mountinfo"));
-    let table = fs::read(table).unwrap_or_default();
+    let table = regular::read(Path::new(&table), regular::SYSTEM).unwrap_or_default();
     let mounts = entries(&table)
         .filter(|mount| mount.connection == Some(connection) && ours(&mount.kind, &mount.source));
     mounts.map(|mount| mount.path).collect()
@@ -371,17 +372,16 @@ impl fmt::Display for Elsewhere {
 
 /// Lets the daemon of a mount pay what it owes to its gauges, and returns what remains.
 fn owed(path: &Path) -> Vec<String> {
-    let is_owed =
-        |gauge: &Path| fs::read_to_string(gauge.join("gauge/owed")).is_ok_and(|owed| owed.trim() == "1");
+    let is_owed = |gauge: &Path| mounted::text(gauge, "gauge/owed").is_ok_and(|owed| owed.trim() == "1");
     let mut remains = Vec::new();
     for gauge in fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()) {
         if !is_owed(&gauge) {
             continue;
         }
         // Before it shows what is owed, it tries to pay it.
-        let _ = fs::write(gauge.join("gauge/settle"), "show");
+        let _ = mounted::send(&gauge, "gauge/settle", b"show");
         if is_owed(&gauge) {
-            let why = fs::read_to_string(gauge.join("gauge/last_error")).unwrap_or_default();
+            let why = mounted::text(&gauge, "gauge/last_error").unwrap_or_default();
             remains.push(format!("{}: {}", shown(&gauge), why.trim()));
         }
     }
@@ -495,7 +495,8 @@ fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
 
 /// The mounts of this process.
 fn table() -> Result<Vec<u8>> {
-    fs::read(TABLE).map_err(|error| Error::io(TABLE, "cannot read it", &error))
+    regular::read(Path::new(TABLE), regular::SYSTEM)
+        .map_err(|error| Error::io(TABLE, "cannot read it", &error))
 }
 
 /// Whether a file system of that type and source is a gaugefs.
@@ -586,7 +587,7 @@ fn users(path: &Path) -> Vec<String> {
             inside(process.join("cwd")) || files.map(|file| file.path()).any(inside)
         });
     let named = using.map(|process| {
-        let name = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
+        let name = regular::read_text(&process.path().join("comm"), regular::SYSTEM).unwrap_or_default();
         let number = process.file_name();
         let is_caller = number.to_str() == Some(&getppid().to_string());
         let caller = if is_caller { ", which has started this command" } else { "" };

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Cause, Error, Result};
-use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::{GAUGE_ADDRESS, regular};
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
 /// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
@@ -32,7 +32,7 @@ impl Node {
             let why = "not an I2C device; give a bus, or a device such as /sys/bus/i2c/devices/1-0055";
             return Err(Error::new(subject, Cause::Invalid(why.into())));
         };
-        let modalias = fs::read_to_string(device.join("modalias")).unwrap_or_default();
+        let modalias = regular::read_text(&device.join("modalias"), regular::SYSTEM).unwrap_or_default();
         Ok(Some(Self {
             bus: Path::new("/dev").join(adapter),
             address: address(&name),

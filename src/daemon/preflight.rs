@@ -5,7 +5,7 @@
 use std::collections::HashSet;
 use std::env;
 use std::ffi::OsStr;
-use std::fs::{self, File};
+use std::fs::File;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,6 +19,7 @@ use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular;
 
 const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
@@ -141,7 +142,7 @@ fn group(options: &MountOptions) -> Result<()> {
         );
         return refuse(Cause::NotPermitted, why);
     }
-    let lines = fs::read_to_string(CONFIGURATION).unwrap_or_default();
+    let lines = regular::read_text(Path::new(CONFIGURATION), regular::SYSTEM).unwrap_or_default();
     if !lines.lines().any(|line| line.trim() == SHARED) {
         let why = format!(
             "only root may open a mount to others; mount with sudo, or allow it to all users with this line in \

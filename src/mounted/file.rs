@@ -4,15 +4,19 @@
 //! refused it explains in `gauge/last_error`. That file is quoted only if it is about this request: an older failure would
 //! be taken for the cause.
 
-use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::fs::File;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use gauge_bus::regular;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
 use super::not_a_gauge;
 use crate::error::Error;
+
+/// A file of a gauge's folder is at most so long, whatever has made that folder.
+pub(crate) const LONGEST: u64 = 16 << 20;
 
 /// The file that changes keys, which a mount's group may not.
 pub(crate) const KEYS: &str = "gauge/keys";
@@ -54,7 +58,7 @@ impl GaugeFile {
 
     fn open(gauge: &Path, name: &str, write: bool) -> Result<Self, Failure> {
         let (path, opened) = (gauge.join(name), Timestamp::now());
-        match File::options().read(!write).write(write).open(&path) {
+        match regular::open_linked(File::options().read(!write).write(write), &path) {
             Ok(file) => Ok(Self { gauge: gauge.into(), file, opened }),
             Err(error) => {
                 let hint = match errno(&error) {
@@ -73,14 +77,13 @@ impl GaugeFile {
         self.file.write(request).map_err(|error| self.refused(error))
     }
 
-    fn text(&mut self) -> Result<String, Failure> {
-        let mut text = String::new();
-        self.file.read_to_string(&mut text).map_err(|error| self.refused(error)).map(|_| text)
+    fn text(&self) -> Result<String, Failure> {
+        regular::read_from(&self.file, LONGEST).and_then(regular::text).map_err(|error| self.refused(error))
     }
 
     /// What the daemon says of an error that it has answered with.
     fn refused(&self, error: io::Error) -> Failure {
-        let read = |name: &str| fs::read_to_string(self.gauge.join(name)).unwrap_or_default();
+        let read = |name: &str| content(&self.gauge.join(name)).unwrap_or_default();
         let told = read("gauge/last_error");
         let time = told.split_once(": ").and_then(|(time, _)| time.parse::<Timestamp>().ok());
         // It has whole seconds. What is owed is the state of the gauge, however long it has been.
@@ -147,9 +150,18 @@ pub(crate) fn text(gauge: &Path, name: &str) -> Result<String, Failure> {
     GaugeFile::to_read(gauge, name)?.text()
 }
 
+/// The text of a file of a gauge's folder, where nothing is to be said about an error.
+pub(crate) fn content(path: &Path) -> io::Result<String> {
+    regular::read_text(path, LONGEST)
+}
+
 #[cfg(test)]
 mod tests {
+    use std::fs;
     use std::os::unix::fs::symlink;
+
+    use nix::sys::stat::Mode;
+    use nix::unistd::mkfifo;
 
     use super::*;
 
@@ -158,13 +170,14 @@ mod tests {
         let gauge = std::env::temp_dir().join(format!("gaugefs-told.{}", std::process::id()));
         let file = |name: &str, text: &str| fs::write(gauge.join("gauge").join(name), text).expect("a file");
         fs::create_dir_all(gauge.join("gauge")).expect("a folder");
-        symlink("/dev/full", gauge.join("gauge/settle")).expect("a file that refuses what is written");
+        symlink("/proc/self/oom_score_adj", gauge.join("gauge/settle"))
+            .expect("a file that refuses what is written");
         let told = |name: &str| {
             let failure = send(&gauge, name, b"undo").expect_err("refused");
             (failure.errno(), failure.told("cannot be settled").to_string())
         };
         let name = gauge.display();
-        let alone = (Some(Errno::ENOSPC), format!("{name}: cannot be settled: No space left on device"));
+        let alone = (Some(Errno::EINVAL), format!("{name}: cannot be settled: Invalid argument"));
         assert_eq!(told("gauge/settle"), alone);
         let now = Timestamp::now();
         let before = now - jiff::SignedDuration::from_secs(2);
@@ -182,6 +195,28 @@ mod tests {
         file("owed", "0\n");
         file("last_error", &format!("{:.0}: of this request\n", now + jiff::SignedDuration::from_secs(5)));
         assert!(told("gauge/settle").1.ends_with("Z: of this request"));
+        fs::remove_dir_all(&gauge).expect("a folder");
+    }
+
+    #[test]
+    fn regression_no_file_of_a_folder_keeps_its_reader() {
+        let gauge = std::env::temp_dir().join(format!("gaugefs-endless.{}", std::process::id()));
+        fs::create_dir_all(&gauge).expect("a folder");
+        mkfifo(&gauge.join("pipe"), Mode::S_IRWXU).expect("a FIFO");
+        symlink("/dev/zero", gauge.join("zeroes")).expect("a file without an end");
+        let long = fs::File::create(gauge.join("long")).expect("a file");
+        long.set_len(LONGEST + 1).expect("a file system with holes");
+        for (name, why) in
+            [("pipe", "not a regular file"), ("zeroes", "not a regular file"), ("long", "16 MiB")]
+        {
+            let failure = text(&gauge, name).expect_err("refused").told("cannot be read").to_string();
+            assert!(failure.contains(why), "{name}: {failure}");
+            assert!(content(&gauge.join(name)).expect_err("refused").to_string().contains(why), "{name}");
+        }
+        for name in ["pipe", "zeroes"] {
+            let failure = send(&gauge, name, b"1").expect_err("refused").told("cannot be asked").to_string();
+            assert!(failure.contains("not a regular file"), "{name}: {failure}");
+        }
         fs::remove_dir_all(&gauge).expect("a folder");
     }
 }

@@ -1,11 +1,11 @@
 //! A learning cycle, watched through the files of a mount.
 
-use std::fs;
 use std::path::Path;
 
 use jiff::Timestamp;
 
 use super::sample::Sample;
+use crate::mounted;
 use ti_gauge::chip::{Chip, Role, kebab_case, snake_case};
 use ti_gauge::learning::{Bits, Cycle, Learns, Limits, Reading, State};
 
@@ -70,7 +70,7 @@ pub(super) fn limits(gauge: &Path, model: &str) -> Limits {
             _ => continue,
         };
         let place = Path::new("df/by-name").join(chip.class_dir(class)).join(kebab_case(row.name));
-        let text = fs::read_to_string(gauge.join(place)).unwrap_or_default();
+        let text = mounted::content(&gauge.join(place)).unwrap_or_default();
         if let Ok(value) = text.trim().parse() {
             *target = value;
         }

@@ -233,17 +233,15 @@ impl Log {
 /// The first line of a file and its last ones: it may be the history of a year.
 fn ends(mut file: &File) -> io::Result<Vec<u8>> {
     const PIECE: u64 = 256 << 10;
-    let mut text = Vec::new();
-    file.take(PIECE).read_to_end(&mut text)?;
+    let mut text = regular::read_from(file.take(PIECE), PIECE)?;
     let length = file.metadata()?.len();
     if length <= PIECE {
         return Ok(text);
     }
     let end = |text: &[u8]| text.iter().position(|&byte| byte == b'\n').map_or(text.len(), |end| end + 1);
     text.truncate(end(&text));
-    let mut tail = Vec::new();
     file.seek(SeekFrom::Start(length - PIECE))?;
-    file.take(PIECE).read_to_end(&mut tail)?;
+    let tail = regular::read_from(file.take(PIECE), PIECE)?;
     text.extend_from_slice(&tail[end(&tail)..]);
     Ok(text)
 }

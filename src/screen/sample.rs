@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
+use crate::mounted;
 use gauge_bus::clock::{Clock, RealClock};
 
 /// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
@@ -175,7 +176,7 @@ impl Sample {
 
 /// The attributes of `uevent`, by their file names.
 pub(super) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
-    let uevent = fs::read_to_string(folder.join("uevent"))?;
+    let uevent = mounted::content(&folder.join("uevent"))?;
     let attributes = uevent.lines().filter_map(|line| {
         let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
         // uevent writes a space as `_`, but a name may contain a real one.
@@ -244,7 +245,7 @@ fn difference(before: &str, after: &str) -> String {
 
 /// A file's one line; `None` if the file does not exist now, or this user may not read it.
 pub(super) fn text(path: &Path) -> io::Result<Option<String>> {
-    Ok(if_readable(fs::read_to_string(path))?.map(|text| text.trim_end().to_string()))
+    Ok(if_readable(mounted::content(path))?.map(|text| text.trim_end().to_string()))
 }
 
 /// `None` for a file that does not exist now, or that this user may not read.

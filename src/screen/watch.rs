@@ -263,14 +263,14 @@ pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'stati
 }
 
 fn model_name(gauge: &Path) -> String {
-    let uevent = fs::read_to_string(gauge.join("uevent")).unwrap_or_default();
+    let uevent = mounted::content(&gauge.join("uevent")).unwrap_or_default();
     let model = uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME="));
     model.unwrap_or_default().into()
 }
 
 /// The thresholds of learning. A sealed gauge is not unsealed for them.
 fn limits(gauge: &Path) -> Option<Limits> {
-    let seal = fs::read_to_string(gauge.join("gauge/seal")).ok()?;
+    let seal = mounted::content(&gauge.join("gauge/seal")).ok()?;
     (seal.trim() != "sealed").then(|| learning::limits(gauge, &model_name(gauge)))
 }
 

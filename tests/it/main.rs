@@ -1,5 +1,7 @@
 //! One test binary for everything that needs more than one module.
 
+#![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
+
 mod cli;
 mod config;
 mod doctor;

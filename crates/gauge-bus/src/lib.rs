@@ -28,6 +28,8 @@
 //! # Ok::<(), BusError>(())
 //! ```
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
+
 use std::time::Duration;
 use std::{fmt, io};
 

@@ -26,7 +26,7 @@ use nix::sys::stat::{major, minor};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Error, ErrorKind, Result};
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, regular};
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
 const I2C_MAJOR: u64 = 89;
@@ -80,7 +80,10 @@ impl Adapter {
 
     /// The kernel's name of the hardware.
     pub fn name(&self) -> Option<String> {
-        let name = fs::read_to_string(format!("/sys/class/i2c-dev/i2c-{}/name", self.number())).ok()?;
+        let name = {
+            let file = format!("/sys/class/i2c-dev/i2c-{}/name", self.number());
+            regular::read_text(Path::new(&file), regular::SYSTEM).ok()?
+        };
         Some(name.trim().to_string())
     }
 
@@ -270,7 +273,7 @@ pub fn clock_hz(root: &Path, number: u64) -> Option<u32> {
     let device = root.join(format!("sys/bus/i2c/devices/i2c-{number}"));
     // The property is in the adapter's own node or in that of its controller.
     let nodes = ["of_node", "device/of_node", "../of_node"];
-    let read = |node: &&str| fs::read(device.join(node).join("clock-frequency")).ok();
+    let read = |node: &&str| regular::read(&device.join(node).join("clock-frequency"), regular::SYSTEM).ok();
     Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
 }
 
@@ -278,7 +281,7 @@ pub fn clock_hz(root: &Path, number: u64) -> Option<u32> {
 pub fn driver(root: &Path, number: u64, address: u8) -> Option<Driver> {
     let device = root.join(format!("sys/bus/i2c/devices/{number}-{address:04x}"));
     let driver = fs::read_link(device.join("driver")).ok()?;
-    let device = fs::read_to_string(device.join("name")).unwrap_or_default();
+    let device = regular::read_text(&device.join("name"), regular::SYSTEM).unwrap_or_default();
     let name = driver.file_name()?.to_string_lossy().into_owned();
     Some(Driver { name, device: device.trim().to_string() })
 }
@@ -395,7 +398,7 @@ pub fn adapters(root: &Path) -> Vec<(u64, String)> {
     let mut adapters: Vec<(u64, String)> = nodes
         .filter_map(|node| {
             let number = node.file_name().to_str()?.strip_prefix("i2c-")?.parse().ok()?;
-            let name = fs::read_to_string(node.path().join("name")).unwrap_or_default();
+            let name = regular::read_text(&node.path().join("name"), regular::SYSTEM).unwrap_or_default();
             Some((number, name.trim().to_string()))
         })
         .collect();

@@ -3,10 +3,11 @@
 //!
 //! Where another user can create files in the same folder, such as `/tmp`, the name may already be a symbolic
 //! link to some other file, or a FIFO, whose open waits for the other end. What gaugefs keeps or writes is neither. What
-//! it reads is a regular file of a length that makes sense.
+//! it reads is a regular file of a length that makes sense, also inside a mount: whoever has mounted it may have made
+//! its files as they like. `clippy.toml` allows no other way to read a whole file.
 
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, BufRead, ErrorKind, Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -14,6 +15,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use rustix::fs::{CWD, OFlags, RenameFlags, fcntl_setfl, major, minor, renameat_with, statvfs};
 use rustix::io::Errno;
 use rustix::process::geteuid;
+
+/// What the system itself keeps, in `/proc`, `/sys` and the tables of `/etc`, is at most so long.
+pub const SYSTEM: u64 = 16 << 20;
 
 /// Opens a regular file. The last component of the path is not followed if it is a symbolic link, and the call
 /// never waits. The folders above it are trusted.
@@ -34,18 +38,28 @@ pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
 /// opened, except for a pipe that this process has inherited, such as a shell's `<(command)`.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let inherited = ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|place| path.starts_with(place));
+    read_file(follow(File::options().read(true), path, inherited)?, limit)
+}
+
+/// Opens a regular file to read or to write what is there, as [`read`] does: symbolic links are followed.
+pub fn open_linked(options: &OpenOptions, path: &Path) -> io::Result<File> {
+    follow(options, path, false)
+}
+
+/// Opens a regular file, or a pipe where that is allowed, behind any symbolic links.
+fn follow(options: &OpenOptions, path: &Path, pipe: bool) -> io::Result<File> {
     let check = |status: &Metadata| match status.file_type() {
         kind if kind.is_file() => Ok(()),
         kind if kind.is_dir() => Err(io::Error::from(ErrorKind::IsADirectory)),
-        kind if kind.is_fifo() && inherited => Ok(()),
+        kind if kind.is_fifo() && pipe => Ok(()),
         _ => Err(irregular()),
     };
     check(&fs::metadata(path)?)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
-    let file = File::options().read(true).custom_flags(flags.bits() as i32).open(path)?;
+    let file = options.clone().custom_flags(flags.bits() as i32).open(path)?;
     check(&file.metadata()?)?;
     fcntl_setfl(&file, OFlags::empty())?;
-    read_file(file, limit)
+    Ok(file)
 }
 
 /// Reads an open file of at most `limit` bytes.
@@ -59,10 +73,31 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
 }
 
 /// Reads to the end of what has at most `limit` bytes.
+#[expect(clippy::disallowed_methods, reason = "here is the limit")]
 pub fn read_from(from: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     from.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
+}
+
+/// The lines of what may have no end, each of at most `limit` bytes. A longer one is an error, and so is what is no text.
+pub fn lines(mut from: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
+    std::iter::from_fn(move || {
+        let mut line = Vec::new();
+        #[expect(clippy::disallowed_methods, reason = "here is the limit")]
+        let read = from.by_ref().take(limit + 1).read_until(b'\n', &mut line);
+        match read {
+            Ok(0) => return None,
+            Ok(_) => {}
+            Err(error) => return Some(Err(error)),
+        }
+        let end = line.strip_suffix(b"\n").map(|line| line.strip_suffix(b"\r").unwrap_or(line).len());
+        if end.is_none() && line.len() as u64 > limit {
+            return Some(Err(too_long(limit)));
+        }
+        line.truncate(end.unwrap_or(line.len()));
+        Some(text(line))
+    })
 }
 
 fn too_long(limit: u64) -> io::Error {
@@ -336,6 +371,17 @@ mod tests {
     }
 
     #[test]
+    fn a_line_is_read_up_to_a_limit() {
+        let all = |text: &[u8]| lines(text, 4).collect::<io::Result<Vec<_>>>();
+        assert_eq!(all(b"one\n\r\nfour\r\nfour").ok(), None, "with its end it is longer");
+        assert_eq!(all(b"one\n\r\nfour\nlast").expect("lines"), ["one", "", "four", "last"]);
+        assert_eq!(all(b"").expect("lines"), [""; 0]);
+        assert!(all(b"fives").is_err() && all(b"ok\n\xff\n").is_err());
+        let endless = io::BufReader::new(File::open("/dev/zero").expect("a device"));
+        assert!(lines(endless, 1 << 16).next().expect("a line").is_err());
+    }
+
+    #[test]
     fn a_file_is_read_up_to_a_limit() {
         let folder = folder_of_a_test("read");
         let [file, link, fifo] = ["file", "link", "fifo"].map(|name| folder.join(name));
@@ -355,6 +401,16 @@ mod tests {
         drop(to);
         let number = std::os::fd::AsRawFd::as_raw_fd(&from);
         assert_eq!(read(Path::new(&format!("/dev/fd/{number}")), 2048).expect("its bytes"), b"text");
+        // What is there may be written through a link, but nothing else is opened.
+        open_linked(File::options().write(true), &link).expect("opens").write_all(b"new").expect("written");
+        assert!(read(&file, 2048).expect("its bytes").starts_with(b"newx"));
+        for path in [&fifo, Path::new("/dev/null"), Path::new("/dev/zero")] {
+            for options in [File::options().write(true), File::options().read(true)] {
+                let error = open_linked(options, path).expect_err("not a regular file").to_string();
+                assert!(error.contains("not a regular file"), "{}: {error}", path.display());
+            }
+        }
+        assert!(read(Path::new("/proc/self/mountinfo"), SYSTEM).is_ok_and(|table| !table.is_empty()));
         fs::remove_dir_all(&folder).expect("it was made here");
     }
 }

@@ -4,6 +4,7 @@ use std::fs::{self, Metadata};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use gauge_bus::regular;
 use nix::unistd::{AccessFlags, access, geteuid};
 
 /// A system below a root folder.
@@ -17,7 +18,7 @@ pub(super) struct Host {
 
 impl Host {
     pub(super) fn new(root: PathBuf) -> Self {
-        let status = fs::read_to_string(root.join("proc/self/status")).unwrap_or_default();
+        let status = regular::read_text(&root.join("proc/self/status"), regular::SYSTEM).unwrap_or_default();
         let numbers = |name: &str| -> Vec<u32> {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
             line.unwrap_or_default().split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect()
@@ -46,7 +47,7 @@ impl Host {
     }
 
     pub(super) fn text(&self, path: &str) -> String {
-        fs::read_to_string(self.at(path)).unwrap_or_default()
+        regular::read_text(&self.at(path), regular::SYSTEM).unwrap_or_default()
     }
 
     /// The names in a folder, sorted.

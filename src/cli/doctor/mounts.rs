@@ -17,7 +17,7 @@ const PLACE: &str = "/run/gaugefs";
 const JOURNALS: &str = "/var/lib/gaugefs";
 
 pub(super) fn check(host: &Host) -> Vec<Finding> {
-    let table = fs::read(host.at("/proc/self/mountinfo")).unwrap_or_default();
+    let table = regular::read(&host.at("/proc/self/mountinfo"), regular::SYSTEM).unwrap_or_default();
     let all: Vec<_> = entries(&table).collect();
     // Daemons that do not answer are waited for at the same time.
     let look = |mount: &Entry| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();

@@ -5,6 +5,7 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::mounted;
 use crate::output::{errors_are_seen, print_error};
 
 /// Time between two reads of `df/transaction`, which cause no bus traffic.
@@ -26,7 +27,7 @@ impl Bar {
         let thread = std::thread::spawn(move || {
             let mut shown = false;
             while ended.recv_timeout(INTERVAL) == Err(RecvTimeoutError::Timeout) {
-                if let Some(bar) = std::fs::read_to_string(&file).ok().as_deref().and_then(line) {
+                if let Some(bar) = mounted::content(&file).ok().as_deref().and_then(line) {
                     shown = true;
                     print_error(&format!("\r{bar}"));
                 }

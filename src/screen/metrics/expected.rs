@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::folders;
+use gauge_bus::regular;
 
 /// The mount point that `--expect` means: a path, or the name of a file in `/etc/gaugefs`.
 pub(super) fn named(word: &Path) -> PathBuf {
@@ -34,7 +35,8 @@ fn of_folder(folder: &Path) -> Vec<PathBuf> {
 /// Where a file of the folder mounts its gauges: at the place it names, or as `gaugefs@i2c-N.service` has it. A file that
 /// cannot be read or understood names none; whoever mounts it is told.
 fn mountpoint(folder: &Path, name: &str) -> Option<PathBuf> {
-    let file: toml::Table = fs::read_to_string(folder.join(format!("{name}.toml"))).ok()?.parse().ok()?;
+    let file = regular::read_text(&folder.join(format!("{name}.toml")), regular::SYSTEM).ok()?;
+    let file: toml::Table = file.parse().ok()?;
     let named = file.get("mount").and_then(|mount| mount.get("mountpoint")).and_then(|place| place.as_str());
     let of_bus = || name.starts_with("i2c-").then(|| Path::new(folders::RUN).join(name));
     named.map(|place| folder.join(place)).or_else(of_bus)

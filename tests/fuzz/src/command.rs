@@ -107,6 +107,7 @@ pub(crate) fn condition(input: &[u8]) {
 }
 
 /// A history: `gaugefs plot`.
+#[expect(clippy::disallowed_methods, reason = "it was written here")]
 pub(crate) fn csv(input: &[u8]) {
     let (history, svg) = (Scratch::new("history.csv", input), Scratch::new("plot.svg", b""));
     let mut plot = arguments(["plot", "-o"]);

@@ -3,6 +3,8 @@
 //! `GAUGEFS_SEED` sets the seed, and `GAUGEFS_FUZZ_CASES` how many changed inputs each target gets. A failure prints
 //! the input, shrunk; put it into the target's folder of `corpus`, where it stays.
 
+#![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
+
 use std::path::PathBuf;
 
 use gaugefs_fuzz::{TARGETS, Target};

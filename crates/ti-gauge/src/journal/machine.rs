@@ -1,8 +1,9 @@
 //! The machine that a journal was written on. Several may keep their journals in one folder.
 
-use std::fs;
+use std::path::Path;
 use std::sync::OnceLock;
 
+use gauge_bus::regular;
 use sha1::{Digest as _, Sha1};
 
 use crate::text::hex;
@@ -23,7 +24,8 @@ impl Machine {
     pub(crate) fn this() -> &'static Self {
         static THIS: OnceLock<Machine> = OnceLock::new();
         THIS.get_or_init(|| {
-            let read = |path| fs::read_to_string(path).ok().as_deref().map(str::trim).map(word);
+            let text = |path| regular::read_text(Path::new(path), regular::SYSTEM).ok();
+            let read = |path| text(path).as_deref().map(str::trim).map(word);
             let or_unknown = |text: Option<String>| text.unwrap_or_else(|| UNKNOWN.into());
             // machine-id(5) asks programs not to give it away.
             let hashed = |text: String| hex(&Sha1::digest(format!("gaugefs {text}")))[..16].to_string();
