@@ -273,6 +273,10 @@ fn journals_are_listed() {
     system.write("var/lib/gaugefs/i2c-1-55.1.waiting", "");
     let says = ["may be another one", "until its pack has come back"];
     system.says("warning", "/var/lib/gaugefs/i2c-1-55.1.waiting", &says);
+    // A seal that is owed beside a write that waits.
+    system.write("var/lib/gaugefs/i2c-1-55.seal", "");
+    let says = ["left open", "Mount the gauge", "Keep this file"];
+    system.says("warning", "/var/lib/gaugefs/i2c-1-55.seal", &says);
 }
 
 #[test]

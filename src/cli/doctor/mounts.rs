@@ -61,12 +61,12 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// Journals of writes that are in progress, or were interrupted.
+/// Journals of writes that are in progress or were interrupted, and of seals that are owed.
 fn journals(host: &Host) -> Vec<Finding> {
     let own = format!("{}/.local/state/gaugefs", host.home());
     let folders = if host.is_root() { vec![JOURNALS.to_string()] } else { vec![JOURNALS.to_string(), own] };
     let paths = folders.iter().flat_map(|folder| {
-        let ours = |name: &String| name.ends_with(".journal") || name.ends_with(".waiting");
+        let ours = |name: &String| [".journal", ".waiting", ".seal"].iter().any(|end| name.ends_with(end));
         host.names(folder).into_iter().filter(ours).map(move |name| format!("{folder}/{name}"))
     });
     let pending = (
@@ -79,8 +79,16 @@ fn journals(host: &Host) -> Vec<Finding> {
         "Keep this file until its pack has come back: what it lacks is settled when its data flash is read. If that pack \
          is lost, or was the one that was found, remove the file.",
     );
+    let seal = (
+        "a gauge that was found sealed is being read, or may have been left open",
+        "Mount the gauge: that seals it again, or gauge/last_error says why not. Keep this file.",
+    );
     let finding = |path: String| {
-        let (says, remedy) = if path.ends_with(".waiting") { waiting } else { pending };
+        let (says, remedy) = match () {
+            () if path.ends_with(".waiting") => waiting,
+            () if path.ends_with(".seal") => seal,
+            () => pending,
+        };
         warning(path, says, remedy)
     };
     paths.map(finding).collect()
