@@ -379,6 +379,33 @@ mod tests {
         fs::remove_file(path).expect("it is there");
     }
 
+    #[test]
+    fn an_entry_is_one_line_whatever_is_in_it() {
+        let path = path("hostile");
+        let texts = [
+            "a,b",
+            "say \"no\"",
+            "two\nlines",
+            "\r",
+            "\u{1b}[2J\u{7}\0",
+            "\"}\n{\"event\":\"pass\"",
+            "\u{2028}",
+        ];
+        let mut record = Record::open(&Host, &path).expect("a record");
+        for (number, text) in (1..).zip(texts) {
+            let (who, reason) = (text.to_string(), Some(text.to_string()));
+            record.append(&Entry { who, reason, ..entry(Event::Begun, number, "1") }).expect("room");
+        }
+        drop(record);
+        let text = fs::read_to_string(&path).expect("text");
+        assert_eq!(text.lines().count(), texts.len(), "{text}");
+        assert!(!text.contains(|letter: char| letter.is_control() && letter != '\n'), "{text:?}");
+        let record = Record::open(&Host, &path).expect("a record");
+        let found: Vec<_> = record.unfinished().iter().filter_map(|entry| entry.reason.clone()).collect();
+        assert_eq!(found, texts);
+        fs::remove_file(path).expect("it is there");
+    }
+
     /// Wherever the file ends, what is whole counts, and the station can go on.
     #[test]
     fn a_last_line_that_was_cut_short_does_not_count() {

@@ -348,3 +348,39 @@ impl Out {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a gauge, a folder or a user of another mount supplies.
+    const HOSTILE: [&str; 8] = [
+        "a,b",
+        "say \"no\"",
+        "two\nlines",
+        "two\r\nlines",
+        "\u{1b}[2J\u{7}",
+        "\u{9b}2J\u{202e}",
+        "\0",
+        "\",\"\n,",
+    ];
+
+    #[test]
+    fn a_field_is_one_field_of_one_line_whatever_is_in_it() {
+        let path = std::env::temp_dir().join(format!("gaugefs-fields-{}.csv", std::process::id()));
+        let _ = std::fs::remove_file(&path);
+        let mut out = Out::open(Some(&path), &[]).expect("a file");
+        out.record(&HOSTILE).expect("written");
+        out.record(&["the next one"; HOSTILE.len()]).expect("written");
+        drop(out);
+        let text = std::fs::read_to_string(&path).expect("text");
+        std::fs::remove_file(&path).expect("it is there");
+        let lines: Vec<_> = text.split("\r\n").collect();
+        assert!(lines.len() == 3 && lines[2].is_empty(), "{text:?}");
+        assert_eq!(text.replace("\r\n", "").chars().find(|&letter| !ti_gauge::text::is_plain(letter)), None);
+        let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(text.as_bytes());
+        let rows: Vec<_> = reader.records().map(|row| row.expect("a row")).collect();
+        assert_eq!(rows[0].iter().collect::<Vec<_>>(), HOSTILE.map(printable));
+        assert!(rows[1].iter().all(|field| field == "the next one"));
+    }
+}

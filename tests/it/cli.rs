@@ -824,6 +824,77 @@ fn a_key_file_that_others_may_read_is_refused() {
     assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
 }
 
+/// A script that goes on after it believes that the gauge is sealed.
+#[test]
+fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let mount = |state: &str, background: bool| {
+        let mut mount = command(&["mount", "--sim", CHIP, "--no-backup"]);
+        // The first daemon has its gauge for a moment after the unmount.
+        let flash = folder.file(&format!("flash of the {state}"));
+        mount.args(["--sim-state", &flash, "--state-dir", &folder.file(state), &at]);
+        if background {
+            Ran::of(mount.output().expect("gaugefs runs")).done();
+            return None;
+        }
+        let log = fs::File::create(folder.file("log")).expect("a log");
+        let child =
+            mount.arg("--foreground").stdout(Stdio::null()).stderr(log).spawn().expect("gaugefs runs");
+        within(Duration::from_secs(60), "mounted", || Path::new(&at).join("BAT0/present").exists());
+        Some(child)
+    };
+    let file = |name: &str| Path::new(&at).join("BAT0").join(name);
+    // It is opened for a read, and does not take the commands that would seal it again.
+    let left_open = || {
+        fs::write(file("sim/drop_seals"), "100000").expect("a knob");
+        let read = fs::read(file("df/80/53")).map_err(|error| error.raw_os_error());
+        assert_eq!(read, Err(Some(nix::libc::ENOTRECOVERABLE)));
+        assert_eq!(fs::read_to_string(file("gauge/owed")).expect("readable"), "1\n");
+    };
+    let is_journal = |state: &str| {
+        let names = fs::read_dir(folder.file(state)).expect("a folder");
+        names.flatten().any(|entry| entry.path().extension().is_some_and(|end| end == "journal"))
+    };
+
+    mount("first", true);
+    left_open();
+    let ran = gaugefs(&["umount", &at]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    assert!(
+        ran.err.contains("BAT0: ") && ran.err.contains("restoring the sealed state failed"),
+        "{}",
+        ran.err
+    );
+    assert!(!gaugefs::daemon::mountpoint::is_ours(Path::new(&at)), "it is unmounted all the same");
+    assert!(is_journal("first"), "the next start finds it");
+
+    for by_signal in [true, false] {
+        let mut daemon = mount("second", false).expect("a child");
+        left_open();
+        match by_signal {
+            true => kill(Pid::from_raw(daemon.id() as i32), Signal::SIGTERM).expect("it runs"),
+            false => assert_eq!(gaugefs(&["umount", &at]).code, Some(1)),
+        }
+        assert_eq!(daemon.wait().expect("a child").code(), Some(1));
+        let log = fs::read_to_string(folder.file("log")).expect("a log");
+        assert!(log.contains("gaugefs ends, and this is still owed"), "{log}");
+        assert!(is_journal("second"));
+    }
+
+    // Paid by the next one, which then owes nothing.
+    let mut daemon = mount("second", false).expect("a child");
+    within(Duration::from_secs(60), "paid", || {
+        fs::read_to_string(file("gauge/owed")).is_ok_and(|owed| owed == "0\n")
+    });
+    gaugefs(&["umount", &at]).done();
+    assert_eq!(daemon.wait().expect("a child").code(), Some(0));
+    assert!(!is_journal("second"));
+}
+
 /// A temporary folder. Dropping it unmounts what is mounted in it.
 pub(crate) struct Folder(pub(crate) PathBuf);
 

@@ -376,6 +376,7 @@ mod tests {
     #[test]
     fn regression_a_line_end_in_a_file_or_a_name_begins_no_series() {
         let evil = "1\nevil_series 666\n# HELP evil \"\\".to_string();
+        let tricky = "a,b=\"c\"}\u{1b}[2J\ré";
         let names = [
             "present",
             "model_name",
@@ -387,11 +388,12 @@ mod tests {
         let names = names.map(String::from).into_iter().chain(super::names());
         let texts = names.map(|name| (name, evil.clone())).collect();
         let path = "/run/a\nevil_mount 1".into();
+        let named = Gauge { name: tricky.into(), texts: mount().gauges.remove(0).texts };
         let all = [
             Mount {
                 path,
                 up: Up::Yes,
-                gauges: vec![Gauge { name: evil.clone(), texts }, mount().gauges.remove(0)],
+                gauges: vec![Gauge { name: evil.clone(), texts }, named, mount().gauges.remove(0)],
             },
             Mount { path: "/private".into(), up: Up::Unknown, gauges: Vec::new() },
         ];
@@ -404,6 +406,10 @@ mod tests {
             assert!(page.contains("serial_number=\"1\\nevil_series 666\\n# HELP evil \\\"\\\\\""), "{page}");
             assert!(page.contains("gaugefs_mount_up{mountpoint=\"/run/a\\nevil_mount 1\"} 1\n"), "{page}");
             assert!(!page.contains("/private"), "another user's: {page}");
+            // A quoted comma or brace ends nothing, and other characters are as they are: a label may have any.
+            let label = "power_supply=\"a,b=\\\"c\\\"}\u{1b}[2J\ré\"";
+            let rows = page.split('\n').filter(|line| line.contains(label));
+            assert!(rows.filter(|line| line.ends_with("} 0.97")).count() == 1, "{page}");
         }
     }
 

@@ -68,3 +68,18 @@ pub(super) fn render(scene: &Scene) -> String {
 fn hex([red, green, blue]: [u8; 3]) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_is_text_whatever_is_in_it() {
+        let text = "a<b>&amp;\"c\"\n</text><script>\u{1b}\0".to_string();
+        let shape =
+            Shape::Text { at: (1.0, 2.0), text, colour: [0; 3], anchor: Anchor::Start, style: Style::Plain };
+        let svg = render(&Scene { width: 10.0, height: 10.0, shapes: vec![shape] });
+        assert!(svg.contains(">a&lt;b>&amp;amp;\"c\"&lt;/text>&lt;script></text>\n"), "{svg}");
+        assert!(!svg.contains(|letter: char| letter.is_control() && letter != '\n'), "{svg:?}");
+    }
+}

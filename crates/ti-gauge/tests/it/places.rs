@@ -207,6 +207,28 @@ fn regression_an_unreadable_journal_that_was_moved_away_stops_nothing() {
     assert!(rig.dataflash.owed().is_none());
 }
 
+/// Whoever may write to the folder may also make what never ends.
+#[test]
+fn a_journal_that_is_too_long_is_not_read_and_blocks_writes() {
+    let folder = Folder::new("too-long");
+    fs::create_dir_all(folder.path()).expect("a folder");
+    let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
+    let path = folder.journal().path();
+    let long = fs::File::create(&path).expect("a file");
+    long.set_len((256 << 20) + 1).expect("a file system with holes");
+    let error = rig.comes_to(folder.journal()).expect_err("it cannot be read").to_string();
+    assert!(error.contains("longer than 256 MiB"), "{error}");
+    let flash = rig.sim.flash();
+    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err("it is there")), "Busy");
+    assert!(rig.sim.flash() == flash && path.exists());
+    // One that can be read is no journal for another reason, which the message has.
+    long.set_len(256 << 10).expect("shorter");
+    let error = rig.comes_to(folder.journal()).expect_err("it is no journal").to_string();
+    assert!(error.contains("not a whole journal"), "{error}");
+    fs::remove_file(&path).expect("it is there");
+    rig.write(58, 3, "0x5a").expect("it is gone");
+}
+
 /// Two hosts with one folder, and the same place on both; or two containers of one host.
 #[test]
 fn regression_the_journal_of_a_write_in_progress_was_taken_for_one_left_behind() {
