@@ -617,6 +617,20 @@ fn a_panic_in_a_request_fails_that_request_only() {
     assert_eq!(mount.echo("3100", "df/80/53"), Ok(()));
 }
 
+/// Each open of a file that may be written is another file to the kernel. SEMANTICS.md says what to lock instead.
+#[test]
+fn a_lock_of_a_folder_excludes_others_and_one_of_a_writable_file_does_not() {
+    use rustix::fs::{FlockOperation, flock};
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    for (name, excludes) in [("", true), ("df", true), ("df/80/53", false), ("df/transaction", false)] {
+        let open = || fs::File::open(mount.path(name)).expect("opens");
+        let (one, other) = (open(), open());
+        flock(&one, FlockOperation::NonBlockingLockExclusive).expect("nobody has it");
+        let locked = flock(&other, FlockOperation::NonBlockingLockExclusive);
+        assert_eq!(locked.is_err(), excludes, "{name}: {locked:?}");
+    }
+}
+
 /// Only the owner can read data flash, and only the owner can write.
 #[test]
 fn file_modes_restrict_other_users() {
