@@ -401,10 +401,11 @@ impl Fs {
     }
 
     /// Permissions. Everybody may read attributes; data flash and writable files are for the mount's owner,
-    /// and its group where one was named.
+    /// and its group where one was named. They also have the folders, in which nothing can be made, so that it is this
+    /// tree that answers when a name is mistyped.
     pub fn mode(&self, node: Node) -> u16 {
         self.ask(node, |node| match node.shape() {
-            Shape::Folder => 0o555,
+            Shape::Folder => 0o555 | self.access.bits(Mode::ReadWrite) & 0o222,
             Shape::Link => 0o777,
             Shape::File => self.access.bits(node.mode()),
         })

@@ -162,7 +162,8 @@ enum Class {
 impl Class {
     fn mode(self) -> Option<u32> {
         Some(match self {
-            Class::Folder => 0o555,
+            // The model's mount has a group.
+            Class::Folder => 0o775,
             Class::Outside => 0o777,
             Class::Steady | Class::Measured | Class::Fleeting => 0o444,
             Class::Link
@@ -557,7 +558,7 @@ impl Model {
         let path = self.path(name);
         let who = &self.users[user];
         let role = who.role;
-        let creates = if role == Role::Root { Errno::EPERM } else { Errno::EACCES };
+        let creates = if role == Role::Stranger { Errno::EACCES } else { Errno::EPERM };
         let writes = flags.intersects(OFlags::WRONLY | OFlags::RDWR | OFlags::TRUNC);
         let reads = !flags.contains(OFlags::WRONLY);
         let target = class.followed();
@@ -1075,16 +1076,16 @@ impl Model {
         let new = self.path(new);
         let who = &self.users[user];
         let role = who.role;
-        let is_root = role == Role::Root;
+        let is_stranger = role == Role::Stranger;
         let is_owner = matches!(role, Role::Root | Role::Owner);
         let target = class.followed();
         let may = target.mode().map_or(0, |mode| who.may(mode));
         let is_folder = class == Class::Folder;
         let is_link = matches!(class, Class::Link | Class::Outside);
         let there = self.there(target);
-        // Nothing can be added, removed or renamed: the mode of the folders refuses it, and gaugefs refuses root.
+        // Nothing can be added, removed or renamed: gaugefs refuses it, and before that the mode of the folders.
         let fixed =
-            || Expected::failure(&[if is_root { Errno::EPERM } else { Errno::EACCES }, Errno::ENOENT]);
+            || Expected::failure(&[if is_stranger { Errno::EACCES } else { Errno::EPERM }, Errno::ENOENT]);
         let what = format!("{role:?} {name}");
         if class == Class::Outside && !matches!(self.random.below(2), 0) {
             let target = who.does(move || rustix::fs::readlink(path, Vec::new())).map_err(of_io);

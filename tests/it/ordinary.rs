@@ -66,6 +66,30 @@ user "$gaugefs" umount gauges && echo unmounted
     );
 }
 
+/// A folder that its owner may not write to answers EACCES to a mistyped name before gaugefs is asked.
+#[test]
+fn regression_a_mistyped_name_is_told_to_the_owner_of_a_mount_too() {
+    let folder = Folder::new();
+    let commands = r#"
+user "$gaugefs" mount --sim bq34z100-g1 gauges
+user sh -c 'echo 3100 > gauges/BAT0/df/80/54'
+user cat gauges/BAT0/gauge/last_error
+user cat gauges/BAT0/df/80/54
+user touch gauges/BAT0/mine
+user mkdir gauges/BAT0/df/mine
+user rm -f gauges/BAT0/capacity
+user "$gaugefs" umount gauges && echo unmounted
+"#;
+    let Some(said) = script(&folder, commands) else { return };
+    says(
+        &said,
+        &["cannot create gauges/BAT0/df/80/54: Directory nonexistent", "did you mean 80/53", "unmounted"],
+    );
+    says(&said, &["cat: gauges/BAT0/df/80/54: No such file", "touch '", "mine': No such file"]);
+    says(&said, &["df/mine", "'gauges/BAT0/capacity': Operation not permitted"]);
+    assert!(!said.contains("Permission denied"), "{said}");
+}
+
 #[test]
 fn a_missing_fusermount3_is_named_before_anything_is_made() {
     let folder = Folder::new();
