@@ -18,8 +18,11 @@ use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};
 
+mod effects;
 mod presence;
 
+pub use effects::Effects;
+use effects::{Seen, Status, Watch};
 pub(crate) use presence::Moment;
 use presence::Presence;
 
@@ -131,6 +134,12 @@ pub struct Statistics {
     pub resets: AtomicU64,
     /// Writes whose values were already stored.
     pub unchanged_writes: AtomicU64,
+    /// Times until a commit was seen.
+    pub commits: Effects,
+    /// Times until a RESET was seen, which seals.
+    pub reset_seals: Effects,
+    /// Times until the measurement of an offset was seen.
+    pub offsets: Effects,
     /// Progress of the current write.
     pub progress: Progress,
 }
@@ -185,6 +194,15 @@ impl Statistics {
             ("flash_writes", read(&self.flash_writes)),
             ("resets", read(&self.resets)),
             ("unchanged_writes", read(&self.unchanged_writes)),
+            ("commits_seen", self.commits.count()),
+            ("commit_seen_ms", self.commits.seen_ms()),
+            ("commit_unseen_ms", self.commits.unseen_ms()),
+            ("resets_seen", self.reset_seals.count()),
+            ("reset_seen_ms", self.reset_seals.seen_ms()),
+            ("reset_unseen_ms", self.reset_seals.unseen_ms()),
+            ("offsets_seen", self.offsets.count()),
+            ("offset_seen_ms", self.offsets.seen_ms()),
+            ("offset_unseen_ms", self.offsets.unseen_ms()),
         ]
     }
 }
@@ -220,6 +238,7 @@ pub struct Gauge {
     answered: Duration,
     silence: Duration,
     presence: Presence,
+    effects: Watch,
     /// When the last wait was to end.
     rested: Cell<Duration>,
     /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
@@ -266,6 +285,7 @@ impl Gauge {
             answered: Duration::ZERO,
             silence: Duration::ZERO,
             presence: Presence::default(),
+            effects: Watch::default(),
             rested: Cell::default(),
             seen: None,
             commanded: None,
@@ -335,6 +355,12 @@ impl Gauge {
         self.stopped = Some(stopped);
         self.presence.has_taken(stopped.saturating_sub(begun));
         self.note(write, read, outcome);
+        if self.secrets > 0 {
+            self.effects.forget();
+        } else {
+            let seen = Seen { begun, ended: stopped, write, read, outcome };
+            self.effects.transfer(&seen, self.chip, &self.statistics.commits);
+        }
         match outcome {
             Ok(()) => {
                 self.silence = self.longest_silence();
@@ -677,6 +703,7 @@ impl Gauge {
     }
 
     fn control_status_once(&mut self) -> Result<Seal> {
+        let begun = self.clock.now();
         self.command(CONTROL_STATUS)?;
         let mut behind = [0; BEHIND];
         let also = self.also;
@@ -712,6 +739,8 @@ impl Gauge {
             }
         };
         self.look = Look { seal, status, behind };
+        let look = Status { begun, ended: self.clock.now(), status, seal };
+        self.effects.look(&look, &self.statistics.reset_seals, &self.statistics.offsets);
         Ok(seal)
     }
 
@@ -896,6 +925,7 @@ impl Gauge {
                 log::warn!("{}: {why}", self.chip.name);
             }
             self.opened = None;
+            self.effects.seals();
             let sent = send(self);
             self.commands(Seal::Sealed);
             outcome = sent.and_then(|()| self.seal());
@@ -943,7 +973,9 @@ impl Gauge {
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
         (self.seen, self.commanded) = (Some(Seal::Sealed), None);
-        self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))
+        self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))?;
+        self.effects.reset(self.clock.now());
+        Ok(())
     }
 
     /// The same to whatever gauge is there.
