@@ -51,7 +51,7 @@ pub(crate) use direct::Direct;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
 use poll::Schedule;
-pub use report::{Origin, Report};
+pub use report::{Effect, Origin, Report, Times};
 pub use request::{Done, Request};
 
 /// Longest wait for a request. The gauge's clock counts the time in which the host is asleep, and a wait does not: what

@@ -1,11 +1,13 @@
 //! The text of a [`Report`]: a trace that can be replayed, with everything about the gauge in the lines above it.
 
 use std::path::Path;
+use std::time::Duration;
 
-use crate::owner::{Origin, Report};
+use crate::owner::{Effect, Origin, Report, Times};
 use gauge_bus::{regular, trace};
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
-use ti_gauge::text::{hex, printable};
+use ti_gauge::dataflash::Place;
+use ti_gauge::text::{self, hex, printable};
 
 /// How the line about data flash begins.
 const DATA_FLASH: &str = "Data flash: ";
@@ -35,6 +37,12 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
         about.push(format!("Answer to FW_VERSION: {}", hex(&report.firmware)));
     }
     about.extend(chip.beliefs().map(|belief| format!("Not confirmed: {}", belief.name)));
+    about.extend(report.values.iter().map(|(row, value)| {
+        let (place, text) = (Place::of(*row), text::render(row.1.kind, value));
+        format!("Value {place} {} = {text} {}", row.1.name, row.1.unit).trim_end().to_string()
+    }));
+    about.extend(times(chip, report));
+    about.extend(report.calibration.lines().map(|line| format!("Last calibration: {}", printable(line))));
     about.push(match &report.data_flash {
         Ok(read) if read.is_empty() => format!("{DATA_FLASH}none is known of this part"),
         Ok(read) => {
@@ -78,6 +86,41 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
         }
     }
     about
+}
+
+/// What writes since the mount have shown of commits and resets.
+fn times(chip: &Chip, report: &Report) -> Vec<String> {
+    if !chip.has_table() {
+        return Vec::new();
+    }
+    let shown = |effect: &Effect, first: Option<Duration>| {
+        let unseen = match effect.unseen_ms {
+            0 => "no look was without it".to_string(),
+            unseen => format!("the last look without it after {unseen} ms"),
+        };
+        let first = first.map_or(String::new(), |first| format!("; the first look is after {first:?}"));
+        format!("{unseen}, at the latest seen after {} ms{first}", effect.seen_ms)
+    };
+    let (Times { resets, commits, reset_seals, offsets }, access) = (&report.times, &chip.access);
+    let commits = match commits.count {
+        0 => "Commits: none was seen since the mount; write a value and make the report again".to_string(),
+        count => {
+            format!("Commits: {count} were seen since the mount; {}", shown(commits, Some(access.commit)))
+        }
+    };
+    let seals = match reset_seals.count {
+        0 => String::new(),
+        count => format!(", SEALED after {count} of them; {}", shown(reset_seals, Some(access.reset))),
+    };
+    let mut times = vec![commits, format!("Resets: {resets} were sent since the mount{seals}")];
+    if let (Some(_), 1..) = (chip.calibration, offsets.count) {
+        let shown = shown(offsets, None);
+        times.push(format!(
+            "Offsets: [BCA] or [CCA] was seen {} times since the mount; {shown}",
+            offsets.count
+        ));
+    }
+    times
 }
 
 /// AveragePower() beside what it should be, whose unit differs from part to part.
@@ -132,6 +175,9 @@ mod tests {
             snapshot: published.snapshot.clone().expect("a poll"),
             firmware: Vec::new(),
             data_flash: Err(String::new()),
+            values: Vec::new(),
+            calibration: "".into(),
+            times: Times::default(),
             events: Vec::new(),
         };
         let lines: BTreeSet<&str> = text.lines().collect();
@@ -186,6 +232,22 @@ mod tests {
                 "bq34z100-g1",
                 &["Registers (Configuration)", "Power (Configuration)", "Data (Calibration)"][..],
             ),
+            (
+                "bq34z100-g1",
+                &[
+                    "; Value 104/",
+                    " Board Offset = ",
+                    " CC Offset = ",
+                    "; Value 104/14 Voltage Divider = 5000",
+                    "; Value 68/0 Flash Update OK Cell Volt = 2800 mV",
+                    "; Value 64/0 Pack Configuration = 0x0161",
+                    "; Value 64/7 Number of series cell = 1",
+                    "; Commits: none was seen since the mount",
+                    "; Resets: 0 were sent since the mount",
+                ],
+            ),
+            ("bq34z100-r2", &["; Value 48/30 ", "; Value 48/31 ", "; Value 48/32 ", "; Value 68/0 "]),
+            ("bq34110", &["; Value flash/0x4010 Voltage Divider = ", "; Value flash/0x4157 "]),
             ("bq34110", &["Answer to FW_VERSION: 011001000001", "; Not confirmed: addresses as printed"]),
             ("bq35100", &["Answer to FW_VERSION: 010000180008"]),
             ("bq27220", &["Answer to FW_VERSION: 022000030001"]),

@@ -19,6 +19,7 @@ The file has the gauge's identity and registers, kernel and adapter, and a trace
 does: the gauge is identified and polled, and a few blocks of data flash are read that belong to no one.
 For that a sealed gauge is unsealed and sealed again. Nothing is written to data flash. Keys are not
 in the file, nor are serial numbers, dates, lots and texts. `gaugefs mount --replay` mounts it.
+Of a mounted gauge it also has the times of writes and the last calibration since the mount.
 
 A gauge that is mounted is named by its folder, any other by --bus. Exit code 0: done, 3: data flash
 could not be read, as of a sealed gauge without a key, and the file has the rest, 1: failed.

@@ -9,8 +9,10 @@ use nix::errno::Errno;
 use super::{Answers, Attempt, Owner, Seal, Snapshot};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::trace::Event;
-use ti_gauge::chip::{Limited, Subclass};
+use ti_gauge::chip::{Chip, Kind, Limited, Row, Subclass};
 use ti_gauge::dataflash::{anonymous, samples};
+use ti_gauge::gauge::{Effects, Statistics};
+use ti_gauge::value::{Type, Value};
 
 /// Polls in a report. A mount of the recording needs the first and the second, of which only that reads the slow tier.
 const POLLS: u32 = 3;
@@ -43,8 +45,46 @@ pub struct Report {
     pub firmware: Vec<u8>,
     /// The subclasses of data flash that were read, none if the part is not known to have any; or why they were not.
     pub data_flash: Result<Vec<&'static Subclass>, String>,
+    /// Values of data flash that could decide what the table believes, where they were read; none is a number of the
+    /// pack's or a text.
+    pub values: Vec<(Row, Value)>,
+    /// The steps of the last calibration since the mount, and what it has reached; empty for none.
+    pub calibration: Arc<str>,
+    /// How long writes since the mount have taken.
+    pub times: Times,
     /// The transfers.
     pub events: Vec<Event>,
+}
+
+/// From a command until a look has shown its effect: how often that was seen, the longest time in which a look has shown it,
+/// and the longest after which one has not; in milliseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Effect {
+    /// How often.
+    pub count: u64,
+    /// The first look that showed it.
+    pub seen_ms: u64,
+    /// The last look that did not.
+    pub unseen_ms: u64,
+}
+
+impl Effect {
+    fn of(effects: &Effects) -> Self {
+        Self { count: effects.count(), seen_ms: effects.seen_ms(), unseen_ms: effects.unseen_ms() }
+    }
+}
+
+/// What writes since the mount have shown.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    /// Resets that were sent.
+    pub resets: u64,
+    /// From a commit to its content.
+    pub commits: Effect,
+    /// From a RESET to SEALED.
+    pub reset_seals: Effect,
+    /// From BOARD_OFFSET or CC_OFFSET to its bit in CONTROL_STATUS.
+    pub offsets: Effect,
 }
 
 impl Owner {
@@ -60,9 +100,13 @@ impl Owner {
             Err(_) => Vec::new(),
         };
         let published = self.shared.published();
-        let data_flash = match &outcome {
+        let read = match &outcome {
             Ok(()) => self.read_for_report(waited + self.gauge.clock.now().saturating_sub(begun)),
             Err(_) => Err(String::new()),
+        };
+        let (data_flash, values) = match read {
+            Ok((read, values)) => (Ok(read), values),
+            Err(why) => (Err(why), Vec::new()),
         };
         let mut events = anonymous(self.gauge.chip, self.gauge.recorded());
         outcome.inspect_err(|error| self.poll_failed(error))?;
@@ -75,7 +119,26 @@ impl Owner {
             return Err(Error::new(self.shared.name(), Cause::Gone("it was not polled; try again".into())));
         };
         let (answers, limited, seal) = (published.answers, published.limited, published.seal);
-        let report = Report { taken, answers, limited, seal, snapshot, firmware, data_flash, events };
+        let (calibration, statistics) = (published.calibration.clone(), &self.gauge.statistics);
+        let times = Times {
+            resets: Statistics::read(&statistics.resets),
+            commits: Effect::of(&statistics.commits),
+            reset_seals: Effect::of(&statistics.reset_seals),
+            offsets: Effect::of(&statistics.offsets),
+        };
+        let report = Report {
+            taken,
+            answers,
+            limited,
+            seal,
+            snapshot,
+            firmware,
+            data_flash,
+            values,
+            calibration,
+            times,
+            events,
+        };
         self.shared.publish(|published| published.report = Some(Arc::new(report)));
         self.shared.succeeded(&Attempt::Report);
         Ok(())
@@ -94,12 +157,17 @@ impl Owner {
         Ok(())
     }
 
-    /// Reads blocks that belong to no one, as any access to `df` would. Returns why not, without the names of files.
-    fn read_for_report(&mut self, waited: Duration) -> Result<Vec<&'static Subclass>, String> {
+    /// Reads blocks that belong to no one, and values that could decide a belief, as any access to `df` would. Returns why
+    /// not, without the names of files.
+    fn read_for_report(&mut self, waited: Duration) -> Result<DataFlash, String> {
         let chip = self.gauge.chip;
-        let indices = samples(chip);
+        let (shared, rows) = (samples(chip), deciding(chip));
+        // A block with a number of the pack's is not in the recording, and what is shown of it is the row alone.
+        let holds = |index: &usize| rows.iter().any(|(row, _)| std::ptr::eq(*row, &chip.subclasses[*index]));
+        let more = (0..chip.subclasses.len()).filter(|index| holds(index) && !shared.contains(index));
+        let indices: Vec<usize> = shared.iter().copied().chain(more).collect();
         if indices.is_empty() {
-            return Ok(Vec::new());
+            return Ok(Default::default());
         }
         if let Some(limited) = self.limitation() {
             return Err(limited.to_string());
@@ -108,10 +176,15 @@ impl Owner {
             return Err("an interrupted access is still to be settled".into());
         }
         let read = self.read_anew(&indices, waited);
+        let value = |row: &Row| {
+            let place = (row.0.id, row.1.offset);
+            Some((*row, self.shared.kept_value(place, row.1.kind)?))
+        };
+        let values = rows.iter().filter_map(value).collect();
         // What a mount of the recording has not read, this one has not either.
         self.forget_dataflash();
         match read {
-            Ok(_) => Ok(indices.iter().map(|&index| &chip.subclasses[index]).collect()),
+            Ok(_) => Ok((shared.iter().map(|&index| &chip.subclasses[index]).collect(), values)),
             Err(error) if error.errno() == Errno::EPERM => {
                 Err("the gauge is sealed and no key opens it".into())
             }
@@ -121,12 +194,26 @@ impl Owner {
     }
 }
 
+/// The subclasses that were read for everybody, and values.
+type DataFlash = (Vec<&'static Subclass>, Vec<(Row, Value)>);
+
+/// The numbers in data flash that could decide what the table believes.
+fn deciding(chip: &'static Chip) -> Vec<Row> {
+    let mut rows = chip.believed_rows();
+    rows.retain(|(subclass, row)| {
+        subclass.kind != Kind::Security && !row.names_pack() && !matches!(row.kind, Type::S(_))
+    });
+    rows
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::super::{Request, Settings, Startup};
     use super::*;
     use gauge_bus::clock::Clock as _;
+    use ti_gauge::calibration::Job;
+    use ti_gauge::dataflash::Change;
     use ti_gauge::keys::Keys;
 
     #[test]
@@ -150,6 +237,33 @@ mod tests {
         rig.clock.sleep(INTERVAL);
         rig.ask(Request::Report).expect("it is back");
         assert!(rig.gauge_records_nothing());
+    }
+
+    #[test]
+    fn a_report_has_what_writes_and_calibrations_since_the_mount_have_shown() {
+        let mut rig = Rig::open();
+        rig.ask(Request::Report).expect("it answers");
+        let report = rig.handle.published().report.clone().expect("a report");
+        assert_eq!((report.times.commits, report.times.reset_seals), Default::default());
+        // The simulated gauge shows a commit after that time and that of its words; the engine looks after 100 ms.
+        rig.sim.set("commit_ms", "230").expect("a knob");
+        for (value, busy) in [(3100, "old"), (3200, "nack")] {
+            rig.sim.set("commit_busy", busy).expect("a knob");
+            let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
+            let change = Change::of_value(row, &Value::Int(value)).expect("two bytes");
+            rig.ask(|done| Request::WriteAll(vec![change], done)).expect("written");
+        }
+        rig.ask(|done| Request::Calibrate(Job::BoardOffset, done)).expect("calibrated");
+        rig.ask(Request::Report).expect("it answers");
+        let report = rig.handle.published().report.clone().expect("a report");
+        let times = &report.times;
+        let (commits, seals) = (times.commits, times.reset_seals);
+        assert_eq!(commits.count, 2);
+        assert!((200..400).contains(&commits.unseen_ms), "{times:?}");
+        assert!(commits.seen_ms > 230 && commits.seen_ms < commits.unseen_ms + 250, "{times:?}");
+        assert!(times.offsets.count == 1 && times.offsets.seen_ms < 2000, "{times:?}");
+        assert!(seals.count >= 2 && seals.count <= times.resets, "{times:?}");
+        assert!(report.calibration.contains("Board Offset 0 -> "), "{}", report.calibration);
     }
 
     #[test]
