@@ -10,7 +10,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::daemon::{look, service};
 use crate::error::{Error, Result};
 use crate::key_file;
-use crate::output::{print, print_error, say};
+use crate::output::{print, print_error, say_error};
 use ti_gauge::text;
 
 mod assignment;
@@ -170,7 +170,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 }
 
 fn failed(error: &Error) -> ExitCode {
-    say(error);
+    say_error(error);
     ExitCode::FAILURE
 }
 
@@ -221,7 +221,7 @@ const PASSED_OVER: u8 = 3;
 /// The exit codes of diff(1): a failure is 2, which a script can distinguish from a difference.
 fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
     outcome.or_else(|error| {
-        say(&error);
+        say_error(&error);
         Ok(ExitCode::from(2))
     })
 }

@@ -5,6 +5,7 @@ use std::{fmt, io};
 
 use nix::errno::Errno;
 pub use ti_gauge::error::{Cause, Step};
+use ti_gauge::image::Faults;
 use ti_gauge::text;
 
 use crate::errno;
@@ -23,12 +24,14 @@ pub struct Error {
     inner: ti_gauge::error::Error,
     /// The errno, where it does not follow from the cause.
     errno: Option<Errno>,
+    /// What else is wrong with the same file.
+    others: Vec<ti_gauge::error::Error>,
 }
 
 impl Error {
     /// An error about `subject`: a register, a parameter, a file or a bus.
     pub fn new(subject: impl Into<String>, cause: Cause) -> Self {
-        Self { inner: ti_gauge::error::Error::new(subject, cause), errno: None }
+        ti_gauge::error::Error::new(subject, cause).into()
     }
 
     /// An error of the host: a file, a folder, a mount; with the remedy.
@@ -40,7 +43,7 @@ impl Error {
     /// What the host said when it was asked to do `what`.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
         let errno = error.raw_os_error().map(Errno::from_raw);
-        Self { errno, inner: ti_gauge::error::Error::io(subject, what, error) }
+        Self { errno, ..ti_gauge::error::Error::io(subject, what, error).into() }
     }
 
     /// The same error with the step it happened in, unless one is known already.
@@ -58,7 +61,26 @@ impl Error {
     /// The same error inside a larger subject.
     #[must_use]
     pub fn within(self, subject: &str) -> Self {
-        Self { inner: self.inner.within(subject), ..self }
+        let others = self.others.into_iter().map(|other| other.within(subject)).collect();
+        Self { inner: self.inner.within(subject), errno: self.errno, others }
+    }
+
+    /// What is wrong with a file: the first mistake, and those that a person is told of as well.
+    pub(crate) fn of_file(faults: &Faults) -> Option<Self> {
+        let mut all = faults.iter().cloned();
+        let mut first = Self::from(all.next()?);
+        first.others = all.collect();
+        if faults.more() > 0 {
+            let why = format!("and {} more mistakes", faults.more());
+            first.others.push(ti_gauge::error::Error::new("", Cause::Invalid(why)));
+        }
+        Some(first)
+    }
+
+    /// All lines that a person is told, of which the error itself is the first.
+    pub(crate) fn lines(&self) -> impl Iterator<Item = String> {
+        let others = self.others.iter().map(|other| text::printable(&other.to_string()));
+        std::iter::once(self.to_string()).chain(others)
     }
 
     /// What happened.
@@ -88,7 +110,7 @@ impl std::error::Error for Error {}
 
 impl From<ti_gauge::error::Error> for Error {
     fn from(inner: ti_gauge::error::Error) -> Self {
-        Self { inner, errno: None }
+        Self { inner, errno: None, others: Vec::new() }
     }
 }
 

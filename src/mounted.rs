@@ -8,7 +8,7 @@ use gauge_bus::regular;
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
 use ti_gauge::dataflash::Place;
-use ti_gauge::image::{self, Difference, Entry, Image, LeftOut, RawDifference};
+use ti_gauge::image::{self, Difference, Entry, Faults, Image, LeftOut, RawDifference, Reading};
 use ti_gauge::text;
 
 use crate::daemon::mountpoint;
@@ -134,7 +134,7 @@ impl Source {
             return Self::read_file(path);
         }
         let read = regular::read_from(io::stdin().lock(), image::LONGEST);
-        Self::of("standard input".into(), read)
+        Self::of(name(path), read)
     }
 
     /// Reads a file, whatever its name.
@@ -150,16 +150,47 @@ impl Source {
     /// What is in it. `chip` is what it is for where it does not say so itself. An image that holds firmware as well is
     /// refused, unless only its data flash is asked for.
     pub(crate) fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-        let image = Image::read(&self.name, &self.bytes, chip)?;
-        image.check_firmware(data_flash).map_err(|error| error.within(&self.name))?;
-        Ok(image)
+        let reading = self.examine(chip, data_flash);
+        match Error::of_file(&reading.faults) {
+            Some(error) => Err(error.within(&self.name)),
+            None => Ok(reading.whole()?),
+        }
+    }
+
+    /// The same for all that is wrong with it.
+    pub(crate) fn examine(&self, chip: Option<&'static Chip>, data_flash: bool) -> Reading {
+        let mut reading = Image::examine(&self.name, &self.bytes, chip);
+        if let Some(Err(error)) = reading.image.as_ref().map(|image| image.check_firmware(data_flash)) {
+            let line = reading.image.as_ref().and_then(|image| image.firmware_line);
+            reading.faults.add(line.unwrap_or(0), error);
+        }
+        reading
     }
 }
 
 /// Reads a mounted gauge as it is now, or a file of any format, as [`Source::image`] does.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-    let is_mounted = path.is_dir() || mountpoint::of(path).is_some();
-    if is_mounted { now(path) } else { Source::read(path)?.image(chip, data_flash) }
+    if is_mounted(path) { now(path) } else { Source::read(path)?.image(chip, data_flash) }
+}
+
+/// The same for all that is wrong with a file.
+pub(crate) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Reading> {
+    match is_mounted(path) {
+        true => now(path).map(|image| Reading { image: Some(image), faults: Faults::default() }),
+        false => Ok(Source::read(path)?.examine(chip, data_flash)),
+    }
+}
+
+/// What to call a file in messages.
+pub(crate) fn name(path: &Path) -> String {
+    match path == Path::new(STANDARD_INPUT) {
+        true => "standard input".into(),
+        false => path.display().to_string(),
+    }
+}
+
+fn is_mounted(path: &Path) -> bool {
+    path.is_dir() || mountpoint::of(path).is_some()
 }
 
 /// The chip of a mounted gauge, without reading its data flash.

@@ -115,6 +115,11 @@ pub(crate) fn say(line: impl Display) {
     print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
 }
 
+/// Prints an error to standard error: of a file all that is wrong with it.
+pub(crate) fn say_error(error: &Error) {
+    error.lines().for_each(say);
+}
+
 /// Prints a text to standard error as it is.
 pub(crate) fn print_error(text: &str) {
     let _ = write_all(io::stderr().as_fd(), text.as_bytes());

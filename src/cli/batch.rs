@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::PASSED_OVER;
 use crate::error::Result;
 use crate::mounted;
-use crate::output::{print, print_json, say};
+use crate::output::{print, print_json, say, say_error};
 use ti_gauge::image::{Difference, RawDifference};
 use ti_gauge::unit;
 
@@ -143,7 +143,7 @@ impl Batch {
                 })
             });
             report.exit_code = outcome.unwrap_or_else(|error| {
-                say(&error);
+                say_error(&error);
                 (report.outcome, report.error) = ("failed", Some(error.to_string()));
                 failure
             });

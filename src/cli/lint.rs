@@ -9,16 +9,17 @@ use serde::Serialize;
 use super::import::GroupName;
 use super::{align, counted};
 use crate::config::chip_names;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::mounted;
-use crate::output::{print, print_json, say};
+use crate::output::{print, print_json};
 use ti_gauge::chip::Chip;
-use ti_gauge::image::{Group, Image};
+use ti_gauge::image::{Faults, Group, Image, Reading};
 use ti_gauge::unit;
 
 const LINT: &str = "\
 No gauge is needed. A FlashStream is interpreted as a gauge would do it. A line that writes
-firmware, or anything else that is not a documented parameter, is reported as an error.
+firmware, or anything else that is not a documented parameter, is reported as an error. Of a file
+with several mistakes the first 20 are listed, in the order of the lines, and the others counted.
 
 Examples:
   gaugefs lint golden.gm.fs
@@ -99,22 +100,32 @@ fn notes(image: &Image) -> impl Iterator<Item = &str> {
 impl Lint {
     pub(super) fn run(self) -> Result<ExitCode> {
         let chip = self.chip.as_deref().and_then(Chip::by_name);
-        let mut image = mounted::open(&self.file, chip, self.data_flash)?;
-        image.exclude(&self.exclude.iter().map(|&name| name.into()).collect::<Vec<Group>>());
-        if self.json {
-            print_json(&Report::new(&image))?;
-        } else {
-            print(&self.text(&image))?;
+        let Reading { mut image, mut faults } = mounted::examine(&self.file, chip, self.data_flash)?;
+        let is_whole = faults.is_empty();
+        if let Some(image) = &mut image {
+            image.exclude(&self.exclude.iter().map(|&name| name.into()).collect::<Vec<Group>>());
+            self.check(image, &mut faults);
+            match (is_whole, self.json) {
+                (false, _) => {}
+                (true, true) => print_json(&Report::new(image))?,
+                (true, false) => print(&self.text(image))?,
+            }
         }
-        let mut code = ExitCode::SUCCESS;
-        let values = image.entries.iter().filter_map(|entry| entry.not_imported(false).err());
+        match Error::of_file(&faults) {
+            Some(error) => Err(error.within(&mounted::name(&self.file))),
+            None => Ok(ExitCode::SUCCESS),
+        }
+    }
+
+    /// Adds what is not wrong with the file, but with what is in it.
+    fn check(&self, image: &Image, faults: &mut Faults) {
+        let values = image.entries.iter();
+        let values = values.filter_map(|entry| Some((entry.line, entry.not_imported(false).err()?)));
         let raw = image.raw.chunk_by(|one, other| one.line == other.line);
-        let raw = raw.filter_map(|line| image.refused(&line[0], self.raw));
-        for error in values.chain(raw) {
-            say(error.within(&self.file.display().to_string()));
-            code = ExitCode::FAILURE;
+        let raw = raw.filter_map(|line| Some((line[0].line, image.refused(&line[0], self.raw)?)));
+        for (line, error) in values.chain(raw) {
+            faults.add(line, error);
         }
-        Ok(code)
     }
 
     fn text(&self, image: &Image) -> String {

@@ -308,6 +308,43 @@ fn lint_and_diff_of_files() {
     );
 }
 
+#[test]
+fn every_mistake_of_a_file_is_told() {
+    let folder = Folder::new();
+    let file = folder.file("pack.toml");
+    let text = "chip = \"bq34z100-g1\"\n[it-cgf]\nra-filter = 1\n[it-cfg]\ncell-terminate-voltage = 900\n\
+                ra-fliter = 1\nload-select = \"low\"\n[safety]\not-chg = 99999\n";
+    fs::write(&file, text).expect("a file");
+    let lines = |ran: Ran| -> Vec<String> { ran.err.lines().map(str::to_string).collect() };
+    let lint = gaugefs(&["lint", &file]);
+    assert_eq!((lint.code, &*lint.out), (Some(1), ""));
+    let says = [
+        "line 2: a bq34z100-G1 has no class it-cgf; did you mean [it-cfg]?",
+        "line 5: Cell Terminate Voltage: the value is outside 1000 to 3700 mV",
+        "line 6: a bq34z100-G1 has no parameter it-cfg/ra-fliter; did you mean it-cfg/ra-filter?",
+        "line 7: it-cfg/load-select: string, but U1 is expected",
+        "line 9: OT Chg: the value is outside",
+    ];
+    let told = lines(lint);
+    assert_eq!(told.len(), says.len(), "{told:#?}");
+    for (told, says) in told.iter().zip(says) {
+        assert!(told.starts_with(&format!("gaugefs: {file}: {says}")), "{told}");
+    }
+    // What is wrong with the values is not known before the file can be read.
+    let diff = gaugefs(&["diff", &file, &file]);
+    assert_eq!((diff.code, lines(diff).len()), (Some(2), 4));
+    // However many there are.
+    let many: String = (0..5000).map(|at| format!("x{at} = 1\n")).collect();
+    fs::write(&file, format!("chip = \"bq34z100-g1\"\n[it-cfg]\n{many}")).expect("a file");
+    let told = lines(gaugefs(&["lint", &file]));
+    assert_eq!((told.len(), &*told[20]), (21, &*format!("gaugefs: {file}: and 4980 more mistakes")));
+    // Of what standard input has.
+    let mut lint = command(&["lint", "--chip", "bq34z100-g1", "-"]);
+    lint.stdin(fs::File::open(&file).expect("the file"));
+    let told = lines(run(lint));
+    assert!(told[0].starts_with("gaugefs: standard input: line 3: "), "{told:?}");
+}
+
 /// All chips at a time: reading data flash takes the gauge's own time.
 #[test]
 fn an_export_equals_its_gauge() {

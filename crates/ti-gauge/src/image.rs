@@ -16,10 +16,13 @@ use crate::text;
 use crate::unit;
 use crate::value::Value;
 
+mod faults;
 pub mod flashstream;
 pub mod ggcsv;
 mod romimage;
 pub mod toml;
+
+pub use faults::{Faults, NAMED, Reading};
 
 /// Longer than any file of a gauge's configuration, or of its firmware.
 pub const LONGEST: u64 = 16 << 20;
@@ -175,9 +178,15 @@ pub struct Changes<'a> {
     pub passed_over: Vec<String>,
 }
 
-/// An error about a line of a file.
+/// An error about a line of a file. What is quoted of the line may be very long.
 pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
-    Error::new(format!("line {line}"), Cause::Invalid(why.into()))
+    const LONGEST: usize = 1000;
+    let mut why = why.into();
+    if let Some((end, _)) = why.char_indices().nth(LONGEST) {
+        why.truncate(end);
+        why += "...";
+    }
+    Error::new(format!("line {line}"), Cause::Invalid(why))
 }
 
 /// An error about a file that does not hold as much as its first lines say.
@@ -423,30 +432,47 @@ impl Image {
 
     /// The same for the bytes of a file with that name.
     pub fn read(name: &str, bytes: &[u8], chip: Option<&'static Chip>) -> Result<Self> {
+        Self::examine(name, bytes, chip).whole().map_err(|error| error.within(name))
+    }
+
+    /// Reads the bytes of a file with that name as far as that is possible, and finds all that is wrong with it.
+    pub fn examine(name: &str, bytes: &[u8], chip: Option<&'static Chip>) -> Reading {
         let is_dfi =
             Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
         if is_dfi || is_binary(bytes) {
             let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
                        with them, or a .df.fs for a bq34z100";
-            return Err(Error::new(name, Cause::Invalid(why.into())));
+            let mut faults = Faults::default();
+            faults.add(0, Error::new("", Cause::Invalid(why.into())));
+            return Reading { image: None, faults };
         }
         // Tools use other encodings in comments and units, which are not needed here.
-        let text = String::from_utf8_lossy(bytes);
-        Self::parse(&text, chip).map_err(|error| error.within(name))
+        Self::examine_text(&String::from_utf8_lossy(bytes), chip)
     }
 
     /// Reads the text of a file. Its first line shows which format it has. A file without any parameter is refused,
     /// and so is one that has a parameter twice.
     pub fn parse(text: &str, chip: Option<&'static Chip>) -> Result<Self> {
+        Self::examine_text(text, chip).whole()
+    }
+
+    /// The same for all that is wrong with it.
+    pub fn examine_text(text: &str, chip: Option<&'static Chip>) -> Reading {
+        let mut faults = Faults::default();
+        let image = Self::found(text, chip, &mut faults);
+        Reading { image, faults }
+    }
+
+    fn found(text: &str, chip: Option<&'static Chip>, faults: &mut Faults) -> Option<Self> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+        let invalid = |why: String| Error::new("", Cause::Invalid(why));
         if text.trim().is_empty() {
-            return invalid("the file is empty".into());
+            return faults.stop(0, invalid("the file is empty".into()));
         }
         let mut image = match format_of(text) {
-            Format::Toml => toml::parse(text, chip),
-            Format::GgCsv => ggcsv::parse(text, chip),
-            Format::FlashStream => flashstream::parse(text, chip),
+            Format::Toml => toml::read(text, chip, faults),
+            Format::GgCsv => ggcsv::read(text, chip, faults),
+            Format::FlashStream => flashstream::read(text, chip, faults),
         }?;
         let place = |entry: &Entry| {
             image.chip.subclasses.iter().position(|row| std::ptr::eq(row, entry.subclass)).unwrap_or(0)
@@ -457,18 +483,19 @@ impl Image {
         if let Some(firmware) = image.firmware
             && !fits(image.chip.identity.firmware, firmware)
         {
-            return invalid(format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model));
+            let why = format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model);
+            faults.add(0, invalid(why));
         }
-        if image.entries.is_empty() && image.raw.is_empty() {
+        if image.entries.is_empty() && image.raw.is_empty() && faults.is_empty() {
             let reason = image.left_out.first().map_or(String::new(), |first| format!(" ({})", first.text));
-            return invalid(format!("it has no parameter of a {}{reason}", image.chip.model));
+            faults.add(0, invalid(format!("it has no parameter of a {}{reason}", image.chip.model)));
         }
         for pair in image.entries.windows(2) {
             if pair[0].is(&pair[1]) {
-                return Err(twice(&image.name(&pair[0]), pair[0].line, pair[1].line));
+                faults.add(pair[1].line, twice(&image.name(&pair[0]), pair[0].line, pair[1].line));
             }
         }
-        Ok(image)
+        Some(image)
     }
 
     /// Gives reserved bits of this file the values that a gauge has: no document says what they do, and a gauge may

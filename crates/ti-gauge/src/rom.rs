@@ -120,6 +120,8 @@ impl Firmware {
                 Command::Write { address: flashstream::GAUGE, .. }
                 | Command::Compare { address: flashstream::GAUGE, .. }
                 | Command::Read { address: flashstream::GAUGE } => continue,
+                // Lines that are no commands were refused.
+                Command::Unread => continue,
                 Command::Wait(_) if !loader.has_begun() => continue,
                 Command::Wait(ms) => Step::Wait(Duration::from_millis(ms.into())),
                 Command::Write { address: flashstream::ROM, register, bytes } => {

@@ -3,9 +3,9 @@
 //! A file is never replayed. It is interpreted as the gauge would interpret it, which yields the parameters that
 //! it would change; anything else that it would do to a gauge is refused, with the line.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Group, Image, Raw, at_line, check_count, chip_of, romimage};
+use super::{Faults, Group, Image, Raw, Reading, at_line, check_count, chip_of, romimage};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
@@ -69,20 +69,34 @@ pub(crate) enum Command {
     },
     /// For at least this time, in milliseconds.
     Wait(u32),
+    /// One or more lines that are no commands. [`commands`] refuses them.
+    Unread,
 }
 
 /// The lines that are commands, with their numbers.
 pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
-    let text = text.replace("\r\n", "\n").replace('\r', "\n");
     let mut commands = Vec::new();
+    for_each_line(text, |number, command| {
+        commands.push((number, command.map_err(|why| at_line(number, why))?));
+        Ok(())
+    })?;
+    Ok(commands)
+}
+
+/// Does something with each line that is no comment.
+fn for_each_line(
+    text: &str,
+    mut act: impl FnMut(usize, Result<Command, String>) -> Result<()>,
+) -> Result<()> {
+    let text = text.replace("\r\n", "\n").replace('\r', "\n");
     for (number, line) in (1..).zip(text.lines()) {
         // Tools write comments on lines of their own; people also write them after a command.
         let line = line.split(';').next().unwrap_or_default().trim();
         if !line.is_empty() {
-            commands.push((number, command(line).map_err(|why| at_line(number, why))?));
+            act(number, command(line))?;
         }
     }
-    Ok(commands)
+    Ok(())
 }
 
 fn command(line: &str) -> Result<Command, String> {
@@ -123,82 +137,128 @@ fn byte(digits: &str) -> Option<u8> {
 
 /// Reads what a FlashStream would change.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
-    let commands = commands(text)?;
+    let mut faults = Faults::default();
+    let image = read(text, told, &mut faults);
+    Reading { image, faults }.whole()
+}
+
+/// The same for all that is wrong with it.
+pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
+    let (mut commands, mut count) = (Vec::new(), 0);
+    let read = for_each_line(text, |number, command| {
+        count += 1;
+        match command {
+            Ok(command) => commands.push((number, command)),
+            Err(why) => {
+                faults.at(number, why);
+                if !matches!(commands.last(), Some((_, Command::Unread))) {
+                    commands.push((number, Command::Unread));
+                }
+            }
+        }
+        Ok(())
+    });
+    faults.keep(0, read)?;
     if romimage::is_one(&commands) && told.is_none_or(|chip| chip.rom_image.is_some()) {
-        return romimage::parse(&commands, told);
+        return romimage::read(&commands, told, faults);
     }
-    for (number, command) in &commands {
-        check_address(*number, command)?;
-    }
+    check_addresses(&commands, faults)?;
     let mark = |mark: &str| text.lines().find_map(|line| line.trim().strip_prefix(mark));
-    let count = mark(COUNT_LINE).and_then(|count| count.trim().parse().ok());
-    check_count(text, count, commands.len(), "commands")?;
+    let written = mark(COUNT_LINE).and_then(|count| count.trim().parse().ok());
+    faults.keep(0, check_count(text, written, count, "commands"));
     let named = mark(CHIP_LINE);
     let named = named.and_then(|name| Chip::by_name(name.trim()));
     if let (Some(named), Some(told)) = (named, told)
         && !std::ptr::eq(named, told)
     {
-        return Err(at_line(1, format!("it is for a {}, not for a {}", named.model, told.model)));
+        let why = format!("it is for a {}, not for a {}", named.model, told.model);
+        return faults.stop(1, at_line(1, why));
     }
     let (device_type, firmware) = identity(&commands);
     let codes = (device_type.map(|(_, code)| code), firmware.map(|(_, code)| code));
-    let chip = chip_of(named.or(told), codes.0, codes.1).map_err(|error| match device_type {
-        Some((number, _)) => error.within(&format!("line {number}")),
-        None => error,
-    })?;
+    let chip = match (chip_of(named.or(told), codes.0, codes.1), device_type) {
+        (Ok(chip), _) => chip,
+        (Err(error), Some((number, _))) => {
+            return faults.stop(number, error.within(&format!("line {number}")));
+        }
+        // A line that cannot be read may be the one that says so.
+        (Err(_), None) if !faults.is_empty() => return None,
+        (Err(error), None) => return faults.stop(0, error),
+    };
     let mut image = Image::new(chip, codes.1);
     image.names_chip = named.is_some() || codes.0.is_some();
     let mut stream = Stream::new(chip);
     for (at, (number, command)) in commands.iter().enumerate() {
-        if let Command::Write { register, bytes, .. } = command {
-            let next = commands.get(at + 1).map(|(_, next)| next);
-            stream.write(*number, *register, bytes, next).map_err(|why| at_line(*number, why))?;
+        let outcome = match command {
+            Command::Write { address: GAUGE, register, bytes } => {
+                let next = commands.get(at + 1).map(|(_, next)| next);
+                stream.write(*number, *register, bytes, next)
+            }
+            Command::Compare { address: GAUGE, register, bytes } => stream.compare(*register, bytes),
+            Command::Write { .. } | Command::Unread => {
+                stream.unread = true;
+                stream.doubt();
+                Ok(())
+            }
+            Command::Compare { .. } | Command::Read { .. } | Command::Wait(_) => Ok(()),
+        };
+        if let Some(why) = stream.missed.take() {
+            faults.at(*number, why);
         }
-        if let Command::Compare { register, bytes, .. } = command {
-            stream.compare(*register, bytes).map_err(|why| at_line(*number, why))?;
+        if let Err(why) = outcome {
+            faults.at(*number, why);
+            stream.doubt();
         }
     }
     if let Some(number) = stream.pending {
-        return Err(at_line(number, "these bytes are never committed by a checksum"));
+        faults.at(number, "these bytes are never committed by a checksum");
     }
-    if let Some(number) = stream.update {
+    // A line that cannot be read may be the one that leaves it.
+    if let Some(number) = stream.update
+        && !stream.unread
+    {
         let why = "CONFIG UPDATE is entered, and no SOFT_RESET leaves it; the file is cut short";
-        return Err(at_line(number, why));
+        faults.at(number, why);
     }
-    stream.into_image(&mut image)?;
+    stream.into_image(&mut image, faults);
     match (device_type, firmware) {
         (Some((one, _)), Some((other, _))) => {
             image.notes.insert(0, format!("device type and firmware are checked in lines {one} and {other}"));
         }
         _ => image.notes.insert(0, "device type and firmware are not both checked by the file".into()),
     }
-    Ok(image)
+    Some(image)
 }
 
-fn check_address(number: usize, command: &Command) -> Result<()> {
-    let address = match command {
-        Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
-            *address
-        }
-        Command::Wait(_) => return Ok(()),
-    };
-    match address {
-        GAUGE => match command {
-            Command::Write { register: CONTROL | SELECT, bytes, .. }
+/// Checks that all commands are for the gauge. A file for ROM mode is not read any further.
+fn check_addresses(commands: &[(usize, Command)], faults: &mut Faults) -> Option<()> {
+    for (number, command) in commands {
+        let address = match command {
+            Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
+                *address
+            }
+            Command::Wait(_) | Command::Unread => continue,
+        };
+        let why = match (address, command) {
+            (GAUGE, Command::Write { register: CONTROL | SELECT, bytes, .. })
                 if bytes[..] == ROM_MODE.to_le_bytes() =>
             {
-                let why = "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the \
-                           gauge's firmware, which gaugefs never does; use a .gm.fs or .gg.csv of the same gauge";
-                Err(at_line(number, why))
+                "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the gauge's firmware, \
+                 which gaugefs never does; use a .gm.fs or .gg.csv of the same gauge"
             }
-            _ => Ok(()),
-        },
-        ROM | 0x0b => Err(at_line(
-            number,
-            "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware",
-        )),
-        other => Err(at_line(number, format!("address 0x{other:02x} is not the gauge's, which is AA"))),
+            (ROM | 0x0b, _) => {
+                "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware"
+            }
+            (GAUGE, _) => continue,
+            (other, _) => {
+                faults.at(*number, format!("address 0x{other:02x} is not the gauge's, which is AA"));
+                continue;
+            }
+        };
+        faults.end_at(*number);
+        return faults.stop(*number, at_line(*number, why));
     }
+    Some(())
 }
 
 /// A word that the file expects, and the line that says so.
@@ -251,6 +311,14 @@ struct Stream {
     /// The line of bytes in the window that are not committed yet.
     pending: Option<usize>,
     half_key: bool,
+    /// Whether what is selected, or what is in the window, is not known because a line is wrong.
+    in_doubt: bool,
+    /// Bytes that such lines may have set.
+    doubtful: BTreeSet<(u8, u16)>,
+    /// Whether there is a line that cannot be read.
+    unread: bool,
+    /// What is wrong before the line that is read, and does not keep that from being read.
+    missed: Option<String>,
     /// The line that has entered CONFIG UPDATE, until another one leaves it.
     update: Option<usize>,
     /// Data flash by subclass and offset: each byte, and the line that it is from.
@@ -274,6 +342,10 @@ impl Stream {
             sum: 0,
             pending: None,
             half_key: false,
+            in_doubt: false,
+            doubtful: BTreeSet::new(),
+            unread: false,
+            missed: None,
             update: None,
             stored: BTreeMap::new(),
             sums: BTreeMap::new(),
@@ -302,7 +374,7 @@ impl Stream {
             };
             let word = u16::from_le_bytes([*low, *high]);
             if register == SELECT && (self.is_flash(word) || self.is_one_time(word)) {
-                self.select()?;
+                self.select(true);
                 self.address = Some(word);
                 (from, bytes) = (DATA, rest);
             } else {
@@ -313,11 +385,11 @@ impl Stream {
             let register = usize::from(from) + at;
             match u8::try_from(register).unwrap_or(u8::MAX) {
                 SELECT if !self.is_mac() => {
-                    self.select()?;
+                    self.select(true);
                     (self.class, self.block) = (Some(byte), 0);
                 }
                 0x3f if !self.is_mac() => {
-                    self.select()?;
+                    self.select(false);
                     self.block = byte;
                 }
                 register @ DATA..SUM => {
@@ -348,14 +420,30 @@ impl Stream {
         self.chip.access.scheme == Scheme::MacUpdate && ONE_TIME.contains(&word)
     }
 
-    fn select(&mut self) -> Result<(), String> {
-        if let Some(line) = self.pending {
-            return Err(format!(
-                "the bytes of line {line} are not committed before the next block is selected"
-            ));
+    /// What is selected next. If all of that is named, a line before it that is wrong does not matter any more.
+    fn select(&mut self, all: bool) {
+        if let Some(line) = self.pending.take() {
+            let why = format!("the bytes of line {line} are not committed before the next block is selected");
+            self.missed = Some(why);
         }
+        self.in_doubt &= !all;
         self.window.clear();
-        Ok(())
+    }
+
+    /// A line is wrong: what it would have done to what is selected or in the window is not known.
+    fn doubt(&mut self) {
+        self.in_doubt = true;
+        self.pending = None;
+    }
+
+    /// Takes what is committed in doubt for not known.
+    fn forget(&mut self, selected: Option<(u8, u16)>, length: u16) {
+        self.window.clear();
+        let Some((subclass, start)) = selected else { return };
+        for place in (start..).take(length.into()).map(|offset| (subclass, offset)) {
+            self.stored.remove(&place);
+            self.doubtful.insert(place);
+        }
     }
 
     /// A word for Control(). Key words are never shown, even in an error.
@@ -372,6 +460,11 @@ impl Stream {
             let second = |bytes: &[u8]| bytes.len() == 2;
             let follows = matches!(next, Some(Command::Write { register: CONTROL | SELECT, bytes, .. }) if second(bytes));
             let pair = second(rest) || rest.is_empty() && follows;
+            // The other word may be in a line that cannot be read.
+            let half = rest.is_empty() && (self.in_doubt || matches!(next, Some(Command::Unread)));
+            if half {
+                return Ok(());
+            }
             if !pair {
                 let model = self.chip.model;
                 return Err(format!("neither a subcommand of a {model} nor a pair of key words (not shown)"));
@@ -406,12 +499,24 @@ impl Stream {
     }
 
     fn commit_block(&mut self, line: usize, sum: u8) -> Result<(), String> {
-        let Some(class) = self.class else { return Err("a checksum before any subclass is selected".into()) };
+        let Some(class) = self.class else {
+            if self.in_doubt {
+                return Ok(());
+            }
+            return Err("a checksum before any subclass is selected".into());
+        };
+        let start = u16::from(self.block) * WINDOW as u16;
+        if self.in_doubt {
+            self.sums.remove(&(class, self.block));
+            self.forget(Some((class, start)), WINDOW as u16);
+            return Ok(());
+        }
         self.pending = None;
         let window = std::mem::take(&mut self.window);
+        let mut checked = Ok(());
         if window.len() == WINDOW {
             let bytes: Vec<u8> = window.values().copied().collect();
-            check_sum(sum, checksum(&bytes))?;
+            checked = check_sum(sum, checksum(&bytes));
         } else {
             self.unchecked.push(line);
         }
@@ -419,21 +524,25 @@ impl Stream {
         if let Some(subclass) = self.chip.subclass(class) {
             if subclass.kind == Kind::Security {
                 self.left_out.push((line, "keys; left out".into(), Some(Group::Keys)));
-                return Ok(());
+                return checked;
             }
             if usize::from(self.block) * WINDOW >= usize::from(subclass.stored()) {
                 let last = (subclass.stored() - 1) / WINDOW as u16;
                 return Err(format!("block {} of subclass {class}, whose last block is {last}", self.block));
             }
         }
-        let start = u16::from(self.block) * WINDOW as u16;
         for (at, byte) in window {
             self.store(class, start + u16::from(at), byte, line);
         }
-        Ok(())
+        checked
     }
 
     fn commit_mac(&mut self, line: usize, length: u8) -> Result<(), String> {
+        if self.in_doubt {
+            let length = u16::from(length.saturating_sub(OVERHEAD));
+            self.forget(self.address.map(|address| (FLAT, address)), length);
+            return Ok(());
+        }
         let Some(address) = self.address else { return Err("MACDataLen() before any address".into()) };
         self.pending = None;
         let window = std::mem::take(&mut self.window);
@@ -445,14 +554,14 @@ impl Stream {
             ));
         }
         let bytes: Vec<u8> = window.into_values().collect();
-        check_sum(self.sum, mac_sum(address, &bytes))?;
+        let checked = check_sum(self.sum, mac_sum(address, &bytes));
         if self.is_one_time(address) {
             let why = format!(
                 "0x{address:04x}: {} of one-time programmable memory, which gaugefs never writes",
                 counted(bytes.len())
             );
             self.left_out.push((line, why, Some(Group::Undocumented)));
-            return Ok(());
+            return checked;
         }
         for (at, byte) in (0u16..).zip(bytes) {
             let address = address.checked_add(at).ok_or("beyond the last address")?;
@@ -471,7 +580,7 @@ impl Stream {
                 self.store(FLAT, address, byte, line);
             }
         }
-        Ok(())
+        checked
     }
 
     /// A byte as a line commits it. Of two lines the later one counts, as for a gauge.
@@ -493,6 +602,9 @@ impl Stream {
 
     /// A comparison at which a player would stop, because the file itself has written something else.
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
+        if self.in_doubt {
+            return Ok(());
+        }
         let selected = match (self.is_mac(), self.address, self.class) {
             (true, Some(address), _) => (FLAT, address, address.to_le_bytes()),
             (false, _, Some(class)) => (class, u16::from(self.block) * WINDOW as u16, [class, self.block]),
@@ -523,15 +635,22 @@ impl Stream {
     }
 
     /// The stored bytes as parameters, and the rest as raw bytes.
-    fn into_image(mut self, image: &mut Image) -> Result<()> {
+    fn into_image(mut self, image: &mut Image, faults: &mut Faults) {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
                 let offsets = parameter.offset..parameter.offset + parameter.kind.size() as u16;
                 let found: Vec<_> =
-                    offsets.filter_map(|offset| self.stored.remove(&(subclass.id, offset))).collect();
+                    offsets.clone().filter_map(|offset| self.stored.remove(&(subclass.id, offset))).collect();
                 let Some(&(_, line)) = found.first() else { continue };
                 if found.len() < parameter.kind.size() {
-                    return Err(at_line(line, format!("{}: only part of it is written", parameter.name)));
+                    let block = |offset: u16| usize::from(offset) / WINDOW;
+                    let is_in_two = block(parameter.offset) != block(offsets.end - 1);
+                    let is_doubtful =
+                        offsets.clone().any(|offset| self.doubtful.contains(&(subclass.id, offset)));
+                    if !(is_doubtful || is_in_two && self.unread) {
+                        faults.at(line, format!("{}: only part of it is written", parameter.name));
+                    }
+                    continue;
                 }
                 let bytes: Vec<u8> = found.iter().map(|(byte, _)| *byte).collect();
                 image.add(subclass, parameter, codec::decode(parameter.kind, &bytes), line);
@@ -560,7 +679,6 @@ impl Stream {
             }
         }
         image.raw.sort_by_key(|raw| raw.line);
-        Ok(())
     }
 }
 

@@ -1,7 +1,7 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
-use super::{Group, Image, at_line, check_count, chip_of, cut_short, word};
+use super::{Entry, Faults, Group, Image, NAMED, Reading, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::error::{Cause, Error, Result};
@@ -110,6 +110,13 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
 /// Reads an image. Parameters that the table does not have are left out with a note, and so are keys: bqStudio
 /// and the manual do not always use the same names.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
+    let mut faults = Faults::default();
+    let image = read(text, told, &mut faults);
+    Reading { image, faults }.whole()
+}
+
+/// The same for all that is wrong with it.
+pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
     let mut order: Option<(char, Vec<String>)> = None;
     let mut rows = Vec::new();
@@ -117,7 +124,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
         let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
             if order.is_none() && line.trim_start().starts_with('[') {
                 let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
-                return Err(at_line(number, why));
+                return faults.stop(number, at_line(number, why));
             }
             if !line.trim().is_empty() {
                 rows.push((number, line));
@@ -125,21 +132,27 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
             continue;
         };
         if let Some(name) = head.strip_prefix(CHIP_LINE) {
-            let chip = Chip::by_name(name.trim());
-            named = Some(chip.ok_or_else(|| at_line(number, "not in the list of `gaugefs chips`"))?);
+            named = Chip::by_name(name.trim());
+            if named.is_none() {
+                faults.at(number, "not in the list of `gaugefs chips`");
+            }
         } else if let Some(number_of_rows) = head.strip_prefix(COUNT_LINE) {
-            let parsed = number_of_rows.trim().parse::<usize>();
-            count = Some(parsed.map_err(|_| at_line(number, "not a number of parameters"))?);
+            count = number_of_rows.trim().parse::<usize>().ok();
+            if count.is_none() {
+                faults.at(number, "not a number of parameters");
+            }
         } else if let Some(code) = head.strip_prefix("Device Number") {
-            let code = word(code.trim());
-            device_type = Some(code.ok_or_else(|| at_line(number, "Device Number: not a hexadecimal word"))?);
+            device_type = word(code.trim());
+            if device_type.is_none() {
+                faults.at(number, "Device Number: not a hexadecimal word");
+            }
         } else if let Some(version) = head.strip_prefix("Firmware Version") {
             let parts: Option<Vec<u8>> =
                 version.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
-            firmware = match parts.as_deref() {
-                Some([high, low] | [high, low, _]) => Some(u16::from_be_bytes([*high, *low])),
-                _ => return Err(at_line(number, "Firmware Version: not two or three numbers")),
-            };
+            match parts.as_deref() {
+                Some([high, low] | [high, low, _]) => firmware = Some(u16::from_be_bytes([*high, *low])),
+                _ => faults.at(number, "Firmware Version: not two or three numbers"),
+            }
         } else if let Some(fields) = head.strip_prefix("Field Order:") {
             let comma = if fields.contains('\t') { '\t' } else { ',' };
             order = Some((comma, fields.split(comma).map(kebab_case).collect()));
@@ -148,37 +161,65 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     if let (Some(named), Some(told)) = (named, told)
         && !std::ptr::eq(named, told)
     {
-        return Err(at_line(1, format!("it is for a {}, not for a {}", named.model, told.model)));
+        let why = format!("it is for a {}, not for a {}", named.model, told.model);
+        return faults.stop(1, at_line(1, why));
     }
-    let chip = chip_of(named.or(told), device_type, firmware)?;
-    let (comma, order) =
-        order.ok_or_else(|| at_line(1, "no line `* Field Order:`, which names the columns"))?;
-    check_count(text, count, rows.len(), "parameters")?;
-    if let Some(&(number, line)) = rows.last()
-        && !text.ends_with(['\n', '\r'])
-        && line.split(comma).count() < order.len()
-    {
+    let chip = chip_of(named.or(told), device_type, firmware);
+    // What is wrong with a line that names it is said already.
+    let chip = if faults.is_empty() { faults.keep(0, chip) } else { chip.ok() }?;
+    let Some((comma, order)) = order else {
+        let why = "no line `* Field Order:`, which names the columns";
+        return faults.stop(1, at_line(1, why));
+    };
+    faults.keep(0, check_count(text, count, rows.len(), "parameters"));
+    let cut = rows
+        .last()
+        .filter(|(_, line)| !text.ends_with(['\n', '\r']) && line.split(comma).count() < order.len());
+    let cut = cut.map(|(number, _)| *number);
+    if let Some(number) = cut {
         let why = format!("the last line has fewer fields than the header names ({})", order.len());
-        return Err(cut_short(why).within(&format!("line {number}")));
+        faults.add(number, cut_short(why).within(&format!("line {number}")));
     }
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
-    for (number, line) in rows {
+    let mut unknown = Vec::new();
+    for (number, line) in rows.into_iter().filter(|(number, _)| cut != Some(*number)) {
         let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
         if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
             let why = format!("{} fields, but the header names {}", fields.len(), order.len());
-            return Err(at_line(number, why));
+            faults.at(number, why);
+            continue;
         }
         let field = |name: &str| {
             let at = order.iter().position(|column| column == name)?;
             fields.get(at).copied()
         };
-        add_row(&mut image, number, &field)?;
+        match add_row(&mut image, number, &field) {
+            Ok(None) => {}
+            Ok(Some(name)) if unknown.len() < NAMED => unknown.push((image.left_out.len() - 1, name)),
+            Ok(Some(_)) => {}
+            Err(error) => faults.add(number, error),
+        }
     }
-    Ok(image)
+    // A parameter that has its own row is not meant by another one.
+    let meant = |(at, name): (usize, String)| {
+        let (subclass, parameter) = chip.nearest(&name)?;
+        let is_it = |entry: &Entry| std::ptr::eq(entry.parameter, parameter);
+        let name = format!("{}/{}/{}", subclass.class, subclass.name, parameter.name);
+        (!image.entries.iter().any(is_it)).then_some((at, name))
+    };
+    for (at, name) in unknown.into_iter().filter_map(meant).collect::<Vec<_>>() {
+        image.left_out[at].text += &format!("; did you mean {name}?");
+    }
+    Some(image)
 }
 
-fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<&'a str>) -> Result<()> {
+/// Adds the parameter of a row. Returns what is no parameter, as class and name.
+fn add_row<'a>(
+    image: &mut Image,
+    number: usize,
+    field: &dyn Fn(&str) -> Option<&'a str>,
+) -> Result<Option<String>> {
     let need = |name: &str| field(name).ok_or_else(|| at_line(number, format!("no field `{name}`")));
     let (class, name, parameter) = (need("class-name")?, need("subclass-name")?, need("parameter-name")?);
     let shown = need("parameter-value")?;
@@ -190,14 +231,14 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     });
     let Some((subclass, parameter)) = row else {
         image.leave_out(number, format_args!("{class}/{name}/{parameter}: not in the table; left out"), None);
-        return Ok(());
+        return Ok(Some(format!("{name}/{parameter}")));
     };
     if subclass.kind == Kind::Security {
         image.leave_out(number, format_args!("{}: a key; left out", parameter.name), Some(Group::Keys));
-        return Ok(());
+        return Ok(None);
     }
     if shown.is_empty() && !matches!(parameter.kind, Type::S(_)) {
-        return Ok(());
+        return Ok(None);
     }
     let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
     if let Some(formula) = field("write-formula").filter(|formula| !matches!(*formula, "" | "x" | "X")) {
@@ -214,7 +255,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
             "shown in {unit}, stored in {stored}, and the file does not give the conversion; left out"
         );
         image.leave_out(number, format_args!("{name}: {why}"), None);
-        return Ok(());
+        return Ok(None);
     };
     let hexadecimal = match parameter.kind {
         Type::H(_) => !format.starts_with(['d', 'D']),
@@ -224,7 +265,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
         let value = string(parameter, shown, field("data-flash-raw-value"));
         let value = value.map_err(|error| error.within(&format!("line {number}")))?;
         image.add(subclass, parameter, value, number);
-        return Ok(());
+        return Ok(None);
     }
     let text = match parameter.kind {
         Type::F4 => shown.to_string(),
@@ -237,7 +278,7 @@ fn add_row<'a>(image: &mut Image, number: usize, field: &dyn Fn(&str) -> Option<
     let value = text::parse_stored(parameter, text.as_bytes());
     let value = value.map_err(|error| error.within(&format!("line {number}")))?;
     image.add(subclass, parameter, value, number);
-    Ok(())
+    Ok(None)
 }
 
 /// A string as it was written: by the bytes of the row where these are what is shown, otherwise by what is shown, which

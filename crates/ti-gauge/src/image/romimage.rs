@@ -5,7 +5,7 @@
 //! here, and never sent: its rows of data flash become parameters, which are written like any others.
 
 use super::flashstream::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
-use super::{Group, Image, LeftOut, Raw, at_line, cut_short};
+use super::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result};
@@ -50,11 +50,25 @@ pub(super) fn is_one(commands: &[(usize, Command)]) -> bool {
 }
 
 /// Reads the data flash of an image. `told` is the chip that it is for, if the user says so.
-pub(super) fn parse(commands: &[(usize, Command)], told: Option<&'static Chip>) -> Result<Image> {
+pub(super) fn read(
+    commands: &[(usize, Command)],
+    told: Option<&'static Chip>,
+    faults: &mut Faults,
+) -> Option<Image> {
     let mut rom = Rom::default();
     for (line, command) in commands {
-        rom.take(*line, command).map_err(|why| at_line(*line, why))?;
+        let Err(why) = rom.take(*line, command) else { continue };
+        faults.at(*line, why);
+        rom.doubt();
     }
+    // What a whole file has besides may follow from a line that is wrong.
+    if !faults.is_empty() {
+        return None;
+    }
+    faults.keep(0, content(rom, commands, told))
+}
+
+fn content(rom: Rom, commands: &[(usize, Command)], told: Option<&'static Chip>) -> Result<Image> {
     let content = rom.finish()?;
     let (device_type, checked) = identity(commands);
     let firmware = match (content.firmware, checked) {
@@ -92,12 +106,20 @@ struct Rom {
     whole_firmware: Option<usize>,
     unchecked: usize,
     keys: Option<usize>,
+    /// Whether the command that is not executed yet is not known because a line is wrong.
+    in_doubt: bool,
+    /// Whether rows may be missing, or have other bytes than are meant, for that reason.
+    is_partial: bool,
 }
 
 impl Rom {
     fn take(&mut self, line: usize, command: &Command) -> Result<(), String> {
         match command {
             Command::Wait(_) => Ok(()),
+            Command::Unread => {
+                self.doubt();
+                Ok(())
+            }
             Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address }
                 if ![GAUGE, ROM].contains(address) =>
             {
@@ -124,6 +146,13 @@ impl Rom {
         }
     }
 
+    /// A line is wrong: the command that it is a part of is not known.
+    fn doubt(&mut self) {
+        self.buffer.clear();
+        self.pending = None;
+        (self.in_doubt, self.is_partial) = (true, true);
+    }
+
     /// Hosts with small buffers write a command in several pieces.
     fn fill(&mut self, line: usize, register: u8, bytes: &[u8]) -> Result<(), String> {
         if register == COMMAND {
@@ -131,6 +160,10 @@ impl Rom {
                 return Err(format!("the command of line {line} is not executed by a sum"));
             }
             self.buffer.clear();
+            self.in_doubt = false;
+        }
+        if self.in_doubt {
+            return Ok(());
         }
         if usize::from(register) != self.buffer.len() {
             return Err(format!("register 0x{register:02x} does not continue a command of ROM mode"));
@@ -141,6 +174,9 @@ impl Rom {
     }
 
     fn execute(&mut self, line: usize, sum: &[u8]) -> Result<(), String> {
+        if self.in_doubt {
+            return Ok(());
+        }
         let command = std::mem::take(&mut self.buffer);
         if self.pending.take().is_none() {
             return Err("a sum without a command of ROM mode".into());
@@ -173,10 +209,11 @@ impl Rom {
                 }
             }
             [DATA_ROW, row, 0, 0, data @ ..] if data.len() == ROW => {
-                if !self.is_erased {
+                if !self.is_erased && !self.is_partial {
                     return Err("a row of data flash that is not erased before".into());
                 }
-                if usize::from(*row) != self.rows.len() || self.rows.len() == ROWS {
+                let is_next = usize::from(*row) == self.rows.len() && self.rows.len() != ROWS;
+                if !is_next && !self.is_partial {
                     return Err(format!("row {row} of data flash, but row {} is next", self.rows.len()));
                 }
                 let data = <[u8; ROW]>::try_from(data).expect("its length was compared");
@@ -196,6 +233,10 @@ impl Rom {
     }
 
     fn compare(&mut self, told: &[u8]) -> Result<(), String> {
+        // Sums of what is not known.
+        if self.is_partial {
+            return Ok(());
+        }
         match (self.last.as_slice(), told) {
             ([0x08], [low, high]) => {
                 let (told, sum) = (u16::from_le_bytes([*low, *high]), sum16(&self.bytes()));

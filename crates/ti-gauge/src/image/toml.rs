@@ -1,12 +1,13 @@
 //! An image as TOML: a table for each class and a key for each parameter, named as in `df/by-name`.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::{Image, at_line, check_count, chip_of, twice};
-use crate::chip::{Chip, Kind, kebab_case};
+use super::{Faults, Image, NAMED, Reading, at_line, check_count, chip_of, twice};
+use crate::chip::{Chip, Kind, Parameter, kebab_case};
 use crate::date;
 use crate::error::{Cause, Error, Result};
 use crate::text;
@@ -67,55 +68,89 @@ fn is_meant(text: &str) -> bool {
 /// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
 /// type.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
-    let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
-    let document = DeTable::parse(text).map_err(|error| {
-        let number = line(error.span().map_or(0, |span| span.start));
-        if !is_meant(text) {
-            let why = "none of the formats that gaugefs reads: TOML as `gaugefs export` writes it, gg.csv, or FlashStream \
-                       (.gm.fs, .df.fs)";
-            return Error::new("", Cause::Invalid(why.into()));
-        }
+    let mut faults = Faults::default();
+    let image = read(text, told, &mut faults);
+    Reading { image, faults }.whole()
+}
+
+/// The longest text of which more than the first mistake in its grammar is looked for: there may be one for each letter.
+const LONGEST: usize = 256 << 10;
+
+/// The same for all that is wrong with it.
+pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
+    let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).collect();
+    let line = |at: usize| 1 + ends.partition_point(|end| *end < at);
+    let (document, mut errors) = match text.len() <= LONGEST {
+        true => DeTable::parse_recoverable(text),
+        false => match DeTable::parse(text) {
+            Ok(document) => (document, Vec::new()),
+            Err(error) => (Spanned::new(0..0, DeTable::new()), vec![error]),
+        },
+    };
+    if !errors.is_empty() && !is_meant(text) {
+        let why = "none of the formats that gaugefs reads: TOML as `gaugefs export` writes it, gg.csv, or FlashStream \
+                   (.gm.fs, .df.fs)";
+        return faults.stop(0, Error::new("", Cause::Invalid(why.into())));
+    }
+    let start = |error: &toml::de::Error| error.span().map_or(0, |span| span.start);
+    errors.sort_by_key(start);
+    // One mistake may be several to the grammar.
+    errors.dedup_by_key(|error| line(start(error)));
+    for (at, error) in errors.iter().enumerate() {
+        let number = line(start(error));
         let why = error.message().lines().collect::<Vec<_>>().join(", ");
-        duplicate(text, number).unwrap_or_else(|| at_line(number, format!("not TOML: {why}")))
-    })?;
+        let twice = if at < NAMED { duplicate(text, number) } else { None };
+        faults.add(number, twice.unwrap_or_else(|| at_line(number, format!("not TOML: {why}"))));
+    }
+    // Where a line is not TOML, its key may have any value.
+    let broken: BTreeSet<usize> = errors.iter().map(|error| line(start(error))).collect();
+    let mut file = File { faults, broken, line: &line, count: 0, unknown: 0 };
     let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
     let mut tables = Vec::new();
     for (key, value) in document.get_ref() {
-        let bad = |why: &str| Err(at_line(line(key.span().start), format!("{}: {why}", key.get_ref())));
+        let mut bad = |why: &str| file.refuse(key, format!("{}: {why}", key.get_ref()));
         match (key.get_ref().as_ref(), value.get_ref()) {
             ("chip", DeValue::String(name)) => match Chip::by_name(name) {
                 Some(chip) => named = Some(chip),
-                None => return bad(&format!("{name} is not in the list of `gaugefs chips`")),
+                None => bad(&format!("{name} is not in the list of `gaugefs chips`")),
             },
             ("device_type" | "firmware", number @ DeValue::Integer(_)) => {
-                let code = plain(number).and_then(|text| text.parse::<u16>().ok());
-                let Some(code) = code else { return bad("not a 16-bit number") };
-                *(if key.get_ref() == "firmware" { &mut firmware } else { &mut device_type }) = Some(code);
+                match plain(number).and_then(|text| text.parse::<u16>().ok()) {
+                    None => bad("not a 16-bit number"),
+                    code if key.get_ref() == "firmware" => firmware = code,
+                    code => device_type = code,
+                }
             }
             ("parameters", number @ DeValue::Integer(_)) => {
                 count = plain(number).and_then(|text| text.parse::<usize>().ok());
                 if count.is_none() {
-                    return bad("not a number of parameters");
+                    bad("not a number of parameters");
                 }
             }
             (_, DeValue::Table(table)) => tables.push((key, table)),
-            _ => return bad("only chip, device_type, firmware and parameters may be outside a table"),
+            _ => bad("only chip, device_type, firmware and parameters may be outside a table"),
         }
     }
     if let (Some(named), Some(told)) = (named, told)
         && !std::ptr::eq(named, told)
     {
         let why = format!("it is for a {}, not for a {}", named.model, told.model);
-        return Err(Error::new("", Cause::Invalid(why)));
+        return file.faults.stop(0, Error::new("", Cause::Invalid(why)));
     }
-    let chip = chip_of(named.or(told), device_type, firmware)?;
+    let chip = chip_of(named.or(told), device_type, firmware);
+    // What is wrong with a line that names it is said already.
+    let chip = if file.faults.is_empty() { file.faults.keep(0, chip) } else { chip.ok() }?;
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
     for (key, table) in tables {
-        add_table(&mut image, key, table, &line)?;
+        file.add_table(&mut image, key, table);
     }
-    check_count(text, count, image.entries.len(), "parameters (`parameters = `)")?;
-    Ok(image)
+    // A line that is not TOML may hold a parameter or none.
+    if file.broken.is_empty() {
+        let counted = check_count(text, count, file.count, "parameters (`parameters = `)");
+        file.faults.keep(0, counted);
+    }
+    Some(image)
 }
 
 /// The error about a table or key in that line, if an earlier line has the same one.
@@ -130,57 +165,107 @@ fn duplicate(text: &str, number: usize) -> Option<Error> {
     Some(twice(this, first + 1, number))
 }
 
-fn add_table(
-    image: &mut Image,
-    class: &Spanned<Cow<'_, str>>,
-    table: &DeTable<'_>,
-    line: &dyn Fn(usize) -> usize,
-) -> Result<()> {
-    let chip = image.chip;
-    let found = chip.subclasses.iter().find(|subclass| chip.class_dir(subclass) == *class.get_ref());
-    let Some(subclass) = found else {
-        let why = format!("a {} has no class {}", chip.model, class.get_ref());
-        return Err(at_line(line(class.span().start), why));
-    };
-    if subclass.kind == Kind::Security {
-        let why = format!("{}: images never contain keys; remove the table", class.get_ref());
-        return Err(at_line(line(class.span().start), why));
+/// A name with its place in the text.
+type Key<'a> = Spanned<Cow<'a, str>>;
+
+/// A file that is being read.
+struct File<'a> {
+    faults: &'a mut Faults,
+    /// Lines that are not TOML.
+    broken: BTreeSet<usize>,
+    /// The line of a place in the text.
+    line: &'a dyn Fn(usize) -> usize,
+    /// Keys in its tables.
+    count: usize,
+    /// Those that are no parameters.
+    unknown: usize,
+}
+
+impl File<'_> {
+    fn refuse(&mut self, key: &Key<'_>, why: String) {
+        let line = (self.line)(key.span().start);
+        if !self.broken.contains(&line) {
+            self.faults.at(line, why);
+        }
     }
-    for (key, value) in table {
-        let number = line(key.span().start);
-        let name = format!("{}/{}", class.get_ref(), key.get_ref());
-        let found = subclass.parameters.iter().find(|row| kebab_case(row.name) == *key.get_ref());
-        let Some(parameter) = found else {
-            return Err(at_line(number, format!("a {} has no parameter {name}", chip.model)));
+
+    fn add_table(&mut self, image: &mut Image, class: &Key<'_>, table: &DeTable<'_>) {
+        let (chip, name) = (image.chip, class.get_ref());
+        self.count += table.len();
+        let of_name = |name: &str| chip.subclasses.iter().find(|subclass| chip.class_dir(subclass) == name);
+        let found = of_name(name);
+        let meant = || {
+            let keys = table.keys().take(NAMED);
+            keys.filter_map(|key| chip.nearest(&format!("{name}/{}", key.get_ref()))).next()
         };
-        let is_text = matches!(value.get_ref(), DeValue::String(_));
-        let is_for_text = matches!(parameter.kind, Type::S(_));
-        let is_date = matches!(value.get_ref(), DeValue::Datetime(_));
-        let is_one = is_text == is_for_text && (!is_date || parameter.is_date());
-        let text = plain(value.get_ref()).filter(|_| is_one);
-        let Some(text) = text else {
-            let remedy = match value.get_ref() {
-                DeValue::String(text) if !is_for_text => match text::parse(parameter, text.as_bytes()) {
-                    Ok(_) => "; write it without quotes".into(),
-                    Err(error) => format!("; {}", error.cause()),
-                },
-                _ => String::new(),
+        let Some(subclass) = found.or_else(|| meant().map(|(subclass, _)| subclass)) else {
+            return self.refuse(class, format!("a {} has no class {name}", chip.model));
+        };
+        if found.is_none() {
+            let meant = chip.class_dir(subclass);
+            let why = format!("a {} has no class {name}; did you mean [{meant}]?", chip.model);
+            self.refuse(class, why);
+        }
+        if subclass.kind == Kind::Security {
+            if found.is_some() {
+                self.refuse(class, format!("{name}: images never contain keys; remove the table"));
+            }
+            return;
+        }
+        for (key, value) in table {
+            let whole = format!("{}/{}", chip.class_dir(subclass), key.get_ref());
+            let row = subclass.parameters.iter().find(|row| kebab_case(row.name) == *key.get_ref());
+            let Some(parameter) = row else {
+                // A file may have very many.
+                self.unknown += 1;
+                let nearest = if self.unknown <= NAMED { chip.nearest(&whole) } else { None };
+                // Whether it is a parameter of a class that is only guessed is not known.
+                if found.is_none() && !nearest.is_some_and(|(of, _)| std::ptr::eq(of, subclass)) {
+                    continue;
+                }
+                let hint =
+                    nearest.map_or(String::new(), |row| format!("; did you mean {}?", chip.name_of(row)));
+                self.refuse(key, format!("a {} has no parameter {whole}{hint}", chip.model));
+                continue;
             };
-            let (found, kind) = (value.get_ref().type_str(), parameter.kind);
-            return Err(at_line(number, format!("{name}: {found}, but {kind} is expected{remedy}")));
-        };
-        let value = if is_text {
-            let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(letter).ok()).collect();
-            let why = || at_line(number, format!("{name}: a character above \\u00ff is not a byte"));
-            text::string(parameter, bytes.ok_or_else(why)?)
-        } else {
-            let day = date::parse(&text).filter(|_| parameter.is_date()).map(|day| day.to_string());
-            text::parse_stored(parameter, day.unwrap_or(text).as_bytes())
-        };
-        let value = value.map_err(|error| error.within(&format!("line {number}")))?;
-        image.add(subclass, parameter, value, number);
+            let number = (self.line)(key.span().start);
+            if self.broken.contains(&number) {
+                continue;
+            }
+            match value_of(parameter, &whole, value.get_ref(), number) {
+                Ok(value) => image.add(subclass, parameter, value, number),
+                Err(error) => self.faults.add(number, error),
+            }
+        }
     }
-    Ok(())
+}
+
+fn value_of(parameter: &Parameter, name: &str, found: &DeValue<'_>, number: usize) -> Result<Value> {
+    let is_text = matches!(found, DeValue::String(_));
+    let is_for_text = matches!(parameter.kind, Type::S(_));
+    let is_date = matches!(found, DeValue::Datetime(_));
+    let is_one = is_text == is_for_text && (!is_date || parameter.is_date());
+    let text = plain(found).filter(|_| is_one);
+    let Some(text) = text else {
+        let remedy = match found {
+            DeValue::String(text) if !is_for_text => match text::parse(parameter, text.as_bytes()) {
+                Ok(_) => "; write it without quotes".into(),
+                Err(error) => format!("; {}", error.cause()),
+            },
+            _ => String::new(),
+        };
+        let (found, kind) = (found.type_str(), parameter.kind);
+        return Err(at_line(number, format!("{name}: {found}, but {kind} is expected{remedy}")));
+    };
+    let value = if is_text {
+        let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(letter).ok()).collect();
+        let why = || at_line(number, format!("{name}: a character above \\u00ff is not a byte"));
+        text::string(parameter, bytes.ok_or_else(why)?)
+    } else {
+        let day = date::parse(&text).filter(|_| parameter.is_date()).map(|day| day.to_string());
+        text::parse_stored(parameter, day.unwrap_or(text).as_bytes())
+    };
+    value.map_err(|error| error.within(&format!("line {number}")))
 }
 
 /// A value as the text that a parameter's file accepts.
@@ -285,7 +370,7 @@ mod tests {
             ("x = 1", "line 2: x: only chip, device_type, firmware and parameters"),
             ("[it-cfg\n", "line 2: not TOML"),
             (
-                "[it-cfg]\ncell-terminate-voltage = 1\n\n[power]\ncell-terminate-voltage = 1\n[it-cfg]\n",
+                "[it-cfg]\nload-select = 1\n\n[safety]\not-chg = 1\n[it-cfg]\n",
                 "line 7: [it-cfg] is also in line 2; remove one of the two",
             ),
             (
