@@ -656,6 +656,7 @@ fn format_of(text: &str) -> Format {
     let first = text.split(['\r', '\n']).map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let mut letters = first.chars();
     match (letters.next(), letters.next()) {
+        _ if flashstream::is_meant(first) => Format::FlashStream,
         (Some('*'), _) => Format::GgCsv,
         (Some(';' | ':'), _) | (Some('A'..='Z' | 'a'..='z'), Some(':')) => Format::FlashStream,
         _ => Format::Toml,

@@ -55,6 +55,16 @@ impl Faults {
         self.count = self.named.len();
     }
 
+    /// Takes the first mistake for all of them if they are many of one kind. Such a file is of another format.
+    pub(super) fn unite(&mut self) {
+        const SEVERAL: usize = 5;
+        let Some((line, first)) = self.named.first().cloned() else { return };
+        if self.count > SEVERAL && self.named.iter().all(|(_, error)| error.cause() == first.cause()) {
+            *self = Self::default();
+            self.at(line, format!("{}; no other line of the file can be read either", first.cause()));
+        }
+    }
+
     /// Whether nothing is wrong.
     pub fn is_empty(&self) -> bool {
         self.count == 0
@@ -182,7 +192,7 @@ mod tests {
                 "line 13: X: needs a number of milliseconds",
                 "line 16: the bytes of line 15 are not committed",
                 "line 18: OT Chg: only part of it is written",
-                "line 19: address 0x54 is not the gauge's",
+                "line 19: no address before the register",
                 "line 20: not a line of a FlashStream",
             ],
         );
@@ -200,6 +210,36 @@ mod tests {
             &format!("W: AA 00 14 0\nW: AA 00 72 36\n{good}"),
             &["line 1: expected bytes"],
         );
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_one_mistake() {
+        for (line, says) in [
+            ("W: AA3E0200", "packed hexadecimal: bytes without spaces between them; expected"),
+            ("W:AA3E5001", "packed hexadecimal"),
+            ("W: 0xAA 0x3E 0x50 0x01", "a number with 0x; expected"),
+            ("W: AA,3E,50,01", "numbers with commas between them; expected"),
+            ("AA3E0200", "bytes without a command before them; write W: if a host sends them"),
+            ("AA 3E 02 00", "bytes without a command before them"),
+            ("W AA 3E 02 00", "not a line of a FlashStream"),
+            ("W: 3E 50 01", "no address before the register, as in a file for HDQ"),
+            ("W: 3E 50", "no address before the register, as in a file for HDQ"),
+            (":10010000214601360121470136007EFE09D21901", "a record of an Intel HEX or S-record file"),
+            ("S1130000285F245F2212226A000424290008237C2A", "a record of an Intel HEX or S-record file"),
+            ("W: 55 00 13 00", "address 0x55 is not the gauge's, which is AA"),
+        ] {
+            let many = format!("{line}\n").repeat(50);
+            let says = format!("line 1: {says}");
+            assert_all("bq27441-g1", &many, &[&says]);
+            assert!(all("bq27441-g1", &many)[0].ends_with("; no other line of the file can be read either"));
+            let one = all("bq27441-g1", &format!("{line}\n"));
+            assert!(one.len() == 1 && one[0].starts_with(&says) && !one[0].contains("no other"), "{one:?}");
+            // Such a line among others. It may be a key.
+            let among = format!("W: AA 00 42 00\n{line}\n");
+            let told = all("bq27441-g1", &among);
+            assert_eq!(told.len(), 1, "{told:?}");
+            assert!(told[0].starts_with("line 2: ") && !told[0].contains("AA3E0200"), "{told:?}");
+        }
     }
 
     /// What is said of a file is short, however long it and its names are.

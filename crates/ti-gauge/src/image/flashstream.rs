@@ -99,10 +99,55 @@ fn for_each_line(
     Ok(())
 }
 
+/// Whether the first line of a file shows that it was meant for a player of some kind, although it is no command.
+pub(super) fn is_meant(line: &str) -> bool {
+    let line = line.split(';').next().unwrap_or_default().trim();
+    let after_letter =
+        line.strip_prefix(['W', 'C', 'R', 'w', 'c', 'r']).filter(|rest| rest.starts_with([' ', '\t']));
+    is_record(line) || after_letter.is_some_and(is_hex) || (is_hex(line) && line.len() > 4)
+}
+
+/// Bytes in hexadecimal, with or without anything between them.
+fn is_hex(text: &str) -> bool {
+    let words = || text.split_ascii_whitespace().map(|word| word.strip_prefix("0x").unwrap_or(word));
+    let is_even =
+        |word: &str| word.len().is_multiple_of(2) && word.bytes().all(|digit| digit.is_ascii_hexdigit());
+    words().next().is_some() && words().all(is_even)
+}
+
+/// A line of an Intel HEX or S-record file.
+fn is_record(line: &str) -> bool {
+    let rest = match line.strip_prefix(':') {
+        None => line.strip_prefix('S').filter(|rest| rest.starts_with(|digit: char| digit.is_ascii_digit())),
+        rest => rest,
+    };
+    rest.is_some_and(|rest| rest.len() >= 9 && rest.bytes().all(|digit| digit.is_ascii_hexdigit()))
+}
+
+/// What a file for HDQ lacks, a bus without addresses.
+const NO_ADDRESS: &str = "no address before the register, as in a file for HDQ; gaugefs reads files for I2C, in which \
+                          the gauge's address is AA, as in W: AA 3E 50 01";
+/// The registers that such a file writes.
+fn is_register(byte: u8) -> bool {
+    // 0x55 is the gauge's address, not shifted.
+    matches!(byte, CONTROL | SELECT | 0x3f | DATA..=LENGTH) && byte != 0x55
+}
+
 fn command(line: &str) -> Result<Command, String> {
     // The line itself is not repeated: it may hold key words.
+    if is_record(line) {
+        return Err("a record of an Intel HEX or S-record file, which holds a memory and not what is sent to a gauge; \
+                    export a .gm.fs or .gg.csv of the same gauge"
+            .into());
+    }
     let Some((letter, rest)) = line.split_once(':') else {
-        return Err("not a line of a FlashStream; they begin with W:, C:, R:, X: or ;".into());
+        return Err(match is_hex(line) {
+            true => {
+                "bytes without a command before them; write W: if a host sends them, as in W: AA 3E 50 01"
+                    .into()
+            }
+            false => "not a line of a FlashStream; they begin with W:, C:, R:, X: or ;".into(),
+        });
     };
     if letter.trim().eq_ignore_ascii_case("X") {
         let decimal = rest.trim().parse::<u32>();
@@ -112,12 +157,26 @@ fn command(line: &str) -> Result<Command, String> {
         return Err("not a command of a FlashStream; they are W:, C:, R: and X:".into());
     }
     let bytes: Option<Vec<u8>> = rest.split_ascii_whitespace().map(byte).collect();
-    let bytes = bytes.ok_or("expected bytes of two hexadecimal digits, separated by spaces")?;
+    let Some(bytes) = bytes else {
+        let words = || rest.split_ascii_whitespace();
+        let what = match is_hex(rest) {
+            true if words().any(|word| word.starts_with("0x")) => "a number with 0x; ",
+            true => "packed hexadecimal: bytes without spaces between them; ",
+            false if words().any(|word| word.contains(',')) => "numbers with commas between them; ",
+            false => "",
+        };
+        return Err(format!(
+            "{what}expected bytes of two hexadecimal digits, separated by spaces, as in W: AA 3E 50 01"
+        ));
+    };
     let [address, register, ref data @ ..] = bytes[..] else {
         return Err("expected an address, a register and at least one byte".into());
     };
     if data.is_empty() {
-        return Err("expected an address, a register and at least one byte".into());
+        return Err(match is_register(address) {
+            true => NO_ADDRESS.into(),
+            false => "expected an address, a register and at least one byte".into(),
+        });
     }
     if data.len() > LONGEST {
         return Err(format!("{} bytes, but a row holds at most {LONGEST}", data.len()));
@@ -232,6 +291,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
 
 /// Checks that all commands are for the gauge. A file for ROM mode is not read any further.
 fn check_addresses(commands: &[(usize, Command)], faults: &mut Faults) -> Option<()> {
+    let mut is_for_gauge = false;
     for (number, command) in commands {
         let address = match command {
             Command::Write { address, .. } | Command::Compare { address, .. } | Command::Read { address } => {
@@ -249,14 +309,22 @@ fn check_addresses(commands: &[(usize, Command)], faults: &mut Faults) -> Option
             (ROM | 0x0b, _) => {
                 "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware"
             }
-            (GAUGE, _) => continue,
+            (GAUGE, _) => {
+                is_for_gauge = true;
+                continue;
+            }
             (other, _) => {
-                faults.at(*number, format!("address 0x{other:02x} is not the gauge's, which is AA"));
+                let is_hdq = is_register(other) && !matches!(command, Command::Read { .. });
+                let why = format!("address 0x{other:02x} is not the gauge's, which is AA");
+                faults.at(*number, if is_hdq { NO_ADDRESS.into() } else { why });
                 continue;
             }
         };
         faults.end_at(*number);
         return faults.stop(*number, at_line(*number, why));
+    }
+    if !is_for_gauge {
+        faults.unite();
     }
     Some(())
 }
