@@ -170,7 +170,7 @@ impl Source {
 
 /// Reads a mounted gauge as it is now, or a file of any format, as [`Source::image`] does.
 pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-    if is_mounted(path) { now(path) } else { Source::read(path)?.image(chip, data_flash) }
+    if is_mounted(path) { whole(path) } else { Source::read(path)?.image(chip, data_flash) }
 }
 
 /// The same for all that is wrong with a file.
@@ -191,6 +191,13 @@ pub(crate) fn name(path: &Path) -> String {
 
 fn is_mounted(path: &Path) -> bool {
     path.is_dir() || mountpoint::of(path).is_some()
+}
+
+/// The same with the bytes of subclasses without parameters, such as a chemistry.
+pub(crate) fn whole(gauge: &Path) -> Result<Image> {
+    let mut image = now(gauge)?;
+    image.add_opaque(|id| raw_of(gauge, id))?;
+    Ok(image)
 }
 
 /// The chip of a mounted gauge, without reading its data flash.

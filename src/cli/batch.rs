@@ -44,6 +44,9 @@ pub(super) struct Report {
     /// The file that was written.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) file: Option<String>,
+    /// What the format of that file has no place for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) left_out: Vec<String>,
     pub(super) passed_over: Vec<String>,
     error: Option<String>,
     exit_code: u8,

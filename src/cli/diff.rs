@@ -14,11 +14,13 @@ use crate::mounted;
 use crate::output::{print, print_json, say};
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Group;
+use ti_gauge::text;
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
-sides have are compared; standard error says what one side lacks. A mounted gauge is polled and its
-configuration read first. Exit code 0: no difference, 1: differences, 2: they could not be compared.
+sides have, and the bytes of a chemistry, are compared; standard error says what one side lacks. A
+mounted gauge is polled and its configuration read first. Exit code 0: no difference, 1:
+differences, 2: they could not be compared.
 
 Examples:
   gaugefs diff --exclude serial golden.toml /run/gauges/BAT0
@@ -77,7 +79,7 @@ impl Diff {
         // Files first: one that is refused leaves the gauge alone.
         let (a, mut b) = if self.b.is_dir() {
             let a = mounted::open(&self.a, named.or(chip_of(&self.b)?), self.data_flash)?;
-            (a, mounted::now(&self.b)?)
+            (a, mounted::whole(&self.b)?)
         } else {
             let b = mounted::open(&self.b, named.or(chip_of(&self.a)?), self.data_flash)?;
             (mounted::open(&self.a, named.or(Some(b.chip)), self.data_flash)?, b)
@@ -88,6 +90,7 @@ impl Diff {
         }
         let comparison = a.compare(&b, &exclude)?;
         let differences = &comparison.differences;
+        let raw_names: Vec<String> = comparison.raw.iter().map(|raw| raw.new.name()).collect();
         if self.json {
             let rows = differences.iter().map(|difference| Row {
                 name: &difference.name,
@@ -95,12 +98,22 @@ impl Diff {
                 b: difference.new.shown(),
                 unit: difference.new.parameter.unit,
             });
-            print_json(&rows.collect::<Vec<_>>())?;
+            let raw = comparison.raw.iter().zip(&raw_names).map(|(difference, name)| Row {
+                name,
+                a: difference.old.as_deref().map(text::hex).unwrap_or_default(),
+                b: difference.new.text(),
+                unit: "",
+            });
+            print_json(&rows.chain(raw).collect::<Vec<_>>())?;
         } else {
-            print(&differences.iter().map(|difference| format!("{difference}\n")).collect::<String>())?;
+            let rows = differences.iter().map(|difference| format!("{difference}\n"));
+            print(&rows.chain(comparison.raw.iter().map(|raw| format!("{raw}\n"))).collect::<String>())?;
         }
-        let sides = [(&a, &self.a, &comparison.only_first), (&b, &self.b, &comparison.only_second)];
-        for (image, path, only) in sides {
+        let sides = [
+            (&a, &self.a, &comparison.only_first, &comparison.raw_only_first),
+            (&b, &self.b, &comparison.only_second, &comparison.raw_only_second),
+        ];
+        for (image, path, only, raw) in sides {
             for left in image.left_out.iter().filter(|left| left.counts(&exclude)) {
                 say(format_args!("{}: {}", path.display(), left.text));
             }
@@ -108,7 +121,14 @@ impl Diff {
                 let count = counted(only.len());
                 say(format_args!("{}: {count} that the other side lacks", path.display()));
             }
+            if !raw.is_empty() {
+                let names: Vec<_> =
+                    raw.iter().map(|subclass| format!("{} ({})", subclass.name, subclass.id)).collect();
+                let names = names.join(", ");
+                say(format_args!("{}: not compared: {names}, which the other side lacks", path.display()));
+            }
         }
-        Ok(if differences.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+        let is_same = differences.is_empty() && comparison.raw.is_empty();
+        Ok(if is_same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 }

@@ -18,9 +18,10 @@ use ti_gauge::image::Format;
 const EXPORT: &str = "\
 toml suits version control, gg.csv is bqStudio's format, and flashstream is what TI's tools send
 to a gauge. A .df.fs is not offered: nobody could check an image for ROM mode. Keys are never
-exported. The gauge is polled and its configuration read first. Exit code 0: done, 3: values that
-the gauge does not show are missing in the file, 1: failed. Each of several gauges is exported for
-itself; the exit code is the worst.
+exported. What else a format has no place for, such as a chemistry, is named on standard error. The
+gauge is polled and its configuration read first. Exit code 0: done, 3: values that the gauge does
+not show are missing in the file, 1: failed. Each of several gauges is exported for itself; the exit
+code is the worst.
 
 Examples:
   gaugefs export /run/gauges/BAT0 -o pack.toml
@@ -114,9 +115,10 @@ impl Export {
 }
 
 fn export(gauge: &Path, format: FormatName, file: Option<&Path>, report: &mut Report) -> Result<u8> {
-    let image = mounted::now(gauge)?;
+    let image = mounted::whole(gauge)?;
     report.identify(gauge);
     let text = image.write(format.into(), |id| mounted::raw_of(gauge, id))?;
+    report.left_out = image.omitted(format.into());
     match file {
         None => print_file(text.as_bytes())?,
         Some(file) => {
@@ -126,6 +128,9 @@ fn export(gauge: &Path, format: FormatName, file: Option<&Path>, report: &mut Re
         }
     }
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
+    for line in &report.left_out {
+        say(format_args!("gauge {}: exported {line}", gauge.display()));
+    }
     for line in &report.passed_over {
         say(format_args!("{}: {line}", gauge.display()));
     }

@@ -826,6 +826,52 @@ fn a_chemistry_file_is_named_by_lint_and_applied() {
 }
 
 #[test]
+fn regression_a_clone_lost_its_chemistry_without_a_word() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let gauges = ["m", "n"].map(|name| {
+        gaugefs(&["mount", "--sim", "bq27426", &folder.file(name)]).done();
+        format!("{}/BAT0", folder.file(name))
+    });
+    let [from, to] = &gauges;
+    let raw =
+        |gauge: &str| [83, 84, 85, 108].map(|id| fs::read(format!("{gauge}/df/{id}/raw")).expect("bytes"));
+    // Another chemistry.
+    fs::write(format!("{from}/df/transaction"), "begin\nraw 83/3 1234\nraw 108/0 55\ncommit\n")
+        .expect("written");
+    assert_ne!(raw(from), raw(to));
+    let differ = gaugefs(&["diff", to, from]);
+    let shown = "raw 83/3: 5353 -> 1234\nraw 108/0: 6c -> 55\n";
+    assert_eq!((differ.code, &*differ.out), (Some(1), shown), "{}", differ.err);
+    let [toml, stream] = ["pack.toml", "pack.gm.fs"].map(|name| folder.file(name));
+    let told = |file: &str| {
+        let ran = gaugefs(&["export", "--json", from, "-o", file]);
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+        let says = "exported without the chemistry, subclasses 83, 84, 85 and 108";
+        (ran.gauges.iter().any(|line| line.contains(says)), ran.out.contains("left_out"))
+    };
+    assert_eq!((told(&toml), told(&stream)), ((true, true), (false, false)));
+    let blind = gaugefs(&["diff", &toml, to]);
+    assert_eq!(blind.code, Some(0), "{}", blind.err);
+    let lacks = "not compared: OCV Table 83 (83), OCV Table 84 (84), Chemistry 85 (85), Chemistry 108 (108), which the \
+                 other side lacks";
+    assert!(blind.err.contains(lacks), "{}", blind.err);
+    let differ = gaugefs(&["diff", to, &stream]);
+    assert_eq!((differ.code, &*differ.out), (Some(1), shown), "{}", differ.err);
+    let differ = gaugefs(&["diff", "--json", to, &stream]).out;
+    assert!(differ.contains(r#"{"name":"raw 83/3","a":"5353","b":"1234","unit":""}"#), "{differ}");
+    gaugefs(&["import", to, &stream]).done();
+    assert_eq!(raw(from), raw(to));
+    assert_eq!(gaugefs(&["diff", to, &stream]).done(), "");
+    assert_eq!(gaugefs(&["diff", to, from]).done(), "");
+    for name in ["m", "n"] {
+        gaugefs(&["umount", &folder.file(name)]).done();
+    }
+}
+
+#[test]
 fn regression_lint_leaves_out_the_groups_that_its_message_names() {
     let folder = Folder::new();
     let file = folder.file("golden.gm.fs");

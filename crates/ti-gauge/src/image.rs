@@ -3,13 +3,14 @@
 //! Nothing here accesses a gauge. Keys are never part of an image: they are not read, shown or written, even if a
 //! file contains them.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
 use gauge_bus::regular;
 
 use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass};
-use crate::codec;
+use crate::codec::{self, WINDOW};
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
 use crate::text;
@@ -167,6 +168,12 @@ pub struct Comparison<'a> {
     pub only_first: Vec<&'a Entry>,
     /// Parameters that only the second has.
     pub only_second: Vec<&'a Entry>,
+    /// Different bytes of subclasses of which only name and length are known.
+    pub raw: Vec<RawDifference>,
+    /// Such subclasses of which only the first has bytes.
+    pub raw_only_first: Vec<&'static Subclass>,
+    /// Such subclasses of which only the second has bytes.
+    pub raw_only_second: Vec<&'static Subclass>,
 }
 
 /// What an import does with a file.
@@ -344,8 +351,7 @@ impl Image {
     /// write them.
     fn is_chemistry(&self, raw: &Raw) -> bool {
         let is_for_part = self.names_chip && self.firmware.is_some();
-        let is_named = |row: &Subclass| row.class == "Chemistry" || row.name == "Chem Data";
-        is_for_part && self.chip.subclass(raw.subclass).is_some_and(is_named)
+        is_for_part && self.chip.subclass(raw.subclass).is_some_and(Subclass::is_chemistry)
     }
 
     /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
@@ -356,7 +362,7 @@ impl Image {
             let (number, id) = (line[0].line, line[0].subclass);
             let bytes = if count == 1 { "byte" } else { "bytes" };
             let what = match self.chip.subclass(id) {
-                Some(class) if class.parameters.is_empty() => {
+                Some(class) if class.is_opaque() => {
                     format!("{count} {bytes} of subclass {id}, {}", class.name)
                 }
                 _ => format!("{count} undocumented {bytes} of subclass {id}"),
@@ -585,6 +591,11 @@ impl Image {
             let change = change.ok_or_else(|| at_line(*line, "does not fit its type"))?;
             changes.push(Change { saved: true, ..change });
         }
+        // The chemistry is lost with the power, too.
+        for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
+            let place = Place { subclass: raw.subclass, offset: raw.offset };
+            changes.push(Change { place, bytes: raw.bytes.clone(), row: None, saved: true });
+        }
         Ok(changes)
     }
 
@@ -618,8 +629,14 @@ impl Image {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
             return Err(Error::new("", Cause::Invalid(why)));
         }
-        let mut comparison =
-            Comparison { differences: Vec::new(), only_first: Vec::new(), only_second: Vec::new() };
+        let mut comparison = Comparison {
+            differences: Vec::new(),
+            only_first: Vec::new(),
+            only_second: Vec::new(),
+            raw: Vec::new(),
+            raw_only_first: Vec::new(),
+            raw_only_second: Vec::new(),
+        };
         let compared = |image: &'a Image| image.entries.iter().filter(|entry| !entry.is_in(exclude));
         for old in compared(self) {
             match new.entries.iter().find(|entry| entry.is(old)) {
@@ -632,7 +649,103 @@ impl Image {
         }
         let is_new = |entry: &&Entry| !self.entries.iter().any(|old| old.is(entry));
         comparison.only_second = compared(new).filter(is_new).collect();
+        if !exclude.contains(&Group::Undocumented) {
+            self.compare_opaque(new, &mut comparison);
+        }
         Ok(comparison)
+    }
+
+    /// Compares the subclasses of which only name and length are known, as far as both have their bytes.
+    fn compare_opaque(&self, new: &Image, comparison: &mut Comparison<'_>) {
+        for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
+            let (old, new) = (self.bytes_of(subclass), new.bytes_of(subclass));
+            match (old.is_empty(), new.is_empty()) {
+                (true, true) => {}
+                (false, true) => comparison.raw_only_first.push(subclass),
+                (true, false) => comparison.raw_only_second.push(subclass),
+                (false, false) => {
+                    let both = old.iter().filter_map(|(at, (byte, _))| Some((*at, *byte, *new.get(at)?)));
+                    let differ = both.filter(|(_, old, (new, _))| old != new).collect::<Vec<_>>();
+                    let runs = differ.chunk_by(|one, next| {
+                        one.0 + 1 == next.0 && usize::from(one.0) / WINDOW == usize::from(next.0) / WINDOW
+                    });
+                    comparison.raw.extend(runs.map(|run| {
+                        let bytes = run.iter().map(|(_, _, (new, _))| *new).collect();
+                        let (offset, line) = (run[0].0, run[0].2.1);
+                        let new = Raw { subclass: subclass.id, offset, bytes, line };
+                        RawDifference { old: Some(run.iter().map(|(_, old, _)| *old).collect()), new }
+                    }));
+                }
+            }
+        }
+    }
+
+    /// The known bytes that this image has of a subclass, and their lines, by offset.
+    fn bytes_of(&self, subclass: &Subclass) -> BTreeMap<u16, (u8, usize)> {
+        let of_it = self.raw.iter().filter(|raw| raw.subclass == subclass.id);
+        let bytes = of_it.flat_map(|raw| (raw.offset..).zip(raw.bytes.iter().map(|byte| (*byte, raw.line))));
+        bytes.filter(|(offset, _)| *offset < subclass.length).collect()
+    }
+
+    /// Adds the bytes of the subclasses of which only name and length are known. `stored` returns a whole one, by id.
+    pub fn add_opaque(&mut self, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<()> {
+        for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
+            let mut bytes = stored(subclass.id)?;
+            bytes.truncate(subclass.length.into());
+            self.raw.push(Raw { subclass: subclass.id, offset: 0, bytes, line: 0 });
+        }
+        Ok(())
+    }
+
+    /// What a file of this image in a format lacks, beside keys and bytes between parameters: a line each.
+    pub fn omitted(&self, format: Format) -> Vec<String> {
+        let (chemistry, others): (Vec<_>, Vec<_>) = self
+            .chip
+            .subclasses
+            .iter()
+            .filter(|subclass| subclass.is_opaque())
+            .partition(|row| row.is_chemistry());
+        let is_stream = format == Format::FlashStream;
+        let unproven =
+            self.entries.iter().filter(|entry| entry.parameter.unproven && !is_written(entry, format));
+        let mut unproven: Vec<_> = unproven.map(|entry| self.chip.class_dir(entry.subclass)).collect();
+        let count = unproven.len();
+        unproven.dedup();
+        [
+            (!chemistry.is_empty() && !is_stream).then(|| {
+                let what = listed(&chemistry);
+                format!(
+                    "without the chemistry, {what}: bytes without parameters, which only a FlashStream has"
+                )
+            }),
+            (!others.is_empty()).then(|| {
+                let what = listed(&others);
+                format!("without {what}: bytes of calibration without parameters, which no format has")
+            }),
+            (count > 0).then(|| {
+                let (what, of) = (if count == 1 { "parameter" } else { "parameters" }, unproven.join(", "));
+                format!("without {count} unproven {what} of {of}; TOML and gg.csv have them")
+            }),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+}
+
+/// Whether a format has a parameter of this kind.
+fn is_written(entry: &Entry, format: Format) -> bool {
+    // Other FlashStreams have whole blocks.
+    !(format == Format::FlashStream && entry.subclass.id == FLAT && entry.parameter.unproven)
+}
+
+/// `subclasses 83, 84, 85 and 108`.
+fn listed(subclasses: &[&Subclass]) -> String {
+    let ids: Vec<_> = subclasses.iter().map(|subclass| subclass.id.to_string()).collect();
+    match ids.as_slice() {
+        [one] => format!("subclass {one}"),
+        [others @ .., last] => format!("subclasses {} and {last}", others.join(", ")),
+        [] => String::new(),
     }
 }
 

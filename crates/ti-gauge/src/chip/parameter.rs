@@ -31,6 +31,16 @@ impl Subclass {
         Self { class, name, id, length, kind: Kind::Reset, parameters: &[] }
     }
 
+    /// Whether only its name and length are known.
+    pub fn is_opaque(&self) -> bool {
+        self.parameters.is_empty()
+    }
+
+    /// Whether it holds the chemistry.
+    pub fn is_chemistry(&self) -> bool {
+        self.class == "Chemistry" || self.name == "Chem Data"
+    }
+
     /// Offset of its first byte: 0, or the address at which a flat group begins.
     pub fn start(&self) -> u16 {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }

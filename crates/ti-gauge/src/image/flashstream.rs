@@ -5,7 +5,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Faults, Group, Image, Raw, Reading, at_line, check_count, chip_of, romimage};
+use super::{
+    Faults, Format, Group, Image, Raw, Reading, at_line, check_count, chip_of, is_written, romimage,
+};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 use crate::error::{Cause, Error, Result};
@@ -802,13 +804,14 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
         }
     } else {
         text += &row('W', LENGTH, &[0]);
-        let mut last = None;
-        for entry in &image.entries {
-            let id = entry.subclass.id;
-            if last.replace(id) == Some(id) {
-                continue;
-            }
-            text += &format!("; {}\n", chip.class_dir(entry.subclass));
+        let has = |subclass: &Subclass| match subclass.is_opaque() {
+            false => image.entries.iter().any(|entry| std::ptr::eq(entry.subclass, subclass)),
+            // Other bytes without parameters belong to a circuit.
+            true => subclass.is_chemistry() && image.raw.iter().any(|raw| raw.subclass == subclass.id),
+        };
+        for subclass in chip.subclasses.iter().filter(|subclass| has(subclass)) {
+            let id = subclass.id;
+            text += &format!("; {}\n", chip.class_dir(subclass));
             for (block, bytes) in (0u8..).zip(raw(id)?.chunks(WINDOW)) {
                 let mut window = [0; WINDOW];
                 window[..bytes.len()].copy_from_slice(bytes);
@@ -855,7 +858,8 @@ fn row(letter: char, register: u8, bytes: &[u8]) -> String {
 /// The parameters of a flat data flash, adjacent ones joined into runs of at most a window. Unproven ones are left
 /// out.
 fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
-    let mut entries: Vec<_> = image.entries.iter().filter(|entry| !entry.parameter.unproven).collect();
+    let mut entries: Vec<_> =
+        image.entries.iter().filter(|entry| is_written(entry, Format::FlashStream)).collect();
     entries.sort_by_key(|entry| entry.parameter.offset);
     let mut runs: Vec<(u16, Vec<u8>)> = Vec::new();
     for entry in entries {

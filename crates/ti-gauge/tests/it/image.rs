@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use ti_gauge::chip::Kind;
-use ti_gauge::dataflash::Change;
-use ti_gauge::image::Image;
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Parameter, Range, Role, Subclass};
+use ti_gauge::codec;
+use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::image::{Entry, Format, Image};
+use ti_gauge::text;
+use ti_gauge::value::Value;
 
 use crate::rig::{Rig, first_address};
 
@@ -117,4 +120,206 @@ fn regression_the_scale_of_a_shipped_image_is_imported() {
         assert_eq!(passed_over.is_empty(), is_known, "cc-delta: {passed_over:?}");
         assert_eq!(rig.read(105, 8).expect("it is read")[3], if is_known { 0xD3 } else { 0xD2 }, "{chip}");
     }
+}
+
+/// The subclasses that an image may have.
+fn readable(chip: &'static Chip) -> Vec<&'static Subclass> {
+    chip.subclasses.iter().filter(|row| row.kind != Kind::Security).collect()
+}
+
+/// All bytes of these subclasses, as the engine reads them.
+fn stored(rig: &mut Rig) -> Vec<(&'static Subclass, Vec<u8>)> {
+    let rows = readable(rig.gauge.chip);
+    let read = rig.dataflash.read(&mut rig.gauge, &rows, Duration::ZERO).expect("the default keys");
+    rows.into_iter().zip(read).collect()
+}
+
+/// Another value of a parameter, if the gauge measures, stores and answers with it all the same.
+fn other_value(chip: &Chip, subclass: &Subclass, row: &Parameter, old: &Value) -> Option<Value> {
+    let signs = chip.signature.iter().any(|sign| (sign.subclass, sign.offset) == (subclass.id, row.offset));
+    // A learned value outside its range is not imported.
+    let is_in_range = text::parse(row, text::render(row.kind, old).as_bytes()).is_ok();
+    let decides = row.role == Some(Role::Cells) || row.safe.is_some() || !row.bits.is_empty();
+    let external = chip.gate.as_ref().and_then(|gate| gate.external.as_ref());
+    let measures = external.is_some_and(|external| external.byte == (subclass.id, row.offset));
+    if signs || decides || measures || !is_in_range || subclass.class == "Calibration" {
+        return None;
+    }
+    let both = match &row.range {
+        Range::Int { min, max, .. } => [Value::Int(*min), Value::Int(*max)],
+        Range::Float { min, max, .. } => [Value::Float(*min), Value::Float(*max)],
+        Range::Text { .. } => [Value::Text(b"xy".into()), Value::Text(b"z".into())],
+    };
+    both.into_iter().find(|value| value != old)
+}
+
+/// Gives a gauge other bytes wherever it can have them: at the ends of ranges, and between the parameters. Returns how
+/// many there are.
+fn fill(rig: &Rig, content: &[(&'static Subclass, Vec<u8>)]) -> usize {
+    let mut count = 0;
+    for (subclass, bytes) in content {
+        let start = if subclass.id == FLAT {
+            usize::from(subclass.start()) - first_address(rig.gauge.chip)
+        } else {
+            0
+        };
+        let mut put = |offset: usize, bytes: &[u8]| {
+            count += bytes.len();
+            rig.sim.set_flash(subclass.id.into(), start + offset, bytes);
+        };
+        let mut is_parameter = vec![false; bytes.len()];
+        for row in subclass.parameters {
+            let at = usize::from(row.offset - subclass.start());
+            let old = &bytes[at..at + row.kind.size()];
+            is_parameter[at..at + old.len()].fill(true);
+            let old = codec::decode(row.kind, old);
+            if let Some(value) = other_value(rig.gauge.chip, subclass, row, &old) {
+                put(at, &codec::encode(row.kind, &value).expect("a value in range"));
+            }
+        }
+        // A flat part has a place for all that it computes with, named or not.
+        let measures = subclass.id == FLAT && subclass.class == "Calibration";
+        let unnamed =
+            (0..bytes.len().min(subclass.length.into())).filter(|at| !is_parameter[*at] && !measures);
+        for at in unnamed {
+            put(at, &[bytes[at] ^ 0x5a]);
+        }
+    }
+    count
+}
+
+/// What docs/IMAGES.md says that a clone by a file of this format does not have.
+fn is_left_out(format: Format, subclass: &Subclass, row: Option<&Parameter>) -> bool {
+    match (format, row) {
+        // Values have a name.
+        (Format::Toml | Format::GgCsv, row) => row.is_none(),
+        (Format::FlashStream, Some(row)) => subclass.id == FLAT && row.unproven,
+        // Whole blocks, and the chemistry; on parts with a flat address space only what has a name.
+        (Format::FlashStream, None) => {
+            subclass.id == FLAT || (subclass.parameters.is_empty() && subclass.class != "Chemistry")
+        }
+    }
+}
+
+/// A gauge is exported, and the file imported with everything into a gauge that differs wherever it can.
+fn clone_by(chip: &'static Chip, format: Format) {
+    let at = format!("{} {format:?}", chip.name);
+    let (mut from, mut to) = (Rig::new(chip.name), Rig::new(chip.name));
+    let original = stored(&mut from);
+    let other = fill(&to, &original);
+    let before: Vec<_> = stored(&mut to);
+    let of = |content: &[(&'static Subclass, Vec<u8>)], id: u8| {
+        let found = content.iter().find(|(row, _)| row.id == id).expect("a subclass");
+        Ok(found.1.clone())
+    };
+    let mut image = image_of(&mut from);
+    image.add_opaque(|id| of(&original, id)).expect("its bytes");
+    let text = image.write(format, |id| of(&original, id)).expect("a file");
+
+    let mut file = Image::parse(&text, None).unwrap_or_else(|error| panic!("{at}: {error}"));
+    let here = image_of(&mut to);
+    file.keep_reserved(&here);
+    let changes = here.changes(&file, &[], true).unwrap_or_else(|error| panic!("{at}: {error}"));
+    assert!(changes.passed_over.is_empty(), "{at}: {:?}", changes.passed_over);
+    let raw = file.raw_changes(|id| of(&before, id), true).unwrap_or_else(|error| panic!("{at}: {error}"));
+    let of_entry = |entry: &Entry| Change::of_value((entry.subclass, entry.parameter), &entry.value);
+    let mut all: Vec<_> =
+        changes.changes.iter().map(|change| of_entry(change.new).expect("it fits")).collect();
+    all.extend(raw.into_iter().map(|change| Change {
+        place: Place { subclass: change.new.subclass, offset: change.new.offset },
+        bytes: change.new.bytes,
+        row: None,
+        saved: false,
+    }));
+    let written = to.dataflash.write(&mut to.gauge, &all, Duration::ZERO);
+    written.unwrap_or_else(|error| panic!("{at}: {error}"));
+
+    let (mut same, mut lacking) = (0, 0);
+    for ((subclass, wanted), ((_, found), (_, before))) in
+        original.iter().zip(stored(&mut to).iter().zip(&before))
+    {
+        for (offset, (wanted, (found, before))) in
+            (subclass.start()..).zip(wanted.iter().zip(found.iter().zip(before)))
+        {
+            let holds = |row: &&Parameter| (row.offset..).take(row.kind.size()).any(|at| at == offset);
+            let place = format!("{at}: {}/{offset}", subclass.id);
+            if is_left_out(format, subclass, subclass.parameters.iter().find(holds)) {
+                assert_eq!(found, before, "{place} is left out");
+                lacking += usize::from(found != wanted);
+            } else {
+                assert_eq!(found, wanted, "{place}");
+                same += usize::from(wanted != before);
+            }
+        }
+    }
+    assert!(same + lacking <= other && same > 20, "{at}: {same} of {other} bytes came, {lacking} did not");
+    // What is lacking is said, except for the bytes between parameters.
+    let has_opaque = |row: &&Subclass| row.parameters.is_empty() && is_left_out(format, row, None);
+    let has_unproven =
+        chip.rows().any(|(subclass, row)| row.unproven && is_left_out(format, subclass, Some(row)));
+    let says = readable(chip).iter().any(has_opaque) || has_unproven;
+    assert_eq!(says, !image.omitted(format).is_empty(), "{at}: {:?}", image.omitted(format));
+}
+
+#[test]
+fn a_clone_has_every_byte_that_its_format_has() {
+    for chip in CHIPS {
+        for format in [Format::Toml, Format::GgCsv, Format::FlashStream] {
+            clone_by(chip, format);
+        }
+    }
+}
+
+/// Parts that a clone by FlashStream is complete for, and those of which it is not.
+#[test]
+fn what_a_file_lacks_is_named() {
+    let omitted = |chip: &str, format| image_of(&mut Rig::new(chip)).omitted(format);
+    assert_eq!(omitted("bq27426", Format::FlashStream), [""; 0]);
+    let chemistry = "without the chemistry, subclasses 83, 84, 85 and 108: bytes without parameters, which only a \
+                     FlashStream has";
+    assert_eq!(omitted("bq27426", Format::Toml), [chemistry]);
+    let calibration =
+        "without subclasses 106 and 107: bytes of calibration without parameters, which no format has";
+    assert_eq!(omitted("bq27621-g1", Format::FlashStream), [calibration]);
+    assert!(omitted("bq34z100-g1", Format::GgCsv).is_empty());
+    let unproven = omitted("bq35100", Format::FlashStream);
+    assert!(unproven.len() == 1 && unproven[0].contains(" unproven parameters of "), "{unproven:?}");
+}
+
+/// Subclasses without parameters are seen by a comparison.
+#[test]
+fn regression_a_clone_of_a_bq27426_has_its_chemistry() {
+    let mut rig = Rig::new("bq27426");
+    let content = stored(&mut rig);
+    let of = |id: u8| Ok(content.iter().find(|(row, _)| row.id == id).expect("a subclass").1.clone());
+    let mut one = image_of(&mut rig);
+    one.add_opaque(of).expect("its bytes");
+    let mut other = one.clone();
+    for raw in &mut other.raw {
+        raw.bytes[3] ^= 1;
+    }
+    let compared = one.compare(&other, &[]).expect("one chip");
+    assert_eq!(
+        compared.raw.iter().map(|raw| raw.new.name()).collect::<Vec<_>>(),
+        ["raw 83/3", "raw 84/3", "raw 85/3", "raw 108/3"]
+    );
+    let file = Image::parse(&one.write(Format::FlashStream, of).expect("a file"), None).expect("an image");
+    assert!(one.compare(&file, &[]).expect("one chip").raw.is_empty());
+    assert_eq!(other.compare(&file, &[]).expect("one chip").raw.len(), 4);
+    // And it is written again after a loss of power.
+    let restored: Vec<_> = file
+        .to_restore()
+        .expect("values in range")
+        .into_iter()
+        .filter(|change| change.row.is_none())
+        .collect();
+    assert!(restored.iter().any(|change| change.place.subclass == 108));
+    for raw in &other.raw {
+        rig.sim.set_flash(raw.subclass.into(), 0, &raw.bytes);
+    }
+    rig.dataflash.write(&mut rig.gauge, &restored, Duration::ZERO).expect("it is written");
+    assert!(stored(&mut rig).iter().zip(&content).all(|(found, wanted)| found.1 == wanted.1));
+    // A TOML has none of it, which a comparison says.
+    let toml = Image::parse(&one.write(Format::Toml, of).expect("a file"), None).expect("an image");
+    assert_eq!(one.compare(&toml, &[]).expect("one chip").raw_only_first.len(), 4);
 }
