@@ -57,7 +57,7 @@ pub(crate) struct GaugeOptions {
     #[arg(long, value_name = "CHIP", value_parser = values::chips(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["sim", "replay", "config"], help_heading = "Gauge")]
     #[serde(deserialize_with = "from_toml::chip")]
     pub(crate) chip: Option<&'static Chip>,
-    /// Replay a gauge from this recording, which --trace made; read-only
+    /// Replay a gauge from this recording, which --trace made; read-only; - is standard input
     #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "trace", "config"], help_heading = "Gauge")]
     pub(crate) replay: Option<PathBuf>,
     /// Write one byte per transfer, as some gauges need above 100 kHz
@@ -69,7 +69,8 @@ pub(crate) struct GaugeOptions {
         help_heading = "Gauge"
     )]
     pub(crate) byte_writes: Option<bool>,
-    /// Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power
+    /// Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power; -
+    /// is standard input
     #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "config"], help_heading = "Gauge")]
     pub(crate) restore: Option<PathBuf>,
 
@@ -222,6 +223,12 @@ impl MountOptions {
     }
 }
 
+impl MountOptions {
+    fn check_log(&self) -> Result<()> {
+        check_kept(self.log.as_ref(), "--log", "with --foreground the log goes to standard error without it")
+    }
+}
+
 impl GaugeOptions {
     /// Where `bus` is a device in sysfs, completed by what the device tree says of it.
     fn of_node(self) -> Result<Self> {
@@ -301,6 +308,17 @@ impl Setup {
     /// The one gauge of a command line.
     pub(crate) fn one(mut mount: MountOptions, gauge: GaugeOptions) -> Result<Self> {
         let mut gauge = gauge.of_node()?;
+        let all = "a mount goes on when the command has returned, which standard output does not";
+        check_kept(gauge.trace.as_ref(), "--trace", all)?;
+        check_kept(
+            gauge.sim_state.as_ref(),
+            "--sim-state",
+            "the gauge's flash is read from it and written to it",
+        )?;
+        mount.check_log()?;
+        crate::key_file::check_name(gauge.key_file.as_deref())?;
+        gauge.replay = gauge.replay.map(standard_input);
+        gauge.restore = gauge.restore.map(standard_input);
         make_absolute(mount.paths().chain(gauge.paths()), Path::new(""))?;
         mount.read_only |= gauge.replay.is_some();
         Ok(Self { mount, gauges: vec![gauge], configured: false })
@@ -310,6 +328,7 @@ impl Setup {
     /// `bus` is for the gauges that have no source of their own.
     pub(crate) fn read(path: &Path, mut mount: MountOptions, bus: Option<&Path>) -> Result<Self> {
         let mut bus = bus.map(Path::to_path_buf);
+        mount.check_log()?;
         make_absolute(mount.paths().chain(&mut bus), Path::new(""))?;
         let name = path.display().to_string();
         let refuse = |why: &str| Err(Error::new(&name, Cause::Invalid(why.into())));
@@ -341,6 +360,10 @@ impl Setup {
 pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     use std::os::unix::fs::MetadataExt;
     let name = path.display().to_string();
+    if path == Path::new("-") {
+        let why = "programs are run from it, so it must be a file that nobody else may change";
+        return Err(Error::new("standard input", Cause::Invalid(why.into())));
+    }
     let status = std::fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
     let me = nix::unistd::geteuid().as_raw();
     let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
@@ -354,6 +377,22 @@ pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
         return refuse(format!("others may change the programs in it (mode {mode:03o}); chmod go-w {name}"));
     }
     file::alerts(path)
+}
+
+/// What `-` stands for on a command line, in place of a file to read.
+const STANDARD_INPUT: &str = "/dev/stdin";
+
+/// A file of a command line that is read as a whole, before the command returns.
+pub(crate) fn standard_input(path: PathBuf) -> PathBuf {
+    if path == Path::new("-") { STANDARD_INPUT.into() } else { path }
+}
+
+/// Refuses `-` for a file that is written or read again and again while a mount lasts.
+fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
+    match path.is_some_and(|path| path == Path::new("-")) {
+        true => Err(Error::new(option, Cause::Invalid(format!("{why}; name a file")))),
+        false => Ok(()),
+    }
 }
 
 /// Makes paths absolute that are relative to `folder`; an empty `folder` is the current one.

@@ -69,7 +69,19 @@ fn credential() -> Option<PathBuf> {
     std::env::var_os("CREDENTIALS_DIRECTORY").map(|folder| PathBuf::from(folder).join(CREDENTIAL))
 }
 
+/// Refuses standard input: who else has seen what comes from there cannot be checked.
+pub(crate) fn check_name(path: Option<&Path>) -> Result<()> {
+    match path {
+        Some(path) if path == Path::new("-") => {
+            let why = "keys are not read from it; name a file that nobody else may read";
+            Err(Error::new("standard input", Cause::Invalid(why.into())))
+        }
+        _ => Ok(()),
+    }
+}
+
 fn open(path: &Path, name: &str) -> Result<(File, Metadata)> {
+    check_name(Some(path))?;
     let failed = |error: io::Error| Error::io(name, "cannot read the key file", &error);
     // A fifo must not keep the open waiting.
     let mut options = File::options();

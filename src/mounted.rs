@@ -130,16 +130,7 @@ pub(crate) struct Source {
 impl Source {
     /// Reads a file, or standard input where the path is `-`.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        if path != Path::new(STANDARD_INPUT) {
-            return Self::read_file(path);
-        }
-        let read = regular::read_from(io::stdin().lock(), image::LONGEST);
-        Self::of(name(path), read)
-    }
-
-    /// Reads a file, whatever its name.
-    pub(crate) fn read_file(path: &Path) -> Result<Self> {
-        Self::of(path.display().to_string(), regular::read(path, image::LONGEST))
+        Self::of(name(path), read_file(path, image::LONGEST))
     }
 
     fn of(name: String, bytes: io::Result<Vec<u8>>) -> Result<Self> {
@@ -178,6 +169,14 @@ pub(crate) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool
     match is_mounted(path) {
         true => now(path).map(|image| Reading { image: Some(image), faults: Faults::default() }),
         false => Ok(Source::read(path)?.examine(chip, data_flash)),
+    }
+}
+
+/// The bytes of a file, or of standard input where the path is `-`.
+pub(crate) fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    match path == Path::new(STANDARD_INPUT) {
+        true => regular::read_from(io::stdin().lock(), limit),
+        false => regular::read(path, limit),
     }
 }
 

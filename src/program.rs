@@ -121,8 +121,8 @@ impl Plan {
 
     /// Reads and checks both.
     pub(crate) fn read(image_path: &Path, setup: StationSetup) -> Result<Self> {
-        let name = image_path.display().to_string();
-        let source = mounted::Source::read_file(image_path)?;
+        let name = mounted::name(image_path);
+        let source = mounted::Source::read(image_path)?;
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
         let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
         let mut image = source.image(chip, setup.station.data_flash)?;

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 
 use super::align;
-use crate::config::{GaugeOptions, MountOptions, Setup};
+use crate::config::{GaugeOptions, MountOptions, Setup, standard_input};
 use crate::daemon::{self, Mode, Source, background, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
@@ -27,7 +27,8 @@ BAT0/capacity and so on. Its data flash is in BAT0/df, everything else in BAT0/g
 #[derive(Args, Debug)]
 #[command(after_help = MOUNT, group = ArgGroup::new("gauges").required(true).multiple(true).args(["sim", "bus", "replay", "config"]))]
 pub(super) struct Mount {
-    /// TOML file that lists the gauges to mount; --bus applies to gauges that name none
+    /// TOML file that lists the gauges to mount, - for standard input; --bus applies to gauges that
+    /// name none
     #[arg(long, value_name = "FILE", help_heading = "Gauge")]
     config: Option<PathBuf>,
     /// Print what the configuration would mount, and list all that the mount would stumble over; mounts
@@ -73,7 +74,7 @@ impl Mount {
 
     fn setup(self) -> Result<Setup> {
         match self.config {
-            Some(file) => Setup::read(&file, self.mount, self.gauge.bus.as_deref()),
+            Some(file) => Setup::read(&standard_input(file), self.mount, self.gauge.bus.as_deref()),
             None => Setup::one(self.mount, self.gauge),
         }
     }

@@ -12,7 +12,7 @@ use clap::Args;
 use nix::sys::signal::{SigSet, Signal};
 
 use crate::config::StationSetup;
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::output::{self, print, say};
 use crate::program::{Place, Plan, Scanner, Screen, Station};
 use gauge_bus::clock::{Clock, RealClock};
@@ -64,6 +64,11 @@ pub(super) struct Program {
 
 impl Program {
     pub(super) fn run(self) -> Result<ExitCode> {
+        let is_input = |file: &PathBuf| file.as_os_str() == "-";
+        if is_input(&self.station) || is_input(&self.image) && !self.check {
+            let why = "it has the serial numbers that are scanned; name files for --image and --station";
+            return Err(Error::new("standard input", Cause::Invalid(why.into())));
+        }
         let setup = StationSetup::read(&self.station)?;
         let plan = Plan::read(&self.image, setup)?;
         if self.check {

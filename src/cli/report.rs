@@ -9,7 +9,7 @@ use nix::errno::Errno;
 use super::PASSED_OVER;
 use crate::config::{GaugeOptions, address, chips};
 use crate::error::{Error, Result};
-use crate::output::{check_file, print, say, write_file};
+use crate::output::{check_file, is_standard_output, print, say, write_file};
 use crate::{daemon, mounted, report};
 use gauge_bus::regular::Replace;
 use ti_gauge::chip::Chip;
@@ -55,7 +55,7 @@ pub(super) struct Report {
     /// Never try the manual's default key
     #[arg(long, conflicts_with = "gauge")]
     no_default_keys: bool,
-    /// File to write [default: gaugefs-report-CHIP.txt]
+    /// File to write, - for standard output [default: gaugefs-report-CHIP.txt]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Replace the file if there is one
@@ -83,7 +83,9 @@ impl Report {
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
         let file = self.output.clone().unwrap_or_else(name);
         write_file(&file, text.as_bytes(), how(self.force)).map_err(|error| refused(&file, error))?;
-        print(&format!("{}\n", file.display()))?;
+        if !is_standard_output(&file) {
+            print(&format!("{}\n", file.display()))?;
+        }
         Ok(match report::without_data_flash(&text) {
             None => ExitCode::SUCCESS,
             Some(why) => {

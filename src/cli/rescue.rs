@@ -12,6 +12,7 @@ use nix::errno::Errno;
 
 use crate::error::{Error, Result};
 use crate::lock::Lock;
+use crate::mounted;
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
@@ -51,7 +52,7 @@ const LOOKS: usize = 8;
 #[derive(Args, Debug)]
 #[command(after_help = RESCUE)]
 pub(super) struct Rescue {
-    /// Firmware file of the same part (.bq.fs)
+    /// Firmware file of the same part (.bq.fs); - is standard input, with --yes
     file: PathBuf,
     /// The I2C bus, such as /dev/i2c-1
     #[arg(long, value_name = "DEVICE")]
@@ -71,8 +72,12 @@ fn chips() -> PossibleValuesParser {
 impl Rescue {
     pub(super) fn run(self) -> Result<ExitCode> {
         let chip = Chip::by_name(&self.chip).expect("clap accepts only names of chips");
-        let name = self.file.display().to_string();
-        let bytes = regular::read(&self.file, image::LONGEST)
+        let name = mounted::name(&self.file);
+        if self.file.as_os_str() == "-" && !self.yes {
+            let why = "it has the file, so the question cannot be answered there; pass --yes";
+            return Err(Error::new(name, Cause::Invalid(why.into())));
+        }
+        let bytes = mounted::read_file(&self.file, image::LONGEST)
             .map_err(|error| Error::io(&name, "cannot be read", &error))?;
         let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
         let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;

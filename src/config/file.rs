@@ -127,7 +127,9 @@ fn text(path: &Path) -> Result<String> {
 
 /// The folder at which the relative paths of a file begin.
 fn folder(path: &Path) -> &Path {
-    path.parent().unwrap_or(Path::new("/"))
+    // Standard input has none.
+    let is_input = path == Path::new(super::STANDARD_INPUT);
+    if is_input { Path::new("") } else { path.parent().unwrap_or(Path::new("/")) }
 }
 
 /// Reads the mount point and the alerts. Whether the gauges have a source does not matter to them.

@@ -40,7 +40,7 @@ pub fn start() -> Result<ExitCode> {
     if let Some(name) = arguments.next() {
         command.arg0(name);
     }
-    command.args(arguments).env(CHILD, "1").stdin(Stdio::null()).stdout(Stdio::piped());
+    command.args(arguments).env(CHILD, "1").stdout(Stdio::piped());
     let mut child = command.spawn().map_err(failed)?;
     let mut answer = Vec::new();
     if let Some(out) = &mut child.stdout {

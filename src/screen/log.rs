@@ -59,7 +59,7 @@ pub(crate) struct Log {
     /// Columns to write, by their names [default: see below]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     columns: Vec<String>,
-    /// File to write or to continue [default: standard output]
+    /// File to write or to continue [default: -, standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Stop after this many rows

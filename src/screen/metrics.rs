@@ -54,7 +54,8 @@ pub(crate) struct Metrics {
     /// what the files in /etc/gaugefs name]
     #[arg(long, value_name = "PATH|NAME")]
     expect: Vec<PathBuf>,
-    /// File to replace as a whole, for node_exporter's textfile collector [default: standard output]
+    /// File to replace as a whole, for node_exporter's textfile collector [default: -, standard
+    /// output]
     #[arg(short, long, value_name = "FILE", conflicts_with = "listen")]
     output: Option<PathBuf>,
     /// Write the file again and again, with this time in between

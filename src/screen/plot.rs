@@ -6,8 +6,9 @@ use std::process::ExitCode;
 use clap::Args;
 
 use crate::error::{Cause, Error, Result};
+use crate::mounted;
 use crate::output::{print_file, write_file};
-use gauge_bus::regular::{self, Replace};
+use gauge_bus::regular::Replace;
 
 mod scene;
 mod svg;
@@ -33,9 +34,9 @@ const LONGEST: u64 = 512 << 20;
 #[derive(Args, Debug)]
 #[command(after_help = PLOT)]
 pub(crate) struct Plot {
-    /// CSV file to draw
+    /// CSV file to draw; - is standard input
     file: PathBuf,
-    /// SVG file to write [default: standard output]
+    /// SVG file to write [default: -, standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Columns to draw, by their names in the first line of the file [default: voltage, current,
@@ -56,9 +57,9 @@ pub(crate) struct Plot {
 impl Plot {
     pub(super) fn run(self) -> Result<ExitCode> {
         self.output.as_deref().map_or(Ok(()), check_extension)?;
-        let name = self.file.display().to_string();
-        let text =
-            regular::read(&self.file, LONGEST).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        let name = mounted::name(&self.file);
+        let text = mounted::read_file(&self.file, LONGEST)
+            .map_err(|error| Error::io(&name, "cannot read it", &error))?;
         let history = table::read(&text, &self.columns).map_err(|error| error.within(&name))?;
         let scene = scene::lay_out(&history, &self.limits, self.width, self.height)
             .map_err(|error| error.within(&name))?;

@@ -555,3 +555,166 @@ mod screen {
         gaugefs(&["umount", &at]).done();
     }
 }
+
+/// What `-` is for each option and argument that names a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Dash {
+    /// Standard input.
+    Input,
+    /// Standard output.
+    Output,
+    /// Refused, with these words: something else has it, or it would have to be there later.
+    Refused(&'static str),
+}
+
+/// Every such option and argument.
+const DASHES: [(&str, &str, Dash); 28] = [
+    ("mount", "config", Dash::Input),
+    ("mount", "replay", Dash::Input),
+    ("mount", "restore", Dash::Input),
+    (
+        "mount",
+        "sim_state",
+        Dash::Refused("--sim-state: the gauge's flash is read from it and written to it; name a file"),
+    ),
+    ("mount", "trace", Dash::Refused("--trace: a mount goes on when the command has returned")),
+    ("mount", "log", Dash::Refused("--log: with --foreground the log goes to standard error")),
+    ("mount", "key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("program", "image", Dash::Input),
+    ("program", "station", Dash::Refused("standard input: it has the serial numbers that are scanned")),
+    ("rescue", "file", Dash::Input),
+    ("report", "output", Dash::Output),
+    ("report", "key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("export", "output", Dash::Output),
+    ("import", "file", Dash::Input),
+    ("diff", "a", Dash::Input),
+    ("diff", "b", Dash::Input),
+    ("lint", "file", Dash::Input),
+    ("auth", "key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("keys change", "key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("keys change", "new_key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("log", "output", Dash::Output),
+    ("plot", "file", Dash::Input),
+    ("plot", "output", Dash::Output),
+    ("metrics", "output", Dash::Output),
+    ("watch", "config", Dash::Refused("standard input: programs are run from it")),
+    // Of systemd's units.
+    ("attach", "config", Dash::Input),
+    ("check-keys", "file", Dash::Refused("standard input: keys are not read from it")),
+    ("attach", "restore", Dash::Input),
+];
+
+#[test]
+fn a_dash_is_standard_input_or_standard_output_of_every_command() {
+    // No option is forgotten.
+    let definition = gaugefs::cli::definition();
+    for name in commands(&definition, &[]) {
+        let mut command = &definition;
+        for word in name.split(' ').filter(|word| *word != "help") {
+            command = command.find_subcommand(word).expect("a command");
+        }
+        let is_file = |arg: &&clap::Arg| {
+            let named =
+                arg.get_value_names().is_some_and(|names| names.iter().any(|name| name.as_str() == "FILE"));
+            named || (arg.is_positional() && ["file", "a", "b"].contains(&arg.get_id().as_str()))
+        };
+        for arg in command.get_arguments().filter(is_file) {
+            let is_known = DASHES.iter().any(|(of, id, _)| (*of, *id) == (&*name, arg.get_id().as_str()));
+            // Attaching takes the options of a mount.
+            assert!(is_known || name == "attach", "`gaugefs {name}` {}: what is - there?", arg.get_id());
+        }
+    }
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, other, toml, keys, station, csv, config, trace] =
+        ["m", "n", "pack.toml", "keys", "station.toml", "log.csv", "mount.toml", "trace"]
+            .map(|name| folder.file(name));
+    let gauge = format!("{at}/BAT0");
+    fs::write(&keys, "unseal = 0414 3672\nauthentication = 0123456789abcdeffedcba9876543210\n")
+        .expect("keys");
+    fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its mode");
+    let text = "[station]\nexclude = [\"calibration\", \"keys\"]\n[[gauge]]\nname = \"BENCH\"\nsim = \"bq34z100-g1\"\n";
+    fs::write(&station, text).expect("a station");
+    // A relative path begins at the folder of whoever runs the command.
+    fs::write(&config, "[mount]\nmountpoint = \"dash\"\n[[gauge]]\nsim = \"bq34z100-g1\"\n")
+        .expect("a configuration");
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", "--trace", &trace, &at]).done();
+    gaugefs(&["export", &gauge, "-o", &toml]).done();
+    gaugefs(&["log", "--count", "2", &gauge, "-o", &csv]).done();
+    let piped = |arguments: &[&str], file: &str| {
+        let mut shell = std::process::Command::new("bash");
+        let script = "cat \"$1\" | \"$0\" \"${@:2}\"";
+        shell.args(["-c", script, env!("CARGO_BIN_EXE_gaugefs"), file]).args(arguments);
+        shell.current_dir(folder.file(""));
+        run(shell)
+    };
+    for (command, id, dash) in DASHES {
+        let arguments: Vec<&str> = match (command, id) {
+            ("mount", "config") => vec!["mount", "--check", "--config", "-"],
+            ("mount", "replay") => vec!["mount", "--replay", "-", &other],
+            ("mount", "restore") => vec!["mount", "--sim", CHIP, "--restore", "-", &other],
+            ("mount", "key_file") => vec!["mount", "--sim", CHIP, "--key-file", "-", &other],
+            ("mount", "log") => vec!["mount", "--sim", CHIP, "--log", "-", &other],
+            ("mount", "trace") => vec!["mount", "--sim", CHIP, "--trace", "-", &other],
+            ("mount", "sim_state") => vec!["mount", "--sim", CHIP, "--sim-state", "-", &other],
+            ("program", "image") => vec!["program", "--check", "--image", "-", "--station", &station],
+            ("program", "station") => vec!["program", "--image", &toml, "--station", "-"],
+            ("rescue", _) => vec!["rescue", "--yes", "--bus", "/dev/i2c-999", "--chip", CHIP, "-"],
+            ("report", "output") => vec!["report", "-o", "-", &gauge],
+            ("report", _) => vec!["report", "--sim", CHIP, "--key-file", "-", "-o", "-"],
+            ("export" | "metrics", _) => {
+                vec![command, if command == "export" { &gauge } else { &at }, "-o", "-"]
+            }
+            ("log", _) => vec!["log", "--count", "1", &gauge, "-o", "-"],
+            ("import", _) => vec!["import", "--dry-run", &gauge, "-"],
+            ("diff", "a") => vec!["diff", "-", &gauge],
+            ("diff", _) => vec!["diff", &gauge, "-"],
+            ("lint", _) => vec!["lint", "-"],
+            ("auth", _) => vec!["auth", "--key-file", "-", &gauge],
+            ("keys change", "key_file") => {
+                vec!["keys", "change", "--key-file", "-", "--new-key-file", &keys, &gauge, "unseal"]
+            }
+            ("keys change", _) => {
+                vec!["keys", "change", "--key-file", &keys, "--new-key-file", "-", &gauge, "unseal"]
+            }
+            ("plot", "file") => vec!["plot", "-"],
+            ("plot", _) => vec!["plot", &csv, "-o", "-"],
+            ("watch", _) => vec!["watch", "--config", "-"],
+            ("check-keys", _) => vec!["check-keys", "-"],
+            ("attach", _) => continue,
+            other => panic!("{other:?} is new"),
+        };
+        let file = match (command, id) {
+            ("mount", "config") => &config,
+            ("mount", "replay") => &trace,
+            ("plot", _) => &csv,
+            _ => &toml,
+        };
+        let ran = piped(&arguments, file);
+        let told = format!("{arguments:?}: {:?} {}", ran.code, ran.err);
+        match dash {
+            Dash::Refused(says) => assert!(ran.err.contains(says) && ran.out.is_empty(), "{told}"),
+            // A TOML is no firmware; the bus would be next.
+            Dash::Input if command == "rescue" => {
+                assert!(ran.err.starts_with("gaugefs: standard input: "), "{told}")
+            }
+            Dash::Input => assert!(ran.code == Some(0) && ran.err.is_empty(), "{told}"),
+            Dash::Output => {
+                assert!(ran.code == Some(0) && !ran.out.is_empty(), "{told}");
+                // Nothing but the content.
+                assert!(!ran.out.ends_with("\n-\n"), "{told}");
+            }
+        }
+        let shown = ran.out.contains(&folder.file("dash"));
+        assert!((command, id) != ("mount", "config") || shown, "{}", ran.out);
+        if command == "mount" && dash == Dash::Input && id != "config" {
+            gaugefs(&["umount", &other]).done();
+        }
+    }
+    assert!(!std::path::Path::new(&folder.file("-")).exists());
+    let asked = piped(&["rescue", "--bus", "/dev/i2c-999", "--chip", CHIP, "-"], &toml);
+    assert!(asked.err.contains("so the question cannot be answered there; pass --yes"), "{}", asked.err);
+    gaugefs(&["umount", &at]).done();
+}
