@@ -127,6 +127,12 @@ impl Import {
         changes.extend(more);
         passed_over.extend(hidden);
         let raw = if groups.contains(&Group::Undocumented) {
+            if let Some(what) = file.other_chemistry(|id| mounted::raw_of(path, id)).map_err(named)? {
+                let (gauge, name) = (path.display(), &source.name);
+                say(format_args!(
+                    "gauge {gauge}: --exclude undocumented leaves out the chemistry of {name}, which differs: {what}"
+                ));
+            }
             Vec::new()
         } else {
             file.raw_changes(|id| mounted::raw_of(path, id), self.raw).map_err(named)?

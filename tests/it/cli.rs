@@ -862,8 +862,16 @@ fn regression_a_clone_lost_its_chemistry_without_a_word() {
     assert_eq!((differ.code, &*differ.out), (Some(1), shown), "{}", differ.err);
     let differ = gaugefs(&["diff", "--json", to, &stream]).out;
     assert!(differ.contains(r#"{"name":"raw 83/3","a":"5353","b":"1234","unit":""}"#), "{differ}");
+    let kept = gaugefs(&["import", "--exclude", "undocumented", to, &stream]);
+    assert_eq!((kept.code, &*kept.out), (Some(0), ""), "{}", kept.err);
+    let says = "leaves out the chemistry of ";
+    let is_said =
+        |line: &String| line.contains(says) && line.ends_with(", which differs: subclasses 83 and 108\n");
+    assert!(kept.gauges.iter().any(is_said), "{:?}", kept.gauges);
     gaugefs(&["import", to, &stream]).done();
     assert_eq!(raw(from), raw(to));
+    let same = gaugefs(&["import", "--exclude", "undocumented", to, &stream]);
+    assert!(!same.gauges.iter().any(|line| line.contains(says)), "{:?}", same.gauges);
     assert_eq!(gaugefs(&["diff", to, &stream]).done(), "");
     assert_eq!(gaugefs(&["diff", to, from]).done(), "");
     for name in ["m", "n"] {

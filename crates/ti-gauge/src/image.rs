@@ -416,6 +416,21 @@ impl Image {
         Ok(changes)
     }
 
+    /// The subclasses of a chemistry of which a gauge has other bytes than this file, as text; `None` if there are none.
+    pub fn other_chemistry(&self, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Option<String>> {
+        let mut found: Vec<&Subclass> = Vec::new();
+        for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
+            let (here, start) = (stored(raw.subclass)?, usize::from(raw.offset));
+            if here.get(start..start + raw.bytes.len()) != Some(&raw.bytes[..])
+                && let Some(subclass) = self.chip.subclass(raw.subclass)
+                && !found.iter().any(|other| other.id == subclass.id)
+            {
+                found.push(subclass);
+            }
+        }
+        Ok((!found.is_empty()).then(|| listed(&found)))
+    }
+
     /// Refuses an image that holds the gauge's firmware as well, unless only its data flash is asked for.
     pub fn check_firmware(&self, data_flash_only: bool) -> Result<()> {
         match self.firmware_line {
