@@ -209,9 +209,6 @@ impl Rom {
                 }
             }
             [DATA_ROW, row, 0, 0, data @ ..] if data.len() == ROW => {
-                if !self.is_erased && !self.is_partial {
-                    return Err("a row of data flash that is not erased before".into());
-                }
                 let is_next = usize::from(*row) == self.rows.len() && self.rows.len() != ROWS;
                 if !is_next && !self.is_partial {
                     return Err(format!("row {row} of data flash, but row {} is next", self.rows.len()));
@@ -268,9 +265,6 @@ impl Rom {
         }
         if self.rows.len() != ROWS {
             return Err(cut_short(format_args!("{} rows of data flash instead of {ROWS}", self.rows.len())));
-        }
-        if !self.is_checked {
-            return Err(cut_short("the sum of data flash is not checked"));
         }
         if !self.has_left {
             return Err(cut_short("ROM mode is not left"));
@@ -403,6 +397,14 @@ impl Rom {
         image.notes.push(format!(
             "{ROWS} rows of data flash, whose sums are right; an import writes them in normal mode"
         ));
+        if !self.is_erased {
+            let why = "it writes data flash without erasing it, so a player may leave a mixture of old and new; an \
+                       import writes its values";
+            image.notes.push(why.into());
+        }
+        if !self.is_checked {
+            image.notes.push("the sum of all its rows is not compared at its end".into());
+        }
         if self.instruction_rows > 0 {
             image
                 .notes
@@ -579,13 +581,8 @@ mod tests {
         let mut other = flash(false);
         other[300] = 1;
         let other = file(&other, 0x0016, 2);
-        let total = |text: &str| {
-            text.lines().rfind(|line| line.starts_with("C: 16 04")).map(str::to_string).expect("a sum")
-        };
         let why = error(&other.replace(&total(&other), &total(&text)));
         assert!(why.contains("of data flash is expected, but its rows give"), "{why}");
-        let why = error(&text.replace(&total(&text), "; no sum"));
-        assert!(why.starts_with("the sum of data flash is not checked"), "{why}");
     }
 
     #[test]
@@ -600,7 +597,6 @@ mod tests {
         for (from, to, says) in [
             ("W: 16 00 0A 07", "W: 16 00 0A 08", "sum 0x"),
             ("W: 16 00 03 00 00\nW: 16 64 03 00", "W: 16 00 07 00 00\nW: 16 64 07 00", "no known command"),
-            ("W: 16 00 0C 00 00 00 83 DE\nW: 16 64 6D 01", "", "not erased before"),
             ("W: AA 00 00 0F", "W: AA 3E 44 00", "also writes in normal mode"),
             ("W: AA 00 14 04", "W: AC 00 14 04", "address 0xac is neither the gauge's"),
             ("C: 16 66 00", "C: 16 66 04", "is not one of ROM mode"),
@@ -608,6 +604,28 @@ mod tests {
         ] {
             let why = error(&text.replacen(from, to, 1));
             assert!(why.contains(says), "{from}: {why}");
+        }
+    }
+
+    /// The line that compares the sum of all rows.
+    fn total(text: &str) -> String {
+        text.lines().rfind(|line| line.starts_with("C: 16 04")).expect("a sum").into()
+    }
+
+    /// As programs of hosts have them that keep only the rows: all are there, each with its sum.
+    #[test]
+    fn rows_that_are_not_erased_or_summed_are_read_and_noted() {
+        let text = file(&flash(false), 0x0016, 2);
+        let chip = Chip::by_name("bq34z100-g1");
+        let whole = Image::parse(&text, chip).expect("a whole file");
+        let bare = text
+            .replacen("W: 16 00 0C 00 00 00 83 DE\nW: 16 64 6D 01", "", 1)
+            .replace(&total(&text), "; no sum");
+        let bare = Image::parse(&bare, chip).expect("all rows");
+        assert!(!whole.entries.is_empty() && bare.entries.len() == whole.entries.len());
+        let has = |image: &Image, says: &str| image.notes.iter().any(|note| note.contains(says));
+        for says in ["without erasing it", "is not compared at its end"] {
+            assert!(has(&bare, says) && !has(&whole, says), "{:?}", bare.notes);
         }
     }
 
