@@ -115,7 +115,7 @@ fn the_script_for_runit_runs_until_it_is_told_to_end() {
 #[test]
 fn the_files_are_installed() {
     let folder = Folder::new();
-    let commands = block("Files", "sh").replace("target/release/gaugefs", env!("CARGO_BIN_EXE_gaugefs"));
+    let commands = block("Files", "sh").replace("target/dist/gaugefs", env!("CARGO_BIN_EXE_gaugefs"));
     let mut shell = Command::new("sh");
     shell.args(["-euc", &commands]).env("DESTDIR", &folder.0).current_dir(root());
     succeeds(&shell.output().expect("a shell"));

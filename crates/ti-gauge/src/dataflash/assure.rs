@@ -5,6 +5,8 @@
 //! only a block that holds a part of what this very write was about to store is a sign. Without one flash is left as it
 //! is, for whoever has to decide.
 
+use std::time::Duration;
+
 use super::blocks::Dirty;
 use super::io::still_open;
 use super::keychange::keeps_unseal_key;
@@ -17,6 +19,11 @@ use crate::chip::KeyStorage;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 use crate::journal::{Entry, Identity, Plan};
+
+/// Attempts to send SEALED between two moments in which the gauge does not answer, and the time between them: half of
+/// what a row takes.
+const SEALS: u32 = 6;
+const BUSY: Duration = Duration::from_millis(100);
 
 /// What the pack of a session is compared with.
 pub(super) struct Reference {
@@ -214,7 +221,11 @@ impl Session {
     /// whoever owns it may not be able to open it.
     pub(super) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
         let mut outcome = Ok(());
-        for _ in 0..RESTORES {
+        for attempt in 0..SEALS {
+            // It is busy with a row of its own.
+            if attempt > 0 {
+                gauge.wait(BUSY);
+            }
             outcome = match self.may_seal(gauge) {
                 Ok(Some(moment)) => gauge.close_since(moment),
                 Ok(None) => return Ok(()),

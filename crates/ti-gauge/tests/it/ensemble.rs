@@ -439,8 +439,9 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
     let is_key = access == Key;
     let mut outcome = model.act(&mut host);
     for _ in 0..4 {
-        // EAGAIN: it was busy with a row of its own.
-        if outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+        // EAGAIN, or a seal that is owed: it was busy with a row of its own.
+        let is_busy = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_)));
+        if is_busy || outcome.is_err() && host.dataflash.owed().is_some_and(|owed| !owed.data) {
             model.clock.sleep(Duration::from_secs(1));
             host.transfers.store(0, Ordering::Relaxed);
             outcome = model.act(&mut host);
