@@ -20,12 +20,14 @@ use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError, wire_bytes};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
+use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Row};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal, bursts};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
+use ti_gauge::value::Value;
 
 mod report;
 use report::Report;
@@ -200,7 +202,7 @@ fn serve(clock: &SimClock, gauge: &mut Gauge) -> Result<()> {
     let (subclass, parameter) = subclasses
         .find_map(|row| Some(row).zip(row.parameter(UPDATE_STATUS.1)).filter(|_| row.id == UPDATE_STATUS.0))
         .expect("a row");
-    let learned = Change::of_bytes((subclass, parameter), vec![0x06]);
+    let learned = Change::of_value((subclass, parameter), &Value::Int(0x06), false)?;
     DataFlash::default().write(gauge, &[learned], Duration::ZERO).map(|_| ())
 }
 
@@ -252,7 +254,14 @@ fn flip((subclass, parameter): Row, bytes: &[u8]) -> Change {
     let at = usize::from(parameter.offset - subclass.start());
     let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
     *bytes.last_mut().expect("a parameter has bytes") ^= 1;
-    Change::of_bytes((subclass, parameter), bytes)
+    let value = codec::decode(parameter.kind, &bytes);
+    let is_free = Change::of_value((subclass, parameter), &value, false);
+    // At the end of its range it has no such neighbour.
+    is_free.unwrap_or_else(|_| {
+        *bytes.last_mut().expect("a parameter has bytes") ^= 3;
+        let value = codec::decode(parameter.kind, &bytes);
+        Change::of_value((subclass, parameter), &value, false).expect("a value in range")
+    })
 }
 
 fn write(gauge: &mut Gauge, dataflash: &mut DataFlash, changes: &[Change]) -> Result<(Cost, bool)> {

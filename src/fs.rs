@@ -42,13 +42,11 @@ pub use gauge_dir::GaugeItem;
 pub(crate) use gauge_dir::named_files;
 use mains::Mains;
 pub use mains::MainsItem;
-pub(crate) use raw::bytes as raw_bytes;
 use root::Root;
 pub use root::free_name;
 pub use sim_dir::SimItem;
 use supply::Supply;
 pub use supply::SupplyItem;
-pub(crate) use transaction::check;
 
 /// The kernel passes a write(2) on in pieces, each of which ends with a page of the file or with the data. Pages
 /// that are larger are multiples of this.

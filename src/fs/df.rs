@@ -145,7 +145,7 @@ impl Operations for Of<'_, DfItem> {
                     None => IDLE.to_vec(),
                 }),
                 Some(staged) if staged.len() <= SHOWN_AT_ONCE => {
-                    let changes = staged.changes();
+                    let changes = staged.changes(self.supply.chip());
                     match self.supply.unread(&changes).is_empty() {
                         true => Content::Bytes(self.supply.staged_text(&changes)),
                         false => Content::Unread(STAGED * (1 + staged.len() as u64)),
@@ -183,7 +183,7 @@ impl Operations for Of<'_, DfItem> {
             }
             DfItem::Transaction => {
                 let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
-                let staged = staged.changes();
+                let staged = staged.changes(supply.chip());
                 handle.submit(Request::Read(
                     supply.unread(&staged),
                     Box::new(move |read| {
@@ -207,7 +207,8 @@ impl Operations for Of<'_, DfItem> {
                 let (subclass, parameter) = supply.row(at, row);
                 let change = match supply.staged() {
                     Some(_) => Err(transaction::busy().within(parameter.name)),
-                    None => transaction::check(subclass, parameter, handle.allows_unproven(), data),
+                    None => Change::parse((subclass, parameter), data, handle.allows_unproven())
+                        .map_err(Error::from),
                 };
                 let attempt = Attempt::Write(vec![Place::of((subclass, parameter))]);
                 supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
@@ -316,9 +317,9 @@ impl Supply {
     /// The subclass that a change is in, by its index in the table.
     fn index_of(&self, change: &Change) -> Option<usize> {
         let mut subclasses = self.chip().subclasses.iter();
-        match change.row {
+        match change.row() {
             Some((own, _)) => subclasses.position(|subclass| std::ptr::eq(subclass, own)),
-            None => subclasses.position(|subclass| subclass.id == change.place.subclass),
+            None => subclasses.position(|subclass| subclass.id == change.place().subclass),
         }
     }
 
@@ -326,7 +327,7 @@ impl Supply {
     fn staged_text(&self, staged: &[Change]) -> Vec<u8> {
         let mut lines = String::new();
         for change in staged {
-            let Change { place, bytes, row, .. } = change;
+            let (place, bytes, row) = (change.place(), change.bytes(), change.row());
             let kept = self.index_of(change).and_then(|at| self.handle.kept(at));
             lines += &match row {
                 None => {

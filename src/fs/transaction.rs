@@ -13,10 +13,9 @@ use nix::errno::Errno;
 
 use super::raw;
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Kind, Parameter, Safe, Subclass, Unnamed};
+use ti_gauge::chip::{Chip, Safe, Unnamed};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
-use ti_gauge::text;
 
 /// A transaction that is open for longer than this is dropped. So is one whose gauge has gone away since, or is another
 /// one: its values were meant for the gauge that was there.
@@ -104,7 +103,7 @@ impl Staged {
     }
 
     /// All changes, those of the latest line last. Adjacent undocumented bytes of a block are one change.
-    pub(super) fn changes(&self) -> Vec<Change> {
+    pub(super) fn changes(&self, chip: &Chip) -> Vec<Change> {
         let mut entries: Vec<_> = self.entries.iter().collect();
         entries.sort_by_key(|(_, (line, _))| *line);
         let mut changes = Vec::with_capacity(entries.len());
@@ -113,11 +112,10 @@ impl Staged {
                 Entry::Parameter(change) => changes.push(change.clone()),
                 Entry::Raw { bytes, is_staged } => {
                     let offsets: Vec<usize> = (0..WINDOW).filter(|at| is_staged & 1 << at != 0).collect();
-                    changes.extend(offsets.chunk_by(|one, next| one + 1 == *next).map(|run| Change {
-                        place: Place { subclass, offset: base + run[0] as u16 },
-                        bytes: bytes[run[0]..][..run.len()].to_vec(),
-                        row: None,
-                        saved: false,
+                    changes.extend(offsets.chunk_by(|one, next| one + 1 == *next).map(|run| {
+                        let place = Place { subclass, offset: base + run[0] as u16 };
+                        let raw = Change::raw(chip, place, bytes[run[0]..][..run.len()].to_vec());
+                        raw.expect("each byte was checked when it was staged")
                     }));
                 }
             }
@@ -252,7 +250,7 @@ impl State {
             Some(error) => Err(error
                 .clone()
                 .within("nothing is committed after a refused line until `begin` or `abort`")),
-            None => Ok(ended.map(|open| open.staged.changes())),
+            None => Ok(ended.map(|open| open.staged.changes(rules.chip))),
         }
     }
 }
@@ -313,10 +311,10 @@ fn take(
         "commit" => (next.is_open, next.commits) = (false, true),
         line => {
             let (key, entry) = match line.strip_prefix("raw ") {
-                Some(raw) => raw_entry(raw::bytes(rules.chip, raw)?),
+                Some(raw) => raw_entry(&raw::change(rules.chip, raw)?),
                 None => {
                     let change = change(rules, line)?;
-                    ((false, change.place.subclass, change.place.offset), Entry::Parameter(change))
+                    ((false, change.place().subclass, change.place().offset), Entry::Parameter(change))
                 }
             };
             let before = before.filter(|_| !next.is_new);
@@ -335,10 +333,11 @@ fn take(
     Ok(())
 }
 
-fn raw_entry((place, new): (Place, Vec<u8>)) -> (Key, Entry) {
+fn raw_entry(change: &Change) -> (Key, Entry) {
+    let (place, new) = (change.place(), change.bytes());
     let at = usize::from(place.offset) % WINDOW;
     let (mut bytes, mut is_staged) = ([0; WINDOW], 0);
-    bytes[at..at + new.len()].copy_from_slice(&new);
+    bytes[at..at + new.len()].copy_from_slice(new);
     for at in at..at + new.len() {
         is_staged |= 1 << at;
     }
@@ -373,35 +372,12 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
         ),
         Unnamed::Unknown => super::df::unknown(rules.chip, place),
     })?;
-    let change = check(subclass, parameter, rules.allow_unproven, value.as_bytes())?;
+    let change = Change::parse((subclass, parameter), value.as_bytes(), rules.allow_unproven)?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
     if let Some(stored) = index.and_then(rules.stored) {
         let at = usize::from(parameter.offset - subclass.start());
         change.check_reserved(&stored[at..at + parameter.kind.size()])?;
     }
-    Ok(change)
-}
-
-/// The change that a text asks for, checked as far as it can be without the gauge.
-pub(crate) fn check(
-    subclass: &'static Subclass,
-    parameter: &'static Parameter,
-    allow_unproven: bool,
-    text: &[u8],
-) -> Result<Change> {
-    if subclass.kind == Kind::Security {
-        let why = "keys cannot be changed like other parameters";
-        return Err(Error::new(parameter.name, Cause::NotPermitted(why.into())));
-    }
-    if parameter.unproven && !allow_unproven {
-        let why = "its address or range is not sure; mount with --allow-unproven to write it";
-        return Err(Error::host(parameter.name, Errno::EACCES, why));
-    }
-    let value = text::parse(parameter, text)?;
-    let change = Change::of_value((subclass, parameter), &value).ok_or_else(|| {
-        Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
-    })?;
-    change.check_least()?;
     Ok(change)
 }
 
@@ -428,8 +404,9 @@ mod tests {
         let rules = Rules { chip, allow_unproven: true, stored: &|_| None };
         let at = Moment { now: Duration::ZERO, presence: 0 };
         assert!(transaction.write(&rules, at, lines).expect("lines").is_none());
-        let staged = transaction.staged(at).expect("open").changes();
-        let staged: Vec<_> = staged.iter().map(|change| (change.place.subclass, change.bytes[0])).collect();
+        let staged = transaction.staged(at).expect("open").changes(chip);
+        let staged: Vec<_> =
+            staged.iter().map(|change| (change.place().subclass, change.bytes()[0])).collect();
         assert_eq!(staged, [(91, 0x55), (92, 0x00)]);
     }
 }

@@ -11,7 +11,7 @@ use super::Owner;
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
-use ti_gauge::dataflash::{self, Change, Row};
+use ti_gauge::dataflash::{self, Change, Place, Row};
 use ti_gauge::image::{self, Entry, Image, toml};
 use ti_gauge::journal;
 
@@ -209,8 +209,9 @@ pub(crate) fn readable(chip: &Chip) -> Vec<usize> {
 
 /// Whether a change writes all of a parameter.
 fn covers(change: &Change, (subclass, parameter): Row) -> bool {
-    let (start, end) = (change.place.offset, change.place.offset + change.bytes.len() as u16);
-    change.place.subclass == subclass.id
+    let Place { subclass: id, offset: start } = change.place();
+    let end = start + change.bytes().len() as u16;
+    id == subclass.id
         && (start..=end).contains(&parameter.offset)
         && parameter.offset + parameter.kind.size() as u16 <= end
 }
@@ -315,7 +316,7 @@ mod tests {
         let chip = rig.handle.chip();
         let row = chip.row("80", "53").expect("Cell Terminate Voltage");
         let value = Value::Int(text.parse().expect("a number"));
-        let change = Change::of_value(row, &value).expect("it fits");
+        let change = Change::of_value(row, &value, false).expect("it fits");
         rig.ask(|done| Request::WriteAll(vec![change], done))
     }
 

@@ -291,8 +291,8 @@ impl Shared {
     pub(super) fn doubt_scales_of(&self, changes: &[Change]) {
         for (subclass, offset) in self.chip.scaling.in_flash() {
             let holds = |change: &Change| {
-                let Place { subclass: id, offset: start } = change.place;
-                id == subclass && (start..).take(change.bytes.len()).any(|at| at == offset)
+                let Place { subclass: id, offset: start } = change.place();
+                id == subclass && (start..).take(change.bytes().len()).any(|at| at == offset)
             };
             if changes.iter().any(holds) {
                 lock(&self.flash_scales).insert((subclass, offset), 0);

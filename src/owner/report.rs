@@ -250,7 +250,7 @@ mod tests {
         for (value, busy) in [(3100, "old"), (3200, "nack")] {
             rig.sim.set("commit_busy", busy).expect("a knob");
             let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
-            let change = Change::of_value(row, &Value::Int(value)).expect("two bytes");
+            let change = Change::of_value(row, &Value::Int(value), false).expect("two bytes");
             rig.ask(|done| Request::WriteAll(vec![change], done)).expect("written");
         }
         rig.ask(|done| Request::Calibrate(Job::BoardOffset, done)).expect("calibrated");

@@ -8,7 +8,7 @@ use super::{Attempt, Loss, Owner, Seal};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
-use ti_gauge::chip::{Parameter, Safe, Subclass};
+use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::keys;
@@ -143,7 +143,7 @@ fn share<T: 'static>(done: Done<T>, request: impl FnOnce(Done<T>) -> Request) ->
 
 /// Where changes are.
 fn places(changes: &[Change]) -> Vec<Place> {
-    changes.iter().map(|change| change.place).collect()
+    changes.iter().map(Change::place).collect()
 }
 
 /// What has to be known of a change of the seal state that leads through SEALED.
@@ -157,19 +157,12 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
 /// A change and the bytes that it replaced, such as `3000 -> 3100 mV`: in the text form of the parameter, or in
 /// hexadecimal where it has none.
 fn difference(change: &Change, old: &[u8]) -> String {
-    let kept = |at: usize| match change.row {
-        Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) if change.saved => {
-            (mask >> (8 * (change.bytes.len() - 1 - at))) as u8
-        }
-        _ => 0,
-    };
-    let bytes = change.bytes.iter().zip(old).enumerate();
-    let new: Vec<u8> = bytes.map(|(at, (new, old))| new & !kept(at) | old & kept(at)).collect();
-    let show = |bytes: &[u8]| match change.row {
+    let new = change.stored_over(old);
+    let show = |bytes: &[u8]| match change.row() {
         Some((_, parameter)) => unit::show(parameter, &codec::decode(parameter.kind, bytes)),
         None => text::hex(bytes),
     };
-    let unit = match change.row {
+    let unit = match change.row() {
         // The number says that already.
         None | Some((_, Parameter { unit: "hex", .. })) => String::new(),
         Some((_, parameter)) => unit::suffix(parameter),
@@ -375,9 +368,9 @@ impl Owner {
         match &outcome {
             Ok(Outcome::Unchanged) => {}
             Ok(Outcome::Written { reset: false, .. }) => {
-                let touched = |row: &Subclass, change: &Change| match change.row {
+                let touched = |row: &Subclass, change: &Change| match change.row() {
                     Some((subclass, _)) => ptr::eq(subclass, row),
-                    None => change.place.subclass == row.id,
+                    None => change.place().subclass == row.id,
                 };
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
                 self.looked = false;
@@ -401,7 +394,8 @@ impl Owner {
     pub(super) fn log_written(&self, changes: &[Change], outcome: &Outcome) {
         let prefix = format!("{}{}", self.shared.prefix, self.serial());
         for change in changes {
-            self.shared.note_scales(change.place.subclass, change.place.offset, &change.bytes);
+            let Place { subclass, offset } = change.place();
+            self.shared.note_scales(subclass, offset, change.bytes());
         }
         match outcome {
             Outcome::Unchanged => {
@@ -491,7 +485,7 @@ mod tests {
         let subclass = &rig.handle.chip().subclasses[rig.index(80)];
         let parameter = subclass.parameter(53).expect("a parameter of the table");
         let value = Value::Int(text.parse().expect("a number"));
-        Change::of_value((subclass, parameter), &value).expect("it fits")
+        Change::of_value((subclass, parameter), &value, false).expect("it fits")
     }
 
     /// Nothing is sent for a request that is refused.
@@ -522,15 +516,14 @@ mod tests {
         let chip = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("it has a table");
         let of = |id: &str, offset: &str, old: &[u8], new: &[u8]| {
             let row = chip.row(id, offset).expect("a parameter of the table");
-            difference(&Change::of_bytes(row, new.to_vec()), old)
+            let value = codec::decode(row.1.kind, new);
+            difference(&Change::of_value(row, &value, true).expect("a value in range"), old)
         };
         assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
         assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");
         assert_eq!(of("58", "3", &[0x00], &[0x5a]), "0x00 -> 0x5a");
         assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old%0a -> new");
-        let row = None;
-        let place = ti_gauge::dataflash::Place { subclass: 48, offset: 200 };
-        let raw = Change { place, bytes: vec![0xab, 0xcd], row, saved: false };
+        let raw = Change::raw(chip, Place { subclass: 130, offset: 200 }, vec![0xab, 0xcd]).expect("no row");
         assert_eq!(difference(&raw, &[0, 1]), "0001 -> abcd");
     }
 

@@ -11,7 +11,6 @@ use ti_gauge::text;
 
 use super::record::Changed;
 use crate::error::{Cause, Error, Result};
-use crate::fs;
 use crate::owner::{Direct, Request, readable};
 
 /// The place of a parameter: subclass and offset.
@@ -135,8 +134,7 @@ pub(super) fn changes(asked: &Image, now: &Flash, allow_unproven: bool) -> Resul
     let mut list = Vec::new();
     for difference in &changes {
         let Entry { subclass, parameter, .. } = difference.new;
-        let text = difference.new.text();
-        let change = fs::check(subclass, parameter, allow_unproven, text.as_bytes())?;
+        let change = Change::of_value((subclass, parameter), &difference.new.value, allow_unproven)?;
         if let Some(stored) = now.bytes((*subclass, *parameter)) {
             change.check_reserved(stored)?;
         }
@@ -144,9 +142,8 @@ pub(super) fn changes(asked: &Image, now: &Flash, allow_unproven: bool) -> Resul
     }
     for difference in asked.raw_changes(|id| now.raw_of(id), false)? {
         let new = difference.new;
-        let line = format!("{}/{} {}", new.subclass, new.offset, new.text());
-        let (place, bytes) = fs::raw_bytes(now.chip, &line)?;
-        list.push(Change { place, bytes, row: None, saved: false });
+        let place = (new.subclass, new.offset).into();
+        list.push(Change::raw(now.chip, place, new.bytes.clone())?);
     }
     Ok(list)
 }

@@ -949,7 +949,7 @@ fn regression_a_pack_with_an_erased_row_passed() {
             let mut gauge = opened(&torn, &clock, settings);
             torn.set("tear", "erased").and_then(|()| torn.set("fault", "torn-commit 5")).expect("knobs");
             let row = torn_row();
-            let change = Change::of_value(row, &Value::Int(3100)).expect("it fits");
+            let change = Change::of_value(row, &Value::Int(3100), false).expect("it fits");
             gauge.ask(|done| Request::WriteAll(vec![change], done)).expect_err("it is torn");
             torn.set("power", "on").expect("a knob");
         } else {

@@ -61,7 +61,7 @@ fn a_swapped_pack_is_detected() {
             is_done.recv().expect("an answer")
         };
     let write = |value: i64| {
-        let change = Change::of_value((subclass, parameter), &Value::Int(value)).expect("it fits");
+        let change = Change::of_value((subclass, parameter), &Value::Int(value), false).expect("it fits");
         run(&move |done| Request::WriteAll(vec![change.clone()], done))
     };
     assert_eq!(serial(), 1);

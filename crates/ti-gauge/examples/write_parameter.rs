@@ -18,7 +18,6 @@ use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, DataFlash, Outcome};
 use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
-use ti_gauge::text;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
@@ -37,8 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut dataflash = DataFlash::default();
 
     let (subclass, parameter) = chip.row("80", "53").expect("Cell Terminate Voltage");
-    let value = text::parse(parameter, b"3100")?;
-    let change = Change::of_value((subclass, parameter), &value).expect("a value of its type");
+    let change = Change::parse((subclass, parameter), b"3100", false)?;
     match dataflash.write(&mut gauge, &[change], Duration::ZERO)? {
         Outcome::Unchanged => println!("{}: was 3100 already", parameter.name),
         Outcome::Written { .. } => println!("{}: 3100 mV, written and verified", parameter.name),

@@ -465,13 +465,13 @@ impl Task<'_> {
         let Value::Int(word) = old else { return Err(not_documented(chip)) };
         let shift = 8 * (parameter.kind.size() - 1);
         let selected = word | i64::from(external.mask) << shift;
-        let set = Change::of_value((subclass, parameter), &Value::Int(selected));
+        let set = Change::of_value((subclass, parameter), &Value::Int(selected), false)?;
         let mut changes = vec![
             change(chip, limit, 0.0)?,
             change(chip, cells_row, cells.into())?,
             change(chip, divider_row, divider.into())?,
         ];
-        changes.extend(set);
+        changes.push(set);
         let (name, unit) = naming(chip, Role::VoltageNow);
         (self.tell)(&format!(
             "calibration mode, in which flash is open: limit {} 0, {}, {cells} cells, divider {divider} mV; then the \
@@ -551,9 +551,7 @@ fn row(chip: &'static Chip, (id, offset): (u8, u16)) -> Result<Row> {
 /// A change to a value, which must be in the manual's range.
 fn change(chip: &'static Chip, place: (u8, u16), value: f64) -> Result<Change> {
     let row = row(chip, place)?;
-    let value = text::parse(row.1, value.to_string().as_bytes())?;
-    let change = Change::of_value(row, &value).ok_or_else(|| not_documented(chip))?;
-    change.check_least().map(|()| change)
+    Change::parse(row, value.to_string().as_bytes(), false)
 }
 
 /// Name and unit of the register that feeds a property.

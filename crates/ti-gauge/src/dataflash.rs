@@ -18,18 +18,17 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-pub use crate::chip::Row;
-use crate::chip::{Chip, FLAT, Kind, Parameter, Safe, Subclass};
-use crate::codec::{self, WINDOW};
+use crate::chip::{Chip, FLAT, Kind, Subclass};
+use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal, Mark, OpenJournal, Plan};
-use crate::value::Value;
 
 mod anonymous;
 mod assure;
 mod blocks;
 mod calmode;
+mod change;
 mod checks;
 mod erased;
 mod io;
@@ -47,7 +46,7 @@ pub use anonymous::{anonymous, sample, samples};
 use assure::Reference;
 pub(crate) use blocks::Bytes;
 use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
-use checks::integer;
+pub use change::{Change, Row};
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
 use io::{read_subclass, reload, still_open, store, verify_written};
@@ -71,19 +70,6 @@ pub struct Place {
     pub subclass: u8,
     /// Offset in the subclass, or address.
     pub offset: u16,
-}
-
-/// New bytes for one place in data flash.
-#[derive(Clone, Debug)]
-pub struct Change {
-    /// Place of the first byte.
-    pub place: Place,
-    /// The bytes.
-    pub bytes: Vec<u8>,
-    /// The parameter whose value this is; `None` for undocumented bytes.
-    pub row: Option<Row>,
-    /// The bytes come from a saved configuration: bits that must not change keep their present value.
-    pub saved: bool,
 }
 
 /// Result of a successful write.
@@ -715,66 +701,6 @@ fn program(
             let why = format!("{error}; then {second}: data flash contents unknown");
             Err(Error::new("", Cause::StateUnknown(why)))
         }
-    }
-}
-
-impl Change {
-    /// A new value of a parameter; `None` if it does not fit the parameter's type.
-    pub fn of_value(row: Row, value: &Value) -> Option<Self> {
-        Some(Self::of_bytes(row, codec::encode(row.1.kind, value)?))
-    }
-
-    /// New bytes of a parameter, as many as its type has.
-    pub fn of_bytes(row: Row, bytes: Vec<u8>) -> Self {
-        Self { place: Place::of(row), bytes, row: Some(row), saved: false }
-    }
-
-    /// Checks the safe minimum, the only safety limit that needs no gauge.
-    pub fn check_least(&self) -> Result<()> {
-        let Some((_, parameter)) = self.row else { return Ok(()) };
-        let number = integer(parameter, &self.bytes);
-        match &parameter.safe {
-            Some(Safe::AtLeast(least, why)) if number < *least => {
-                let why = format!("{number} is below {least}: {why}");
-                Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.
-    pub fn check_reserved(&self, stored: &[u8]) -> Result<()> {
-        let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
-            return Ok(());
-        };
-        let old = integer(parameter, stored);
-        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
-        if differ == 0 {
-            return Ok(());
-        }
-        let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
-        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
-    }
-
-    /// Name for the log: the parameter's name, or the place of undocumented bytes.
-    pub fn name(&self) -> String {
-        match self.row {
-            Some((_, parameter)) => parameter.name.to_string(),
-            None => format!("undocumented bytes at {}", self.place),
-        }
-    }
-
-    fn subject(&self) -> String {
-        match self.row {
-            Some((_, parameter)) => format!("{} ({})", parameter.name, self.place),
-            None => self.name(),
-        }
-    }
-
-    /// What its subclass needs; an undocumented subclass is assumed to need a reset.
-    fn kind(&self, chip: &Chip) -> Kind {
-        let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
-        table.map_or(Kind::Reset, |subclass| subclass.kind)
     }
 }
 

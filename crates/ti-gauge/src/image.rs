@@ -601,15 +601,18 @@ impl Image {
                 continue;
             }
             let at = |error: Error| error.within(&format!("line {line}"));
-            text::parse(parameter, entry.text().as_bytes()).map_err(at)?;
-            let change = Change::of_value((subclass, parameter), value);
-            let change = change.ok_or_else(|| at_line(*line, "does not fit its type"))?;
-            changes.push(Change { saved: true, ..change });
+            changes.push(Change::of_value((subclass, parameter), value, false).map_err(at)?.saved());
         }
         // The chemistry is lost with the power, too.
         for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
-            let place = Place { subclass: raw.subclass, offset: raw.offset };
-            changes.push(Change { place, bytes: raw.bytes.clone(), row: None, saved: true });
+            let mut at = 0;
+            while at < raw.bytes.len() {
+                let offset = raw.offset + at as u16;
+                let end = (at + WINDOW - usize::from(offset) % WINDOW).min(raw.bytes.len());
+                let place = Place { subclass: raw.subclass, offset };
+                changes.push(Change::raw(self.chip, place, raw.bytes[at..end].to_vec())?.saved());
+                at = end;
+            }
         }
         Ok(changes)
     }

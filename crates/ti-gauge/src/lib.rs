@@ -21,7 +21,6 @@
 //! use ti_gauge::dataflash::{Change, DataFlash, Outcome};
 //! use ti_gauge::gauge::Gauge;
 //! use ti_gauge::keys::Keys;
-//! use ti_gauge::text;
 //!
 //! let clock = Arc::new(SimClock::new());
 //! let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated gauge");
@@ -32,8 +31,7 @@
 //! let mut dataflash = DataFlash::default();
 //!
 //! let row = chip.row("80", "53").expect("Cell Terminate Voltage");
-//! let value = text::parse(row.1, b"3100")?;
-//! let change = Change::of_value(row, &value).expect("a number of two bytes");
+//! let change = Change::parse(row, b"3100", false).expect("a value in range");
 //! let outcome = dataflash.write(&mut gauge, &[change], Duration::ZERO)?;
 //! let old = vec![3000_u16.to_be_bytes().to_vec()];
 //! assert_eq!(outcome, Outcome::Written { reset: true, old });

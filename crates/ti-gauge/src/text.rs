@@ -89,6 +89,26 @@ pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
 
+/// Checks that a value of a parameter is in the manual's range.
+pub fn check(parameter: &Parameter, value: &Value) -> Result<()> {
+    match (value, &parameter.range, parameter.kind) {
+        (Value::Int(value), Range::Int { min, max, .. }, kind) if !(*min..=*max).contains(value) => {
+            let show = |bound: &i64| render(kind, &Value::Int(*bound));
+            Err(outside(parameter, &show(min), &show(max)))
+        }
+        (Value::Float(value), Range::Float { min, max, .. }, _) if !(*min..=*max).contains(value) => {
+            Err(outside(parameter, &min.to_string(), &max.to_string()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What was written is not repeated: it may be a key that was meant for another file.
+fn outside(parameter: &Parameter, min: &str, max: &str) -> Error {
+    let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
+    Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
+}
+
 /// The same for a value that a gauge already holds, in or out of range: only the type is checked.
 pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, None, text)
@@ -96,11 +116,6 @@ pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
 
 fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
-    // What was written is not repeated: it may be a key that was meant for another file.
-    let outside = |min: String, max: String| {
-        let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
-        Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
-    };
     let Some(text) = std::str::from_utf8(text).ok().map(str::trim).filter(|text| text.len() < 100) else {
         return Err(invalid(format!("not a value of type {}", parameter.kind)));
     };
@@ -118,10 +133,10 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
             if let Some(Range::Float { min, max, .. }) = range
                 && !(*min..=*max).contains(&value)
             {
-                return Err(outside(min.to_string(), max.to_string()));
+                return Err(outside(parameter, &min.to_string(), &max.to_string()));
             }
             if codec::encode(Type::F4, &Value::Float(value)).is_none() {
-                return Err(outside("-1.7e38".into(), "1.7e38".into()));
+                return Err(outside(parameter, "-1.7e38", "1.7e38"));
             }
             Ok(Value::Float(value))
         }
@@ -136,7 +151,7 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
                 Some(value) if (min..=max).contains(&value) => Ok(Value::Int(value)),
                 _ => {
                     let show = |bound| render(kind, &Value::Int(bound));
-                    Err(outside(show(min), show(max)))
+                    Err(outside(parameter, &show(min), &show(max)))
                 }
             }
         }

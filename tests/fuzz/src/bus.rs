@@ -18,7 +18,6 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 use ti_gauge::probe::{self, Target};
 use ti_gauge::registers::Registers;
-use ti_gauge::text;
 
 use crate::disk::Memory;
 use crate::script::Script;
@@ -175,7 +174,7 @@ pub(crate) fn run(input: &[u8]) {
         4 => engine.access(|dataflash, gauge| dataflash.write(gauge, &changes(4), Duration::ZERO).map(drop)),
         5 => engine.access(|dataflash, gauge| {
             let place = Place { subclass: values[0].0, offset: values[0].1 };
-            let raw = Change { place, bytes: vec![0x5a], row: None, saved: true };
+            let raw = Change::raw(chip, place, vec![0x5a])?;
             dataflash.write(gauge, &[raw], Duration::ZERO).map(drop)
         }),
         6 => {
@@ -230,6 +229,5 @@ impl Engine<'_> {
 fn change(chip: &'static Chip, id: u8, offset: u16, value: &str) -> Change {
     let mut alike = chip.subclasses.iter().filter(|row| row.id == id);
     let row = alike.find_map(|row| Some((row, row.parameter(offset)?))).expect("a parameter of the table");
-    let value = text::parse(row.1, value.as_bytes()).expect("a value in range");
-    Change::of_value(row, &value).expect("a value of the type")
+    Change::parse(row, value.as_bytes(), true).expect("a value in range")
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::schemes::sequence;
 use super::{Change, Place};
-use crate::chip::{Chip, FLAT, FLAT_FLASH, Kind, Parameter, Safe, Scheme};
+use crate::chip::{Chip, FLAT, FLAT_FLASH, Kind, Parameter, Scheme};
 use crate::codec::{self, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
@@ -156,7 +156,7 @@ pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>
                 }
             };
             let block = &mut dirty[index];
-            let kept = if change.saved { kept_bits(change, number) } else { 0 };
+            let kept = change.kept_bits(number);
             block.new[at] = byte & !kept | block.old[at] & kept;
             block.written.insert(at);
             block.learned = block.learned.without(block.written);
@@ -213,13 +213,6 @@ pub(super) fn secrets(chip: &Chip, place: Window) -> Bytes {
 /// Whether a window holds keys: of a flat part, also one that is read for what is beside them.
 pub(super) fn holds_keys(chip: &Chip, place: Window) -> bool {
     secrets(chip, place) != Bytes::default()
-}
-
-/// The bits of byte `number` of a change that a write must not change.
-fn kept_bits(change: &Change, number: usize) -> u8 {
-    let Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) = change.row else { return 0 };
-    let behind = change.bytes.len() - 1 - number;
-    (mask >> (8 * behind)) as u8
 }
 
 /// Number of blocks that the changes touch.

@@ -235,7 +235,7 @@ impl Scene {
             Work::Write | Work::Undo => dataflash.write(gauge, &changes, Duration::ZERO).map(drop),
             Work::Settle => dataflash.settle(gauge, Duration::ZERO).map(drop),
             Work::Read => {
-                let id = changes[0].place.subclass;
+                let id = changes[0].place().subclass;
                 let row = gauge.chip.subclasses.iter().find(|row| row.id == id).expect("a subclass");
                 dataflash.read(gauge, &[row], Duration::ZERO).map(drop)
             }
@@ -267,7 +267,7 @@ impl Scene {
         let answers = gauge.identify().expect("it answers");
         dataflash.meet(gauge.chip, &answers);
         dataflash.settle(gauge, Duration::ZERO).expect("nothing to settle");
-        let id = self.case.changes(&self.first)[0].place.subclass;
+        let id = self.case.changes(&self.first)[0].place().subclass;
         let row = gauge.chip.subclasses.iter().find(|row| row.id == id).expect("a subclass");
         dataflash.read(gauge, &[row], Duration::ZERO).expect("it can be read");
         if self.case.found != Seal::Sealed {

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Parameter, Range, Role, Subclass};
 use ti_gauge::codec;
+use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::image::{Entry, Format, Image};
 use ti_gauge::text;
@@ -61,7 +62,7 @@ fn import(rig: &mut Rig, text: &str) -> Vec<String> {
     file.keep_reserved(&here);
     let changes = here.changes(&file, &[], false).expect("values in range");
     let change = |entry: &ti_gauge::image::Entry| {
-        Change::of_value((entry.subclass, entry.parameter), &entry.value).expect("it fits its type")
+        Change::of_value((entry.subclass, entry.parameter), &entry.value, false).expect("it is in range")
     };
     let all: Vec<_> = changes.changes.iter().map(|difference| change(difference.new)).collect();
     rig.dataflash.write(&mut rig.gauge, &all, Duration::ZERO).expect("it is written");
@@ -222,15 +223,20 @@ fn clone_by(chip: &'static Chip, format: Format) {
     let changes = here.changes(&file, &[], true).unwrap_or_else(|error| panic!("{at}: {error}"));
     assert!(changes.passed_over.is_empty(), "{at}: {:?}", changes.passed_over);
     let raw = file.raw_changes(|id| of(&before, id), true).unwrap_or_else(|error| panic!("{at}: {error}"));
-    let of_entry = |entry: &Entry| Change::of_value((entry.subclass, entry.parameter), &entry.value);
+    let of_entry = |entry: &Entry| Change::of_value((entry.subclass, entry.parameter), &entry.value, true);
     let mut all: Vec<_> =
         changes.changes.iter().map(|change| of_entry(change.new).expect("it fits")).collect();
-    all.extend(raw.into_iter().map(|change| Change {
-        place: Place { subclass: change.new.subclass, offset: change.new.offset },
-        bytes: change.new.bytes,
-        row: None,
-        saved: false,
-    }));
+    for run in raw {
+        let (subclass, mut offset) = (run.new.subclass, run.new.offset);
+        // A change is in one block.
+        let room = WINDOW - usize::from(offset) % WINDOW;
+        let (first, rest) = run.new.bytes.split_at(room.min(run.new.bytes.len()));
+        for bytes in std::iter::once(first).chain(rest.chunks(WINDOW)).filter(|bytes| !bytes.is_empty()) {
+            let place = Place { subclass, offset };
+            all.push(Change::raw(to.gauge.chip, place, bytes.to_vec()).expect("no parameter"));
+            offset += bytes.len() as u16;
+        }
+    }
     let written = to.dataflash.write(&mut to.gauge, &all, Duration::ZERO);
     written.unwrap_or_else(|error| panic!("{at}: {error}"));
 
@@ -311,9 +317,9 @@ fn regression_a_clone_of_a_bq27426_has_its_chemistry() {
         .to_restore()
         .expect("values in range")
         .into_iter()
-        .filter(|change| change.row.is_none())
+        .filter(|change| change.row().is_none())
         .collect();
-    assert!(restored.iter().any(|change| change.place.subclass == 108));
+    assert!(restored.iter().any(|change| change.place().subclass == 108));
     for raw in &other.raw {
         rig.sim.set_flash(raw.subclass.into(), 0, &raw.bytes);
     }

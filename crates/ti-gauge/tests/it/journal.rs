@@ -384,7 +384,7 @@ fn an_unknown_outcome_is_settled_at_the_next_start() {
         let folder = Folder::new("torn");
         let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
         let change = rig.change(80, 53, "3100");
-        let expected = rig.change(80, 53, settled).bytes;
+        let expected = rig.change(80, 53, settled).bytes().to_vec();
         rig.sim.set("fault", torn).expect("a fault");
         let write = |cut| {
             host(&rig, &folder, cut, |dataflash, gauge| {

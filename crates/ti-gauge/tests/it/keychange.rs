@@ -11,6 +11,7 @@ use ti_gauge::dataflash::{Change, Decision};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
+use ti_gauge::value::Value;
 
 use crate::journal::Folder;
 use crate::rig::{Rig, cause};
@@ -557,8 +558,10 @@ fn regression_a_power_cut_in_a_change_of_keys_cannot_be_settled() {
                             .decide(&mut rig.gauge, Decision::Finish(None), Duration::ZERO)
                             .expect_err("no keys");
                         let row = rig.gauge.chip.subclasses.iter().find(|row| row.kind != Kind::Security);
-                        let place = (row.expect("a subclass").id, row.expect("a subclass").start()).into();
-                        let other = Change { place, bytes: vec![1], row: None, saved: false };
+                        let row = row.expect("a subclass");
+                        let mut others = row.parameters.iter();
+                        let one = |one| Change::of_value((row, one), &Value::Int(1), true).ok();
+                        let other = others.find_map(one).expect("a number that may be 1");
                         assert_eq!(cause(&rig.write_all(&[other]).expect_err("refused")), "Busy", "{at}");
                         assert!(rig.clock.now() - wrong < Duration::from_secs(1), "{at}");
                         decided += 1;

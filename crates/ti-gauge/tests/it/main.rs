@@ -4,6 +4,7 @@
 
 mod anonymous;
 mod calibration;
+mod change;
 mod defaults;
 mod ensemble;
 mod exchange;

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use gauge_bus::Bus;
 use ti_gauge::chip::{CHIPS, Kind, Subclass};
+use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Row, erased};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::Journal;
@@ -412,8 +413,13 @@ fn regression_a_write_beside_erased_parameters_was_made() {
         let inside = |row: &Row| usize::from(row.1.offset) >= from && usize::from(row.1.offset) < 64;
         let it = rig.gauge.chip.subclasses.iter().filter(|subclass| subclass.id == 80);
         let rows = it.flat_map(|subclass| subclass.parameters.iter().map(move |one| (subclass, one)));
-        let changes: Vec<Change> =
-            rows.filter(inside).map(|row| Change::of_bytes(row, whole(row).expect("it was read"))).collect();
+        let changes: Vec<Change> = rows
+            .filter(inside)
+            .map(|row| {
+                let value = codec::decode(row.1.kind, &whole(row).expect("it was read"));
+                Change::of_value(row, &value, true).expect("a value in range")
+            })
+            .collect();
         rig.write_all(&changes).expect("it is whole then");
         assert!(erased(rig.gauge.chip, content(&mut rig)).is_empty());
     }

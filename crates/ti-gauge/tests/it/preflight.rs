@@ -356,8 +356,7 @@ fn a_ram_gauge_is_written_only_between_2450_and_4500_mv() {
             refused(&mut rig, "NotNow", &["Voltage()", mv, "charge the cell"]);
             // Restoring a configuration is not affected.
             let (at, text) = row(chip);
-            let mut change = rig.change(at.0, at.1, text);
-            change.saved = true;
+            let change = rig.change(at.0, at.1, text).saved();
             assert_eq!(
                 rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO).map(without_old),
                 WRITTEN,

@@ -693,7 +693,7 @@ fn a_seal_that_cannot_be_restored_is_owed_and_paid_when_the_gauge_answers() {
                 let mut rig = case.rig();
                 let changes = case.changes(&rig);
                 silent_at_the_end(&mut rig, &folder, Duration::from_secs(60));
-                let place = changes[0].place;
+                let place = changes[0].place();
                 let error = match access {
                     "write" => rig.write_all(&changes).map(|_| ()),
                     _ => rig.read(place.subclass, place.offset).map(|_| ()),
@@ -856,7 +856,7 @@ fn a_reset_that_is_lost_is_noticed() {
                 resets(&plain) > 0
             };
             // Keys are tried at the start, as a mount that has read something has done.
-            rig.read(changes[0].place.subclass, changes[0].place.offset).expect("the default key");
+            rig.read(changes[0].place().subclass, changes[0].place().offset).expect("the default key");
             rig.start(&folder);
             rig.gauge.prove_key();
             rig.set("drop_resets", &lost.to_string());
@@ -1023,7 +1023,7 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                     rig.start(&folder);
                     // What is next to the blocks is known once it has been read.
                     for change in &changes {
-                        let _ = rig.read(change.place.subclass, change.place.offset).expect("a read");
+                        let _ = rig.read(change.place().subclass, change.place().offset).expect("a read");
                     }
                     rig.set("fault", &format!("torn-commit {words}"));
                     let error = rig.write_all(&changes).expect_err("it is torn");

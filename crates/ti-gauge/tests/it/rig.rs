@@ -6,11 +6,11 @@ use std::time::Duration;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{Chip, FLAT, Parameter, Subclass};
-use ti_gauge::dataflash::{Change, DataFlash, Outcome};
+use ti_gauge::codec;
+use ti_gauge::dataflash::{Change, DataFlash, Outcome, Row};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
-use ti_gauge::text;
 
 pub(crate) struct Rig {
     pub(crate) clock: Arc<SimClock>,
@@ -92,13 +92,13 @@ impl Rig {
 
     pub(crate) fn change_of(chip: &'static Chip, subclass: u8, offset: u16, text: &str) -> Change {
         let (subclass, parameter) = Self::find_in(chip, subclass, offset);
-        let value = text::parse(parameter, text.as_bytes()).expect("a value in range");
-        Change::of_value((subclass, parameter), &value).expect("a value of the type")
+        Change::parse((subclass, parameter), text.as_bytes(), true).expect("a value in range")
     }
 
     /// Writes a parameter. The outcome is without the bytes that it replaced, so that tests can compare it.
     pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
-        let change = self.change(subclass, offset, text);
+        let row = self.find(subclass, offset);
+        let change = Change::parse(row, text.as_bytes(), true)?;
         self.dataflash.write(&mut self.gauge, &[change], Duration::ZERO).map(without_old)
     }
 
@@ -154,4 +154,14 @@ pub(crate) fn cause(error: &Error) -> &'static str {
         Cause::Adapter(..) => "Adapter",
         Cause::Io(..) => "Io",
     }
+}
+
+/// Another value for a parameter that has these bytes, near the old one; `None` if its range has no other.
+pub(crate) fn another((subclass, parameter): Row, old: &[u8]) -> Option<Change> {
+    let mut changes = (0..8).filter_map(|bit| {
+        let mut bytes = old.to_vec();
+        *bytes.last_mut()? ^= 1 << bit;
+        Change::of_value((subclass, parameter), &codec::decode(parameter.kind, &bytes), true).ok()
+    });
+    changes.find(|change| change.bytes() != old)
 }

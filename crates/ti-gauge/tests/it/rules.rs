@@ -5,11 +5,13 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
-use ti_gauge::chip::FLAT;
+use ti_gauge::chip::{FLAT, Range};
+use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
+use ti_gauge::value::Value;
 
 use crate::journal::{Folder, PowerCut, until_cut};
 use crate::rig::{Rig, cause};
@@ -378,9 +380,13 @@ fn a_saved_word_keeps_the_bits_that_must_not_change() {
                 let Some(ti_gauge::chip::Safe::Keep(mask, _)) = &parameter.safe else { continue };
                 let mut rig = Rig::new(chip.name);
                 let old = rig.read(subclass.id, parameter.offset).expect("a read");
-                let other = old.iter().map(|byte| !byte).collect();
-                let mut change = Change::of_bytes((subclass, parameter), other);
-                change.saved = true;
+                let other: Vec<u8> = old.iter().map(|byte| !byte).collect();
+                // Bits that the manual has none for are out of its range.
+                let other = match (codec::decode(parameter.kind, &other), &parameter.range) {
+                    (Value::Int(word), Range::Int { max, .. }) => Value::Int(word & max),
+                    (other, _) => other,
+                };
+                let change = Change::of_value((subclass, parameter), &other, true).expect("bits").saved();
                 let outcome = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
                 let now = rig.read(subclass.id, parameter.offset).expect("a read");
                 let word = |bytes: &[u8]| bytes.iter().fold(0, |word, &byte| word << 8 | u64::from(byte));

@@ -7,11 +7,11 @@ use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind};
-use ti_gauge::dataflash::{Change, Outcome};
+use ti_gauge::dataflash::Outcome;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::rig::{Rig, cause};
+use crate::rig::{Rig, another, cause};
 use crate::rules::commits;
 
 /// The words of the default unseal key as they are sent.
@@ -327,10 +327,9 @@ fn regression_blocks_beyond_the_ends_of_flash_were_selected() {
         let last = rows.iter().max_by_key(|(_, parameter)| parameter.offset).expect("a parameter");
         for &(subclass, parameter) in [first, last] {
             let mut rig = Rig::new(name);
-            let mut bytes = rig.read(FLAT, parameter.offset).expect("a value");
-            bytes[0] ^= 1;
+            let bytes = rig.read(FLAT, parameter.offset).expect("a value");
+            let change = another((subclass, parameter), &bytes).expect("another value");
             rig.sim.clear_log();
-            let change = Change::of_bytes((subclass, parameter), bytes);
             let written = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
             written.unwrap_or_else(|error| panic!("{name} {}: {error}", parameter.name));
             let selected = rig.sim.log().into_iter().filter_map(|record| match record.write[..] {

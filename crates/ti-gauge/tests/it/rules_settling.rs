@@ -156,7 +156,7 @@ fn an_interrupted_write_to_an_undocumented_subclass_is_settled() {
     let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
     let old = rig.sim.flash();
     let place = Place { subclass: UNDOCUMENTED, offset: 3 };
-    let raw = Change { place, bytes: vec![0x5a], row: None, saved: false };
+    let raw = Change::raw(rig.gauge.chip, place, vec![0x5a]).expect("no parameter");
     let changes = [rig.change(48, 11, "2200"), raw];
     rig.start_with(&folder, Keys::default(), |bus, _, write, read| {
         let done = with_undocumented(bus, write, read);

@@ -1,0 +1,195 @@
+//! What is about to be written. A [`Change`] is made here only, from a value that was checked: whoever has one cannot
+//! have a value out of the manual's range, a row that nobody has confirmed, a key, or bytes of somebody else's parameter.
+
+use std::io::ErrorKind;
+
+use super::Place;
+use super::checks::integer;
+pub use crate::chip::Row;
+use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
+use crate::codec::{self, WINDOW};
+use crate::error::{Cause, Error, Result, Step};
+use crate::text;
+use crate::value::Value;
+
+/// New bytes for one place in data flash.
+///
+/// It cannot be put together from parts:
+///
+/// ```compile_fail
+/// use ti_gauge::dataflash::Change;
+///
+/// let place = (80, 53).into();
+/// let change = Change { place, bytes: vec![0xff, 0xff], row: None, saved: false };
+/// ```
+#[derive(Clone, Debug)]
+pub struct Change {
+    /// Place of the first byte.
+    pub(super) place: Place,
+    pub(super) bytes: Vec<u8>,
+    /// The parameter whose value this is; `None` for undocumented bytes.
+    pub(super) row: Option<Row>,
+    /// The bytes come from a saved configuration: bits that must not change keep their present value.
+    pub(super) saved: bool,
+}
+
+impl Change {
+    /// A new value of a parameter, as its file takes it. `allow_unproven` also allows a row whose address or range no
+    /// second source confirms (EACCES otherwise).
+    pub fn parse(row: Row, text: &[u8], allow_unproven: bool) -> Result<Self> {
+        check_row(row, allow_unproven)?;
+        Self::of_value(row, &text::parse(row.1, text)?, allow_unproven)
+    }
+
+    /// A new value of a parameter. It must be of its type, in the manual's range and above the safe minimum.
+    pub fn of_value(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
+        let parameter = row.1;
+        check_row(row, allow_unproven)?;
+        text::check(parameter, value)?;
+        let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
+            Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
+        })?;
+        let change = Self { place: Place::of(row), bytes, row: Some(row), saved: false };
+        change.check_least()?;
+        Ok(change)
+    }
+
+    /// Bytes that no manual documents, all in one block: no key, no limit and no unproven row can be bypassed with them.
+    pub fn raw(chip: &Chip, place: Place, bytes: Vec<u8>) -> Result<Self> {
+        check_raw(chip, place, bytes.len())?;
+        Ok(Self { place, bytes, row: None, saved: false })
+    }
+
+    /// The same value as part of a saved configuration: bits that must not change keep their present value.
+    #[must_use]
+    pub fn saved(self) -> Self {
+        Self { saved: true, ..self }
+    }
+
+    /// Place of the first byte.
+    pub fn place(&self) -> Place {
+        self.place
+    }
+
+    /// The bytes.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The parameter whose value this is; `None` for undocumented bytes.
+    pub fn row(&self) -> Option<Row> {
+        self.row
+    }
+
+    /// The bytes as they will be stored in place of `old`: those of a saved configuration leave bits alone that must not
+    /// change.
+    pub fn stored_over(&self, old: &[u8]) -> Vec<u8> {
+        let bytes = self.bytes.iter().zip(old).enumerate();
+        bytes.map(|(at, (new, old))| new & !self.kept_bits(at) | old & self.kept_bits(at)).collect()
+    }
+
+    /// The bits of byte `number` that a write must not change.
+    pub(super) fn kept_bits(&self, number: usize) -> u8 {
+        match self.row {
+            Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) if self.saved => {
+                (mask >> (8 * (self.bytes.len() - 1 - number))) as u8
+            }
+            _ => 0,
+        }
+    }
+
+    /// Checks the safe minimum, the only safety limit that needs no gauge.
+    pub(super) fn check_least(&self) -> Result<()> {
+        let Some((_, parameter)) = self.row else { return Ok(()) };
+        let number = integer(parameter, &self.bytes);
+        match &parameter.safe {
+            Some(Safe::AtLeast(least, why)) if number < *least => {
+                let why = format!("{number} is below {least}: {why}");
+                Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.
+    pub fn check_reserved(&self, stored: &[u8]) -> Result<()> {
+        let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
+            return Ok(());
+        };
+        let old = integer(parameter, stored);
+        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
+        if differ == 0 {
+            return Ok(());
+        }
+        let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
+        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+    }
+
+    /// Name for the log: the parameter's name, or the place of undocumented bytes.
+    pub fn name(&self) -> String {
+        match self.row {
+            Some((_, parameter)) => parameter.name.to_string(),
+            None => format!("undocumented bytes at {}", self.place),
+        }
+    }
+
+    pub(super) fn subject(&self) -> String {
+        match self.row {
+            Some((_, parameter)) => format!("{} ({})", parameter.name, self.place),
+            None => self.name(),
+        }
+    }
+
+    /// What its subclass needs; an undocumented subclass is assumed to need a reset.
+    pub(super) fn kind(&self, chip: &Chip) -> Kind {
+        let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
+        table.map_or(Kind::Reset, |subclass| subclass.kind)
+    }
+}
+
+fn check_row((subclass, parameter): Row, allow_unproven: bool) -> Result<()> {
+    if subclass.kind == Kind::Security {
+        let why = "keys cannot be changed like other parameters";
+        return Err(Error::new(parameter.name, Cause::NotPermitted(why.into())));
+    }
+    if parameter.unproven && !allow_unproven {
+        let why = "its address or range is not sure; mount with --allow-unproven to write it";
+        return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied, why.into())));
+    }
+    Ok(())
+}
+
+fn check_raw(chip: &Chip, Place { subclass: id, offset }: Place, length: usize) -> Result<()> {
+    if chip.access.scheme.is_flat() || id == FLAT {
+        return Err(invalid("bytes without a parameter are written in subclasses only".into()));
+    }
+    let table = chip.subclass(id);
+    if table.is_some_and(|subclass| subclass.kind == Kind::Security) {
+        let why = "keys cannot be changed like other bytes";
+        return Err(Error::new("", Cause::NotPermitted(why.into())));
+    }
+    let end = usize::from(offset) + length;
+    if length == 0 || usize::from(offset) / WINDOW != (end - 1) / WINDOW {
+        return Err(invalid("the bytes of a line must be in one block of 32 bytes; write two lines".into()));
+    }
+    // DataFlashBlock() is a byte.
+    let stored = table.map_or(WINDOW << 8, |subclass| usize::from(subclass.stored()));
+    if end > stored {
+        return Err(invalid(format!("subclass {id} ends with offset {}", stored - 1)));
+    }
+    let overlaps = |row: &&Parameter| {
+        let start = usize::from(row.offset);
+        start < end && usize::from(offset) < start + row.kind.size()
+    };
+    match table.and_then(|subclass| subclass.parameters.iter().find(overlaps)) {
+        None => Ok(()),
+        Some(row) => {
+            let at = row.offset;
+            Err(invalid(format!("{} is stored there; write it as `{id}/{at} VALUE`", row.name)))
+        }
+    }
+}
+
+fn invalid(why: String) -> Error {
+    Error::new("", Cause::Invalid(why))
+}

@@ -1,0 +1,41 @@
+//! What a change may be: whoever uses the library cannot make another one.
+
+use ti_gauge::chip::{CHIPS, Kind, Range};
+use ti_gauge::dataflash::Change;
+use ti_gauge::value::Value;
+
+use crate::rig::cause;
+
+#[test]
+fn a_change_is_what_may_be_written() {
+    let (mut refused, mut unproven, mut raw) = (0, 0, 0);
+    for chip in CHIPS {
+        for subclass in chip.subclasses {
+            for parameter in subclass.parameters {
+                let row = (subclass, parameter);
+                let at = format!("{} {}", chip.name, parameter.name);
+                if let Range::Int { min, max, .. } = parameter.range {
+                    let of = |value| {
+                        Change::of_value(row, &Value::Int(value), true).map_err(|error| cause(&error))
+                    };
+                    if subclass.kind == Kind::Security {
+                        assert_eq!(of(min).err(), Some("NotPermitted"), "{at}");
+                    } else {
+                        assert_eq!([of(min - 1).err(), of(max + 1).err()], [Some("OutOfRange"); 2], "{at}");
+                        refused += 2;
+                    }
+                    if parameter.unproven && subclass.kind != Kind::Security {
+                        let error = Change::of_value(row, &Value::Int(min), false).expect_err(&at);
+                        assert_eq!(cause(&error), "Io", "{at}: {error}");
+                        unproven += 1;
+                    }
+                }
+                let there =
+                    Change::raw(chip, (subclass.id, parameter.offset).into(), vec![0]).expect_err(&at);
+                assert!(["Invalid", "NotPermitted"].contains(&cause(&there)), "{at}: {there}");
+                raw += 1;
+            }
+        }
+    }
+    assert!(refused > 1000 && unproven > 10 && raw > 500, "{refused} {unproven} {raw}");
+}
