@@ -300,7 +300,7 @@ pub(crate) struct Setup {
     pub(crate) mount: MountOptions,
     /// Each has a source: it is simulated, recorded or on a bus.
     pub(crate) gauges: Vec<GaugeOptions>,
-    /// The gauges are those of a configuration file, and the mount does without those that do not answer.
+    /// From a configuration file: gauges that do not answer are skipped.
     pub(crate) configured: bool,
 }
 

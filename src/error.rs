@@ -46,19 +46,19 @@ impl Error {
         Self { errno, ..ti_gauge::error::Error::io(subject, what, error).into() }
     }
 
-    /// The same error with the step it happened in, unless one is known already.
+    /// Adds the step it happened in, unless one is known already.
     #[must_use]
     pub fn at(self, step: Step) -> Self {
         Self { inner: self.inner.at(step), ..self }
     }
 
-    /// The same error about another subject.
+    /// Replaces the subject.
     #[must_use]
     pub fn about(self, subject: impl Into<String>) -> Self {
         Self { inner: self.inner.about(subject), ..self }
     }
 
-    /// The same error inside a larger subject.
+    /// Puts a larger subject in front.
     #[must_use]
     pub fn within(self, subject: &str) -> Self {
         let others = self.others.into_iter().map(|other| other.within(subject)).collect();

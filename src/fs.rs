@@ -170,7 +170,7 @@ pub struct Access {
 enum Mode {
     /// Everybody reads.
     Public,
-    /// The mount's owner reads, and its group where one was named; likewise below.
+    /// Owner reads, and the group if one was given. The next two work alike.
     Read,
     ReadWrite,
     Write,
@@ -347,13 +347,13 @@ impl Fs {
         Self { supplies: supplies.collect(), access, mains: None, covered: None }
     }
 
-    /// The same tree with a Mains supply of that name.
+    /// Adds a Mains supply of that name.
     #[must_use]
     pub fn with_mains(self, name: Option<String>) -> Self {
         Self { mains: name, ..self }
     }
 
-    /// The same tree, which also shows the supplies in the folder that the mount covers.
+    /// Also shows the supplies in the folder that the mount covers.
     #[must_use]
     pub fn overlay(self, covered: Option<Covered>) -> Self {
         Self { covered, ..self }

@@ -27,7 +27,7 @@ pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
 }
 
 /// Checks, for root, the file that systemd copies to a service's credential: the copy does not show who may read
-/// the original. A file that does not exist is none that others can read.
+/// the original. A missing file counts as private.
 pub fn check(path: &Path) -> Result<()> {
     let name = path.display().to_string();
     match open(path, &name) {

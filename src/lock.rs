@@ -238,13 +238,13 @@ pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
     format!("i2c-{}-{address:02x}", adapter.number())
 }
 
-/// The same for an adapter that is missing, if the name of its node has its number.
+/// A name for a gauge whose adapter is missing, if the name of its node has its number.
 pub fn key_of_place(node: &Path, address: u8) -> Option<String> {
     let number: u64 = node.file_name()?.to_str()?.strip_prefix("i2c-")?.parse().ok()?;
     Some(format!("i2c-{number}-{address:02x}"))
 }
 
-/// The same for the simulated gauge that keeps its flash in a file, given by its absolute path.
+/// A name for the simulated gauge that keeps its flash in a file, given by its absolute path.
 pub fn key_of_state(state: &Path) -> String {
     // A file name cannot contain a slash or be as long as a path.
     let hash = state.as_os_str().as_bytes().iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &byte| {

@@ -19,7 +19,7 @@ mod file;
 
 pub(crate) use file::{Failure, GaugeFile, KEYS, LONGEST, content, send, text};
 
-/// What all commands that take a gauge say of a path that is none.
+/// Error for a path that is not a mounted gauge.
 const NO_GAUGE: &str = "not a mounted gauge";
 
 /// The error about a path that is not the folder of a mounted gauge: what it is, and which path to give.
@@ -148,7 +148,7 @@ impl Source {
         }
     }
 
-    /// The same for all that is wrong with it.
+    /// Reads what is in it as far as it goes, and lists all mistakes.
     pub(crate) fn examine(&self, chip: Option<&'static Chip>, data_flash: bool) -> Reading {
         let mut reading = Image::examine(&self.name, &self.bytes, chip);
         if let Some(Err(error)) = reading.image.as_ref().map(|image| image.check_firmware(data_flash)) {
@@ -164,7 +164,7 @@ pub(crate) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -
     if is_mounted(path) { whole(path) } else { Source::read(path)?.image(chip, data_flash) }
 }
 
-/// The same for all that is wrong with a file.
+/// Reads a mounted gauge or a file as far as it goes, and lists all mistakes.
 pub(crate) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Reading> {
     match is_mounted(path) {
         true => now(path).map(|image| Reading { image: Some(image), faults: Faults::default() }),
@@ -192,7 +192,7 @@ fn is_mounted(path: &Path) -> bool {
     path.is_dir() || mountpoint::of(path).is_some()
 }
 
-/// The same with the bytes of subclasses without parameters, such as a chemistry.
+/// Reads a mounted gauge with the bytes of subclasses without parameters, such as a chemistry.
 pub(crate) fn whole(gauge: &Path) -> Result<Image> {
     let mut image = now(gauge)?;
     image.add_opaque(|id| raw_of(gauge, id))?;
@@ -348,7 +348,7 @@ pub(crate) fn check_chemistry(gauge: &Path, chip: &Chip, expected: u16) -> Resul
     same_chemistry(&name, chip, expected, (chem_id.trim(), "pass --same-chemistry"), |code| ask(gauge, code))
 }
 
-/// The same for a gauge of that name and CHEM_ID, which `ask` asks a subcommand. `told` is how a person vouches for the
+/// Makes sure of the chemistry of a gauge of that name and CHEM_ID, which `ask` asks a subcommand. `told` is how a person vouches for the
 /// chemistry.
 pub(crate) fn same_chemistry(
     name: &str,

@@ -332,7 +332,7 @@ impl Owner {
         self.shared.doubt_scales();
     }
 
-    /// The same for one and the same gauge, whose scales have not changed.
+    /// Forgets what was read of data flash of a gauge that has not been exchanged: its scales have not changed.
     fn forget_values(&mut self) {
         self.statics_are_current = false;
         self.looked = false;

@@ -11,7 +11,7 @@ use ti_gauge::text::{self, hex, printable};
 
 /// How the line about data flash begins.
 const DATA_FLASH: &str = "Data flash: ";
-/// The same where none was read.
+/// How the line about data flash begins where none was read.
 const NOT_READ: &str = "Data flash: not read: ";
 
 /// The text of a report.

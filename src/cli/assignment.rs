@@ -29,7 +29,7 @@ impl FromStr for Assignment {
     }
 }
 
-/// The parameter of that name, as the error has it if there is none.
+/// Finds a parameter by name; otherwise the error suggests the nearest.
 pub(super) fn row(chip: &'static Chip, name: &str) -> Result<Row> {
     chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
         (Unnamed::Several(names), _) => {

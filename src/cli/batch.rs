@@ -117,7 +117,7 @@ impl Report {
         code
     }
 
-    /// The same for what only reads.
+    /// The exit code of a command that only reads.
     pub(super) fn read(&mut self) -> u8 {
         self.outcome = "read";
         if self.passed_over.is_empty() { 0 } else { PASSED_OVER }

@@ -76,7 +76,7 @@ pub fn prepare(path: &Path) -> Result<PathBuf> {
     usable(&path, &mounted).map(|()| path)
 }
 
-/// The same as it is now, without a change. A dead gaugefs may be there.
+/// Checks a mount point without changing it, and returns the full path. A dead gaugefs may be there.
 pub fn check(path: &Path) -> Result<PathBuf> {
     let (path, mounted) = examine(path)?;
     usable(&path, &mounted)?;

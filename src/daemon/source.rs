@@ -100,7 +100,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// The same without the names of files.
+    /// Describes the source without the names of files.
     pub(crate) fn place(self) -> String {
         match self {
             Self::Sim { .. } => "simulated gauge".into(),

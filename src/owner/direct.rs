@@ -45,7 +45,7 @@ impl Direct {
         self.ask_late(Duration::ZERO, request)
     }
 
-    /// The same after that delay.
+    /// Carries out a request that was made that long ago.
     pub(in crate::owner) fn ask_late<T: Send + 'static>(
         &mut self,
         delay: Duration,

@@ -287,7 +287,7 @@ impl Shared {
         (scale > 0).then_some(scale.into())
     }
 
-    /// The scales that a failed write was to change may be others now.
+    /// After a failed write, the scales it would have changed are unknown.
     pub(super) fn doubt_scales_of(&self, changes: &[Change]) {
         for (subclass, offset) in self.chip.scaling.in_flash() {
             let holds = |change: &Change| {

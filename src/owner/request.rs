@@ -90,7 +90,7 @@ impl Request {
         }
     }
 
-    /// The same request, and what answers it if it is dropped without an answer.
+    /// Returns the request, and what answers it if it is dropped without an answer.
     pub(super) fn or_else_answered(self) -> (Self, Unanswered) {
         match self {
             Request::Read(wanted, done) => share(done, |done| Request::Read(wanted, done)),
@@ -215,7 +215,7 @@ impl Owner {
                 done(self.logged(attempt, outcome));
             }
             Request::Control(code, done) => {
-                // The last answer is none to this subcommand, even if it fails.
+                // Clear the previous answer first, or it could be taken for this one's.
                 self.shared.publish(|published| published.control = None);
                 let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
                 self.publish_seal();
@@ -309,7 +309,7 @@ impl Owner {
     /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
     pub(super) fn read_if_open(&mut self) {
         let published = self.shared.published();
-        // What is about to be undone, sealed or restored describes nothing.
+        // Values that are about to be undone or restored must not be shown.
         let is_settled = self.dataflash.owed().is_none() && !matches!(self.loss, Loss::Owed { .. });
         if self.looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
             return;

@@ -40,12 +40,12 @@ impl Rig {
         Self::of("bq34z100-g1", Settings::default(), startup)
     }
 
-    /// The same with another chip and with settings.
+    /// A gauge of another chip, with settings.
     pub(crate) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
         Self::on(chip, settings, startup, |bus| Box::new(bus))
     }
 
-    /// The same on a bus that is wrapped into another one.
+    /// A gauge on a bus that is wrapped into another one.
     pub(in crate::owner) fn on(
         chip: &str,
         settings: Settings,

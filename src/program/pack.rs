@@ -336,7 +336,7 @@ impl Task<'_> {
             None => None,
         };
         if scanned.is_some() {
-            // Somebody had time to exchange the pack.
+            // The pack may have been swapped while the operator scanned.
             self.look()?.check_same(before, &[])?;
         }
         // The first record of this pack, so that nothing is touched on a full disk.
@@ -481,7 +481,7 @@ impl Task<'_> {
         let Some(new) = &self.bench.new_keys else { return Ok(()) };
         for name in Name::ALL {
             let Some(key) = new.secret(name) else { continue };
-            // What is not changed has to be proven.
+            // A key that stays must still be shown to work.
             let may_have = self.has_new_keys || self.gauge.key(name).as_ref() == Some(&key);
             if may_have && self.has_key(name)? {
                 continue;

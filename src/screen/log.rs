@@ -106,7 +106,7 @@ impl Events {
         now.changed_bits(before).for_each(|(_, bits)| self.add(bits));
     }
 
-    /// All of them; then there are none.
+    /// Takes the notes, leaving the list empty.
     fn take(&mut self) -> String {
         let Self { mut texts, more } = std::mem::take(self);
         if more > 0 {
@@ -146,7 +146,7 @@ impl Known {
         (self.seen, self.seen_at) = (sample, Instant::now());
     }
 
-    /// The same for a mount that has ended. A simulated gauge's time is as far from the host's as before.
+    /// Notes that the mount has ended. A simulated gauge's time is as far from the host's as before.
     fn lose(&mut self) {
         let mut absent = Sample::absent();
         if self.seen.simulated.is_some() {

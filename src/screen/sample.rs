@@ -26,9 +26,9 @@ const SLACK: Duration = Duration::from_millis(100);
 pub(super) struct Sample {
     /// The time of the poll; for a gauge that is gone, the time of the sample.
     pub(super) time: Timestamp,
-    /// The same for a simulated gauge in its battery's time, and how fast that passes.
+    /// The time of the poll in the time of a simulated gauge's battery, and how fast that passes.
     pub(super) simulated: Option<(Timestamp, f64)>,
-    /// The same time on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
+    /// The time of the poll on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
     pub(super) moment: Option<Moment>,
     /// `gauge/age_ms`.
     pub(super) age: Option<Duration>,

@@ -60,7 +60,7 @@ pub(super) fn durations(span: f64, most: usize) -> Vec<Tick> {
     lasting(span, step(span, most))
 }
 
-/// The same, of a step of which the span is a multiple. If no round step is, only the ends are left.
+/// At most `most` round durations of a step of which the span is a multiple. If no round step is, only the ends are left.
 pub(super) fn divisions(span: f64, most: usize) -> Vec<Tick> {
     let divides = |step: &f64| span % step == 0.0 && span / step <= most as f64;
     lasting(span, STEPS.into_iter().find(divides).unwrap_or(span))

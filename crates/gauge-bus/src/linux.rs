@@ -139,7 +139,7 @@ pub struct LinuxBus {
     name: String,
 }
 
-/// The same, for the thread that waits for the kernel.
+/// What the thread that waits for the kernel needs to know of a device.
 struct Target {
     adapter: Adapter,
     address: u8,

@@ -5,7 +5,7 @@ use super::random::Random;
 
 /// Counts of Board Offset in a milliampere, as in the offset that the gauge measures itself.
 pub(super) const BOARD_COUNTS: f64 = 4.0;
-/// The same of CC Offset. TI's tools show a count as 0.00048.
+/// Counts of CC Offset in a milliampere. TI's tools show a count as 0.00048.
 pub(super) const CC_COUNTS: f64 = 1.0 / 0.00048;
 
 /// The errors of one board.

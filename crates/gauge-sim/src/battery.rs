@@ -18,7 +18,7 @@ const CURVE: &[(f64, f64)] = &[
     (100.0, 4199.0),
 ];
 
-/// The same for a primary cell of lithium and thionyl chloride.
+/// Open-circuit voltage of a primary cell of lithium and thionyl chloride in mV, by state of charge in percent.
 const PRIMARY_CURVE: &[(f64, f64)] = &[
     (0.0, 2000.0),
     (3.0, 3000.0),
@@ -87,7 +87,7 @@ impl Battery {
         }
     }
 
-    /// The same with primary cells.
+    /// A battery of primary cells.
     pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
         let (curve, ohms) = (PRIMARY_CURVE, PRIMARY_RESISTANCE);
         Self { curve, ohms, diffusion: 0.0, ..Self::new(cells, capacity_mah, soc) }

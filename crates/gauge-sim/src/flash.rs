@@ -100,7 +100,7 @@ impl Flash {
         self.area(id).and_then(|area| area.bytes.get(offset..offset + count)).unwrap_or(&[])
     }
 
-    /// The same as an array; zeros if the area is shorter.
+    /// `N` bytes of an area from `offset` on; zeros if the area is shorter.
     pub(super) fn get<const N: usize>(&self, id: u16, offset: usize) -> [u8; N] {
         self.bytes_at(id, offset, N).try_into().unwrap_or([0; N])
     }
@@ -115,7 +115,7 @@ impl Flash {
         u16::from_be_bytes(self.get(id, offset))
     }
 
-    /// The same, signed.
+    /// Two bytes as a signed number, the most significant first.
     pub(super) fn i16(&self, id: u16, offset: usize) -> i16 {
         i16::from_be_bytes(self.get(id, offset))
     }

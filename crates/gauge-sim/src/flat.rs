@@ -15,7 +15,7 @@ pub(super) const fn image(rows: &[(u16, &[u8])]) -> [u8; SIZE] {
     image_from(BASE, rows)
 }
 
-/// The same from another first address on, and of another size.
+/// A data flash of `N` bytes from the address `base` on, with the given bytes and 0 elsewhere.
 pub(super) const fn image_from<const N: usize>(base: u16, rows: &[(u16, &[u8])]) -> [u8; N] {
     let mut out = [0; N];
     let mut row = 0;

@@ -59,7 +59,7 @@ pub(super) enum Quantity {
     AtRateTimeToEmpty,
     AverageCurrent,
     AveragePower,
-    /// The same in 10 mW.
+    /// AveragePower() in 10 mW.
     AverageCentiwatts,
     AvailableEnergy,
     ChargeCurrent,
@@ -72,7 +72,7 @@ pub(super) enum Quantity {
     DesignCapacity,
     Dod,
     DodTime,
-    /// The same in sixteenths of an hour.
+    /// DOD0Time() in sixteenths of an hour.
     DodTimeHours,
     EndDod,
     EnergyScale,

@@ -59,7 +59,7 @@ impl Seal {
         self.first.is_some()
     }
 
-    /// The same level after a key was wrong, incomplete or not taken.
+    /// Keeps the level, and forgets the half of a key, after one was wrong, incomplete or not taken.
     pub(super) fn after_refusal(self) -> Self {
         Self { first: None, refused: true, ..self }
     }

@@ -23,15 +23,15 @@ pub(super) struct Timing {
     pub(super) commit: Duration,
     /// From selecting a block or an address until it can be read.
     pub(super) load: Duration,
-    /// The same for the blocks that a sealed gauge shows.
+    /// From selecting a block that a sealed gauge shows until it can be read.
     pub(super) sealed_load: Duration,
     /// From the checksum of a challenge until the digest can be read.
     pub(super) authentication: Duration,
     /// How long the bus must have been silent for a key to be accepted.
     pub(super) key_quiet: Duration,
-    /// The same for the key to FULL ACCESS, if that takes longer.
+    /// How long the bus must have been silent for the key to FULL ACCESS, if that takes longer.
     pub(super) full_access_quiet: Duration,
-    /// The same after a key was refused.
+    /// How long the bus must have been silent after a refused key.
     pub(super) refused_quiet: Duration,
     /// How long a gauge that has sealed itself refuses keys.
     pub(super) lock: Duration,

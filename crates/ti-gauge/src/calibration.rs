@@ -20,7 +20,7 @@ use crate::value::Value;
 /// after more than two standard commands a second.
 const READINGS: usize = 8;
 const INTERVAL: Duration = Duration::from_millis(600);
-/// The same around the measurement of an offset, which itself takes up to 16 s.
+/// Readings before and after the measurement of an offset, which itself takes up to 16 s.
 const FEW_READINGS: usize = 4;
 /// From a reset until the first reading.
 const AFTER_RESET: Duration = Duration::from_millis(1500);

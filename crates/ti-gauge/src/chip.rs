@@ -141,7 +141,7 @@ impl Evidence {
         }
     }
 
-    /// The same for many, with commas.
+    /// A list of kinds of evidence, with commas.
     pub fn list(all: &[Evidence]) -> String {
         all.iter().map(|one| one.as_str()).collect::<Vec<_>>().join(", ")
     }
@@ -540,11 +540,11 @@ pub enum Scheme {
     /// Unsealed block access: BlockDataControl, DataFlashClass, DataFlashBlock, a 32-byte window, and a
     /// checksum that commits.
     Block,
-    /// The same between SET_CFGUPDATE and SOFT_RESET; data memory is RAM.
+    /// Block access between SET_CFGUPDATE and SOFT_RESET; data memory is RAM.
     CfgUpdate,
     /// ManufacturerAccessControl: a flat address, data, MACDataSum and MACDataLen.
     Mac,
-    /// The same in FULL ACCESS, between ENTER_CFG_UPDATE and EXIT_CFG_UPDATE_REINIT; data memory is RAM.
+    /// ManufacturerAccessControl() in FULL ACCESS, between ENTER_CFG_UPDATE and EXIT_CFG_UPDATE_REINIT; data memory is RAM.
     MacUpdate,
     /// None: only the standard commands are known.
     None,

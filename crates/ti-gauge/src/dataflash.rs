@@ -114,8 +114,8 @@ pub struct DataFlash {
     known_pack: Option<KnownPack>,
     /// Another gauge has answered at its address.
     doubts: bool,
-    /// An earlier transaction may have left its mode on; the next write ends it.
-    ours: bool,
+    /// A failed write left its mode on; the next write ends it.
+    mode_left_on: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
     gate: Option<(i16, u16)>,
     /// A session of ours may have left calibration mode on.
@@ -206,7 +206,7 @@ impl DataFlash {
         read.map(Option::unwrap_or_default)
     }
 
-    /// The same of a gauge that is open. `None` from one that is sealed: it is left alone.
+    /// Reads whole subclasses of a gauge that is open. `None` from one that is sealed: it is left alone.
     pub fn read_if_open(
         &mut self,
         gauge: &mut Gauge,
@@ -260,7 +260,7 @@ impl DataFlash {
                 if is_broken {
                     self.suspect(gauge.chip);
                 }
-                // What the pack is compared by later. That it cannot be read is no reason not to read the rest.
+                // Marks for later comparison. Failing to read them must not fail the read.
                 match self.learn_marks(gauge) {
                     Ok(Some(row)) if is_broken => {
                         session.pack.is_exchanged();
@@ -305,7 +305,7 @@ impl DataFlash {
         self.write_with(gauge, changes, Extras::default(), waited)
     }
 
-    /// The same with what a calibration needs besides.
+    /// Makes all changes, or none, with what a calibration needs besides.
     pub(crate) fn write_with(
         &mut self,
         gauge: &mut Gauge,

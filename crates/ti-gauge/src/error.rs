@@ -114,21 +114,21 @@ impl Error {
         Self::new(subject, Cause::Io(error.kind(), format!("{what}: {}", reason(error))))
     }
 
-    /// The same error with the step it happened in, unless one is known already.
+    /// Adds the step it happened in, unless one is known already.
     #[must_use]
     pub fn at(mut self, step: Step) -> Self {
         self.step.get_or_insert(step);
         self
     }
 
-    /// The same error about another subject, for a caller that knows the parameter's name.
+    /// Replaces the subject, for a caller that knows the parameter's name.
     #[must_use]
     pub fn about(mut self, subject: impl Into<String>) -> Self {
         self.subject = subject.into();
         self
     }
 
-    /// The same error inside a larger subject: the parameter whose transaction failed.
+    /// Puts a larger subject in front: the parameter whose transaction failed.
     #[must_use]
     pub fn within(mut self, subject: &str) -> Self {
         if self.subject.is_empty() {

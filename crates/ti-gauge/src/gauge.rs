@@ -596,7 +596,7 @@ impl Gauge {
         self.identify_type(device_type)
     }
 
-    /// The same for a gauge that has answered with that type.
+    /// Reads firmware and versions of a gauge that has answered with that type.
     pub fn identify_type(&mut self, device_type: u16) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
         let firmware_version = self.firmware_version()?;
@@ -660,7 +660,7 @@ impl Gauge {
         Ok((look.seal, look.status))
     }
 
-    /// The same with the registers behind CONTROL_STATUS, as many as [`Self::also_read`] says.
+    /// Reads CONTROL_STATUS and the registers behind it, as many as [`Self::also_read`] says.
     pub(crate) fn look_at_status(&mut self) -> Result<Look> {
         let mut differ = 0;
         loop {
@@ -910,7 +910,7 @@ impl Gauge {
         self.seal_with(|gauge| gauge.command(gauge.chip.security.seal))
     }
 
-    /// The same, but only if nothing has happened since then behind which the gauge could have been exchanged.
+    /// Seals the gauge, but only if nothing has happened since then behind which it could have been exchanged.
     pub(crate) fn close_since(&mut self, moment: Moment) -> Result<()> {
         self.seal_with(|gauge| gauge.command_since(gauge.chip.security.seal, moment))
     }
@@ -978,7 +978,7 @@ impl Gauge {
         Ok(())
     }
 
-    /// The same to whatever gauge is there.
+    /// Sends RESET to whatever gauge is there.
     pub fn reset(&mut self) -> Result<()> {
         let moment = self.moment();
         self.reset_since(moment)

@@ -451,7 +451,7 @@ impl Image {
         Self::read(&name, &bytes, chip)
     }
 
-    /// The same for the bytes of a file with that name.
+    /// Reads an image from the bytes of a file with that name.
     pub fn read(name: &str, bytes: &[u8], chip: Option<&'static Chip>) -> Result<Self> {
         Self::examine(name, bytes, chip).whole().map_err(|error| error.within(name))
     }
@@ -477,7 +477,7 @@ impl Image {
         Self::examine_text(text, chip).whole()
     }
 
-    /// The same for all that is wrong with it.
+    /// Reads the text of a file as far as it goes, and lists all its mistakes.
     pub fn examine_text(text: &str, chip: Option<&'static Chip>) -> Reading {
         let mut faults = Faults::default();
         let image = Self::found(text, chip, &mut faults);

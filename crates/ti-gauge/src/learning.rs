@@ -30,7 +30,7 @@ const LATE_S: f64 = 900.0;
 pub enum Learns {
     /// Qmax and Ra, by Impedance Track. IT_ENABLE begins, and Update Status shows how far it is.
     ImpedanceTrack,
-    /// The same on a part with RAM: `[QMAX_UP]` and `[RES_UP]` show what was updated since its power came.
+    /// By Impedance Track in RAM: `[QMAX_UP]` and `[RES_UP]` show what was updated since its power came.
     InRam,
     /// The full charge capacity, in a discharge from full down to EDV2 (CEDV).
     FullCharge,

@@ -109,7 +109,7 @@ fn outside(parameter: &Parameter, min: &str, max: &str) -> Error {
     Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
 }
 
-/// The same for a value that a gauge already holds, in or out of range: only the type is checked.
+/// Parses a value that a gauge already holds, in or out of range: only the type is checked.
 pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, None, text)
 }

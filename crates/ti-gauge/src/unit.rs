@@ -287,7 +287,7 @@ pub fn shown(parameter: &Parameter) -> &'static str {
     }
 }
 
-/// The same to be printed behind it, with a space before it.
+/// The unit as it is printed behind a number, with a space before it.
 pub fn suffix(parameter: &Parameter) -> String {
     match shown(parameter) {
         "" => String::new(),

@@ -50,7 +50,7 @@ const OTHERS: &[(&str, Role, &str)] = &[
     ("manufacture_day", Role::ManufactureDate, "bits 4 to 0"),
 ];
 
-/// The same on every part, or from several values.
+/// Attributes that every part has, or that follow from several values.
 const REST: &[&str] = &["type", "status", "present", "scope", "manufacturer", "model_name"];
 
 /// A value of a part that feeds an attribute.

@@ -243,7 +243,7 @@ static BATTERY_STATUS: &[Bit] = &[
     Bit::new(0x0001, "DSG"),
 ];
 
-/// The same drivers; 6.1 has the place of `[CFGUPDATE]`.
+/// As Flipper's, Espressif's and SensorLib's drivers have it; 6.1 has the place of `[CFGUPDATE]`.
 static OPERATION_STATUS: &[Bit] = &[
     Bit::new(0x0400, "CFGUPDATE"),
     Bit::new(0x0080, "BTPINT"),

@@ -57,7 +57,7 @@ pub static CHIP: Chip = Chip {
     preflight: preflight(&[]),
 };
 
-/// The same for the family; `rows` is where data memory chooses the chemistry.
+/// The preflight checks of the family; `rows` is where data memory chooses the chemistry.
 pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
     Preflight {
         pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows }),
@@ -139,7 +139,7 @@ pub(super) const ACCESS: Access = Access {
     // 3.1: within a second; SLUA801 asks five times, half a second apart.
     enter: Duration::ZERO,
     enter_limit: Duration::from_millis(2500),
-    // The same for the way out, which shows in [CFGUPMODE] as well.
+    // The way out shows in [CFGUPMODE] as well.
     reset: Duration::ZERO,
     reset_limit: Duration::from_millis(2500),
 };

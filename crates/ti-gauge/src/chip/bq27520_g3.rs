@@ -279,7 +279,7 @@ static OP_CONFIG: &[Bit] = &[
     Bit::new(0x0001, "TEMPS"),
 ];
 
-/// The same.
+/// SLUSAP0, page 26, and a shipped driver for all generations (FIH's).
 static OP_CONFIG_B: &[Bit] = &[
     Bit::new(0x80, "WRTEMP"),
     Bit::new(0x40, "BIE"),
@@ -291,7 +291,7 @@ static OP_CONFIG_B: &[Bit] = &[
     Bit::new(0x01, "INDFACRES"),
 ];
 
-/// The same.
+/// SLUSAP0, page 26, and a shipped driver for all generations (FIH's).
 static OP_CONFIG_C: &[Bit] = &[
     Bit::new(0x80, "BATGSPUEN"),
     Bit::new(0x40, "BATGWPUEN"),
@@ -346,7 +346,7 @@ static DEFAULT_RA: &[P] = &[
     P::any(18, H1, "Byte 18", "hex").unproven(),
 ];
 
-/// The same, as the gauge has learned it.
+/// A resistance profile as the gauge has learned it, encoded like the default one.
 #[rustfmt::skip]
 static LEARNED_RA: &[P] = &[
     P::any( 0, H1, "Byte 0",  "hex").learned().unproven(),

@@ -125,7 +125,7 @@ impl Selected<'_> {
     }
 }
 
-/// The same recording without private blocks, and with 0 for the serial number.
+/// Removes private blocks from a recording, and puts 0 for the serial number.
 pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
     let mut selected = Selected { chip, bytes: [0; 2], is_answer: true };
     let mut private: Vec<Vec<u8>> = Vec::new();

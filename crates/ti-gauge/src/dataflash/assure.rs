@@ -166,7 +166,7 @@ impl Session {
         self.compare_since(gauge).map(|(compared, _)| compared)
     }
 
-    /// The same, with the moment from which on the gauge was compared.
+    /// Compares the gauge, and returns the moment from which on it was compared.
     fn compare_since(&mut self, gauge: &mut Gauge) -> Result<(Match, Moment)> {
         self.pack.compared += 1;
         let mut moment = gauge.moment();

@@ -79,14 +79,14 @@ impl Dirty {
         runs
     }
 
-    /// The same block with only one run of it changed.
+    /// Restricts a block to one run of its changes.
     pub(super) fn only(&self, run: Range<usize>) -> Self {
         let mut new = self.old;
         new[run.clone()].copy_from_slice(&self.new[run]);
         Self { new, ..self.clone() }
     }
 
-    /// The same block with `new` in place of `present`. A learned byte that goes back is written like any other.
+    /// Makes a block change from `present` to `new`. A learned byte that goes back is written like any other.
     pub(super) fn replacing(&self, present: [u8; WINDOW], new: [u8; WINDOW]) -> Self {
         let learned = Bytes::of(|at| self.learned.has(at) && present[at] == new[at]);
         Self { old: present, new, learned, ..self.clone() }

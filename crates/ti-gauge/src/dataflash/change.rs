@@ -60,7 +60,7 @@ impl Change {
         Ok(Self { place, bytes, row: None, saved: false })
     }
 
-    /// The same value as part of a saved configuration: bits that must not change keep their present value.
+    /// Makes it part of a saved configuration: bits that must not change keep their present value.
     #[must_use]
     pub fn saved(self) -> Self {
         Self { saved: true, ..self }

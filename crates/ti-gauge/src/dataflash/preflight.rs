@@ -52,7 +52,7 @@ impl Distinct {
             Some(Word::Register(code)) => value(code),
             _ => None,
         };
-        // What a gauge with RAM shows after a loss of power is that of no pack.
+        // After a power loss a RAM gauge shows defaults, which identify no pack.
         let of = |role: Role| {
             let register = chip.register(role).filter(|_| chip.volatile.is_none());
             register.and_then(|register| value(register.code))
@@ -154,7 +154,7 @@ impl DataFlash {
         self.next_look(gauge, &first, changes)
     }
 
-    /// The same with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
+    /// Runs the checks with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
     /// [`Self::look_while_opening`], or [`Self::next_look`].
     pub(super) fn first_look(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         let moment = gauge.moment();
@@ -293,7 +293,7 @@ impl DataFlash {
                 Word::Register(code) => found.register(code),
                 Word::Answer(_) => continue,
             };
-            if !(mode.ours && self.ours) {
+            if !(mode.ours && self.mode_left_on) {
                 off(mode, word)?;
             }
         }
@@ -343,12 +343,12 @@ impl DataFlash {
         match outcome {
             Ok(Outcome::Unchanged) => Statistics::count(&gauge.statistics.unchanged_writes),
             Ok(Outcome::Written { .. }) => {
-                self.ours = false;
+                self.mode_left_on = false;
                 // The end of CONFIG UPDATE clears [ITPOR].
                 known_pack.lost = gauge.chip.volatile.map(|_| false);
             }
             Err(error) => {
-                self.ours |= matches!(error.cause(), Cause::StateUnknown(_));
+                self.mode_left_on |= matches!(error.cause(), Cause::StateUnknown(_));
                 if matches!(error.cause(), Cause::StateUnknown(_) | Cause::RolledBack(_)) {
                     known_pack.lost = None;
                 }

@@ -54,7 +54,7 @@ pub(super) struct Session {
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
-    /// The same on disk.
+    /// The journal on disk that says the same.
     pub(super) journal: Option<OpenJournal>,
 }
 

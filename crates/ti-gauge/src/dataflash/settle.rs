@@ -150,7 +150,7 @@ pub(super) enum Verdict {
     Undecided(String),
 }
 
-/// Why an interrupted write is not settled without being told to.
+/// Why a person has to decide about an interrupted write.
 enum Doubt {
     None,
     /// Nothing shows that this is another pack, and nothing that it is the one.
@@ -561,7 +561,7 @@ impl DataFlash {
             && self.pending.is_none()
         {
             // The next write ends a mode that may still be on.
-            self.ours |= wrote;
+            self.mode_left_on |= wrote;
             if owes {
                 self.keep(gauge, Some(kept), None, Left::of(false, error.to_string()));
             }
@@ -919,7 +919,7 @@ pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     look_at(gauge, plan)
 }
 
-/// The same of a gauge on which no commit is at work.
+/// The blocks of a plan as a gauge has them on which no commit is at work.
 pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {

@@ -33,7 +33,7 @@ impl Faults {
         }
     }
 
-    /// The same by its reason.
+    /// Adds a mistake of a line by its reason.
     pub(super) fn at(&mut self, line: usize, why: impl Into<String>) {
         self.add(line, at_line(line, why));
     }

@@ -25,7 +25,7 @@ const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
 const EXIT_CFGUPDATE: u16 = 0x0043;
 const EXIT_RESIM: u16 = 0x0044;
-/// The same of the parts with ManufacturerAccessControl().
+/// Enters CONFIG UPDATE on parts with ManufacturerAccessControl().
 const ENTER_CFG_UPDATE: u16 = 0x0090;
 const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
 const EXIT_CFG_UPDATE: u16 = 0x0092;
@@ -203,7 +203,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     Reading { image, faults }.whole()
 }
 
-/// The same for all that is wrong with it.
+/// Reads a FlashStream as far as it goes, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut commands, mut count) = (Vec::new(), 0);
     let read = for_each_line(text, |number, command| {

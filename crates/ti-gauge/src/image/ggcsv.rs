@@ -115,7 +115,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     Reading { image, faults }.whole()
 }
 
-/// The same for all that is wrong with it.
+/// Reads a gg.csv as far as it goes, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
     let mut order: Option<(char, Vec<String>)> = None;

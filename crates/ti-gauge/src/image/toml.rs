@@ -76,7 +76,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
 /// The longest text of which more than the first mistake in its grammar is looked for: there may be one for each letter.
 const LONGEST: usize = 256 << 10;
 
-/// The same for all that is wrong with it.
+/// Reads a TOML as far as it goes, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).collect();
     let line = |at: usize| 1 + ends.partition_point(|end| *end < at);

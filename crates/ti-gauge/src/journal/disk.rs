@@ -131,7 +131,7 @@ pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
     save_on(&Host, path, temporary, text)
 }
 
-/// The same on another disk.
+/// Stores a file as a whole on any disk, as [`save`] does.
 pub fn save_on(disk: &dyn Disk, path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
     store(disk, path, temporary, text, How::Plain).map(drop)
 }
