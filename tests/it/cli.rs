@@ -49,6 +49,20 @@ pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
     run(command(arguments))
 }
 
+/// gaugefs as the user nobody runs it, which takes root: a copy, because the checkout may be in a home that only its owner
+/// may enter.
+pub(crate) fn as_nobody(folder: &Folder, arguments: &[&str]) -> Command {
+    use std::os::unix::process::CommandExt;
+    let program = folder.file("gaugefs");
+    if !Path::new(&program).exists() {
+        fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that any user may run");
+    }
+    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o755)).expect("its mode");
+    let mut command = Command::new(program);
+    command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+    command
+}
+
 pub(crate) fn run(mut command: Command) -> Ran {
     Ran::of(command.output().expect("gaugefs runs"))
 }
@@ -256,9 +270,8 @@ fn failures_say_what_to_do() {
 
 #[test]
 fn a_bus_without_permission_names_the_group_to_join() {
-    use std::os::unix::process::CommandExt;
     let folder = Folder::new();
-    let (node, program) = (folder.file("i2c-250"), folder.file("gaugefs"));
+    let node = folder.file("i2c-250");
     // An adapter that no machine has: the mode is checked before the adapter is opened.
     let device = nix::sys::stat::makedev(89, 250);
     let mode = nix::sys::stat::Mode::from_bits_truncate(0o660);
@@ -267,13 +280,10 @@ fn a_bus_without_permission_names_the_group_to_join() {
         eprintln!("SKIPPED: no device node can be made without root; no forbidden bus was probed");
         return;
     }
-    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that any user may run");
     for (gid, says) in [(0, "no permission; run gaugefs as root"), (1, "join the group daemon")] {
         std::os::unix::fs::chown(&node, Some(0), Some(gid)).expect("its group");
         for arguments in [&["probe", "--bus", &node][..], &["mount", "--bus", &node, &folder.file("m")]] {
-            let mut command = Command::new(&program);
-            command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
-            let output = command.output().expect("gaugefs runs");
+            let output = as_nobody(&folder, arguments).output().expect("gaugefs runs");
             let said = String::from_utf8_lossy(&output.stderr).into_owned();
             assert_eq!(output.status.code(), Some(1), "{said}");
             assert!(said.starts_with(&format!("gaugefs: {node}")) && said.contains(says), "{said}");

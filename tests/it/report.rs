@@ -2,12 +2,11 @@
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use crate::cli::{CHIP, Folder, can_mount, command, gaugefs, read, run, shown, within};
+use crate::cli::{CHIP, Folder, as_nobody, can_mount, command, gaugefs, read, run, shown, within};
 
 /// Words of keys and serial numbers, as a person writes them and as they are on the bus.
 fn lacks(text: &str, words: &[&str]) {
@@ -204,13 +203,10 @@ fn who_may_not_use_the_gauge_gets_no_report() {
     let folder = Folder::new();
     let (at, file) = (folder.file("m"), folder.file("report"));
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
-    fs::set_permissions(folder.file(""), Permissions::from_mode(0o755)).expect("its mode");
     let gauge = format!("{at}/BAT0");
-    let mut other = command(&["report", &gauge, "-o", &file]);
-    other.current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+    let other = as_nobody(&folder, &["report", &gauge, "-o", &file]);
     run(other).failed(&["only the mount's owner and group may", "Permission denied"]);
-    let mut other = command(&["report", "--sim", CHIP, "-o", &file]);
-    other.current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+    let other = as_nobody(&folder, &["report", "--sim", CHIP, "-o", &file]);
     run(other).failed(&["cannot write it", "Permission denied"]);
     assert!(!Path::new(&file).exists());
     gaugefs(&["umount", &at]).done();

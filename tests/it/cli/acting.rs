@@ -5,7 +5,6 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -13,7 +12,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 
-use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, run, stop, within};
+use super::{CHIP, Folder, Foreground, as_nobody, can_mount, command, gaugefs, read, run, stop, within};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);
@@ -430,12 +429,8 @@ fn regression_a_mount_that_is_gone_is_down_and_a_private_one_is_unknown() {
     };
     // Nobody but the owner can say how a private mount is.
     if geteuid().is_root() {
-        let program = folder.file("gaugefs");
-        fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that everybody may run");
         for more in [&[][..], &[at.as_str()], &["--expect", &at]] {
-            let mut other = Command::new(&program);
-            other.arg("metrics").args(more).current_dir("/").uid(65534).gid(65534);
-            let page = run(other).done();
+            let page = run(as_nobody(&folder, &[&["metrics"], more].concat())).done();
             assert!(up(&page, &at).is_none() && page.contains("gaugefs_build_info"), "{more:?}: {page}");
         }
     } else {
@@ -465,13 +460,7 @@ fn metrics_and_conditions_need_no_privilege() {
     }
     let folder = Folder::new();
     let at = mounted(&folder, "60");
-    let program = folder.file("gaugefs");
-    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that everybody may run");
-    let other = |arguments: &[&str]| {
-        let mut command = Command::new(&program);
-        command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
-        run(command)
-    };
+    let other = |arguments: &[&str]| run(as_nobody(&folder, arguments));
     let page = other(&["metrics", &at]).done();
     for sample in
         [",state=\"sealed\"} 1\n", "gaugefs_owed{", "gaugefs_update_status{", "gaugefs_polls_total{"]
