@@ -240,27 +240,22 @@ fn costliest(chip: &'static Chip, found: Seal, engine: Engine) -> Result<Cost> {
     costs.reduce(|most, cost| Ok(most?.max(cost?))).expect("a parameter that may be written")
 }
 
-/// Changes the lowest bit of one parameter; its cost, and whether it took a reset.
+/// Changes one bit of one parameter; its cost, and whether it took a reset.
 fn change(chip: &'static Chip, found: Seal, engine: Engine, row: Row) -> Result<(Cost, bool)> {
     let (_, mut gauge, mut dataflash) = rig(chip, found)?;
     let mut other = DataFlash::default();
     let reader = if engine == Engine::Used { &mut dataflash } else { &mut other };
     let bytes = reader.read(&mut gauge, &[row.0], Duration::ZERO)?.remove(0);
-    write(&mut gauge, &mut dataflash, &[flip(row, &bytes)])
+    write(&mut gauge, &mut dataflash, flip(row, &bytes).as_slice())
 }
 
-/// The change of a parameter's lowest bit, given the bytes of its subclass.
-fn flip((subclass, parameter): Row, bytes: &[u8]) -> Change {
+/// The change of one bit of a parameter, the lowest that its range allows, given the bytes of its subclass.
+fn flip((subclass, parameter): Row, bytes: &[u8]) -> Option<Change> {
     let at = usize::from(parameter.offset - subclass.start());
-    let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
-    *bytes.last_mut().expect("a parameter has bytes") ^= 1;
-    let value = codec::decode(parameter.kind, &bytes);
-    let is_free = Change::of_value((subclass, parameter), &value, false);
-    // At the end of its range it has no such neighbour.
-    is_free.unwrap_or_else(|_| {
-        *bytes.last_mut().expect("a parameter has bytes") ^= 3;
-        let value = codec::decode(parameter.kind, &bytes);
-        Change::of_value((subclass, parameter), &value, false).expect("a value in range")
+    (0..8).find_map(|bit| {
+        let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
+        *bytes.last_mut()? ^= 1 << bit;
+        Change::of_value((subclass, parameter), &codec::decode(parameter.kind, &bytes), false).ok()
     })
 }
 
@@ -294,7 +289,7 @@ fn image(chip: &'static Chip) -> Result<Whole> {
         let mut rows: Vec<_> = subclass.parameters.iter().filter(may).collect();
         rows.sort_by_key(|one| (block(one), one.learned));
         rows.dedup_by_key(|one| block(one));
-        changes.extend(rows.into_iter().map(|parameter| flip((subclass, parameter), &bytes)));
+        changes.extend(rows.into_iter().filter_map(|parameter| flip((subclass, parameter), &bytes)));
     }
     let (before, begun) = (statistic(&gauge, "flash_writes"), clock.now());
     let (cost, reset) = write(&mut gauge, &mut dataflash, &changes)?;
