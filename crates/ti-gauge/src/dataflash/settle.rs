@@ -7,6 +7,7 @@
 //! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -409,8 +410,12 @@ impl DataFlash {
         let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
             return Ok(told);
         };
-        let found = journal.search(place == Where::Waiting, &self.known_files())?;
-        for found in found.into_iter().filter(|found| !found.is_here) {
+        let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
+        found.retain(|found| !found.is_here);
+        let others = self.rule_out(gauge, &found, waited)?;
+        self.judged.extend(others.iter().cloned());
+        found.retain(|found| !others.contains(&found.path));
+        for found in found {
             let file = found.path.clone();
             let pending = Pending { elsewhere: true, ..Pending::found(found) };
             if pending.entry.is_none() {
@@ -429,6 +434,51 @@ impl DataFlash {
             Where::Waiting => self.searched.waiting = true,
         }
         Ok(told)
+    }
+
+    /// The journals that show nothing of this gauge. After a while a folder may have those of many packs, so what they
+    /// have to be compared with is read once for all of them.
+    fn rule_out(&mut self, gauge: &mut Gauge, found: &[Found], waited: Duration) -> Result<Vec<PathBuf>> {
+        let entry = |found: &Found| match &found.content {
+            Content::Entry(entry) => Some((found.path.clone(), entry.clone())),
+            Content::InUse(_) | Content::Unreadable(_) => None,
+        };
+        let mut entries: Vec<(PathBuf, Entry)> = found.iter().filter_map(entry).collect();
+        let has_blocks = |entry: &Entry| {
+            entry.plan.as_ref().is_some_and(|plan| plan.key.is_none() && !plan.blocks.is_empty())
+        };
+        entries.retain(|(_, entry)| has_blocks(entry));
+        if entries.len() < 2 {
+            return Ok(Vec::new());
+        }
+        let ruled_out = in_time(gauge, waited, |gauge, asked| {
+            gauge.claim()?;
+            self.identity = None;
+            let now = self.identity(gauge)?;
+            let (mut others, mut open) = (Vec::new(), Vec::new());
+            for (path, entry) in entries {
+                match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {
+                    true => open.push((path, entry)),
+                    false => others.push(path),
+                }
+            }
+            if open.is_empty() {
+                return Ok(others);
+            }
+            let mut session = Session::new(gauge.seal_anew()?, asked);
+            session.pack.begin(gauge);
+            if session.found == Seal::Sealed {
+                self.owe(gauge, &mut session, 0)?;
+            }
+            let compared = session.open(gauge).and_then(|()| others_of(gauge, &now, &open));
+            others.extend(self.end(session, gauge, compared)?);
+            Ok(others)
+        });
+        match ruled_out {
+            // Each of them is tried with what its plan knows of the keys.
+            Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => Ok(Vec::new()),
+            ruled_out => ruled_out,
+        }
     }
 
     /// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
@@ -919,12 +969,55 @@ pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     look_at(gauge, plan)
 }
 
+/// Those of the journals of which an open gauge shows nothing. Each block is read once.
+fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -> Result<Vec<PathBuf>> {
+    // A commit may be at work still.
+    gauge.wait(COMMITTED);
+    let moment = gauge.moment();
+    let is_lost = has_lost_memory(gauge)?;
+    let (mut read, mut others) = (BTreeMap::new(), Vec::new());
+    let mut load = |gauge: &mut Gauge, place: Window| match read.get(&(place.subclass, place.base)) {
+        Some(content) => Ok(*content),
+        None => {
+            let content = sequence(gauge).load(gauge, place)?;
+            read.insert((place.subclass, place.base), content);
+            Ok(content)
+        }
+    };
+    for (path, entry) in journals {
+        let Some(plan) = &entry.plan else { continue };
+        let seen = look_by(gauge, plan, &mut load)?;
+        let same = compare(gauge.chip, &entry.identity, now, plan, |place| load(gauge, place))?;
+        if is_lost || same != Match::Certain && !shows(&seen, &same) {
+            others.push(path.clone());
+        }
+    }
+    // What was read before it was away may be of another one.
+    Ok(if gauge.is_unbroken_since(moment) { others } else { Vec::new() })
+}
+
+/// Whether a gauge that nothing proves to be the one shows what an interrupted write leaves: some of it new, or erased.
+fn shows(seen: &[Seen], same: &Match) -> bool {
+    let erased = seen.iter().any(|seen| seen.block.is_erased(&seen.stored));
+    let explained = seen.iter().all(|seen| seen.held != Held::Unexplained);
+    let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
+    *same == Match::Weak && (erased || explained && !all(Held::Old) && !all(Held::New))
+}
+
 /// The blocks of a plan as a gauge has them on which no commit is at work.
 pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+    look_by(gauge, plan, &mut |gauge, place| sequence(gauge).load(gauge, place))
+}
+
+fn look_by(
+    gauge: &mut Gauge,
+    plan: &Plan,
+    load: &mut impl FnMut(&mut Gauge, Window) -> Result<[u8; WINDOW]>,
+) -> Result<Vec<Seen>> {
     let mut seen = Vec::with_capacity(plan.blocks.len());
     for block in &plan.blocks {
         let place = block.place();
-        let stored = sequence(gauge).load(gauge, place)?;
+        let stored = load(gauge, place)?;
         let learned = learned(gauge.chip, place).without(block.written);
         let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
         for at in secrets(gauge.chip, place).iter() {
@@ -1132,12 +1225,7 @@ impl Task<'_> {
     fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Doubt> {
         let same = compare_seen(gauge, [self.then, self.now], self.plan, seen)?;
         if self.elsewhere && same != Match::Certain {
-            // What the interruption leaves: some of it new, or erased.
-            let erased = seen.iter().any(|seen| seen.block.is_erased(&seen.stored));
-            let explained = seen.iter().all(|seen| seen.held != Held::Unexplained);
-            let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
-            let shows = erased || explained && !all(Held::Old) && !all(Held::New);
-            return Ok(if same == Match::Weak && shows { Doubt::Weak } else { Doubt::Another });
+            return Ok(if shows(seen, &same) { Doubt::Weak } else { Doubt::Another });
         }
         if let Match::Other(name) = &same {
             // RAM without a flag for its loss looks the same as another pack.

@@ -6,6 +6,7 @@ use std::panic::resume_unwind;
 use std::time::Duration;
 
 use gauge_bus::Bus;
+use gauge_bus::clock::Clock;
 use ti_gauge::chip::{CHIPS, Kind, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Row, erased};
@@ -423,4 +424,37 @@ fn regression_a_write_beside_erased_parameters_was_made() {
         rig.write_all(&changes).expect("it is whole then");
         assert!(erased(rig.gauge.chip, content(&mut rig)).is_empty());
     }
+}
+
+/// A line that has torn many packs keeps the journals of all of them. The next pack is compared with all in the time of
+/// one reading, and passes; the last torn one, when it is back, is found among them.
+#[test]
+fn regression_a_pack_was_not_read_beside_the_journals_of_many_others() {
+    let folder = Folder::new("many");
+    let mut last = None;
+    for number in 0..30 {
+        let mut rig = Rig::new(CHIP);
+        rig.set("tear", "erased");
+        rig.dataflash =
+            DataFlash::new(Limits::default(), Some(folder.at(&format!("i2c-{}-55", 100 + number))));
+        rig.set("fault", "torn-commit 5");
+        let changes = two_blocks(&rig);
+        assert_eq!(cause(&rig.write_all(&changes).expect_err("it is torn")), "StateUnknown");
+        rig.set("power", "on");
+        rig.pause(3);
+        last = Some(rig);
+    }
+    assert_eq!(folder.files().len(), 30);
+    let mut rig = Rig::new(CHIP);
+    rig.start(&folder);
+    rig.arrive().expect("nothing of it is in any of them");
+    let begun = rig.clock.now();
+    rig.read(80, 53).expect("it is read");
+    rig.write(80, 53, "3100").expect("it is written");
+    assert!(rig.clock.now() - begun < Duration::from_secs(8), "{:?}", rig.clock.now() - begun);
+    assert_eq!(folder.files().len(), 30);
+    let mut torn = last.expect("thirty of them");
+    torn.dataflash = DataFlash::default();
+    let error = torn.comes_to(folder.journal()).expect_err("a person decides");
+    assert!(error.to_string().contains("every new one"), "{error}");
 }
