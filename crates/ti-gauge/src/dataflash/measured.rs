@@ -12,7 +12,7 @@ use crate::chip::Kind;
 use crate::codec;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, agreed};
-use crate::journal::Plan;
+use crate::journal::{OpenJournal, Plan};
 use crate::value::Value;
 
 /// Until it shows that the gauge measures.
@@ -69,7 +69,10 @@ impl DataFlash {
 
     /// What the gauge has stored is right.
     pub(crate) fn accept_measured(&mut self) {
-        self.is_settled();
+        self.pending = None;
+        if let Some(Err(error)) = self.held.take().map(OpenJournal::remove) {
+            log::warn!("{error}");
+        }
     }
 
     /// Puts the old values back.

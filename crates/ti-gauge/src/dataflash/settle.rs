@@ -824,14 +824,6 @@ impl DataFlash {
         }
     }
 
-    /// What is pending has come to a good end.
-    pub(super) fn is_settled(&mut self) {
-        self.pending = None;
-        if let Some(Err(error)) = self.held.take().map(OpenJournal::remove) {
-            log::warn!("{error}");
-        }
-    }
-
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
     /// requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
