@@ -418,7 +418,7 @@ impl Gauge {
     /// Instruction flash, and data flash as the boot loader has it.
     pub(super) fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
         let flash = &self.device.flash;
-        Some((flash.firmware.as_ref()?.rows.to_vec(), self.device.part.rom_data(flash)))
+        Some((flash.firmware.as_ref()?.rows().to_vec(), self.device.part.rom_data(flash)))
     }
 
     /// Puts bytes into flash without programming it.

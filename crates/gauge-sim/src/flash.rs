@@ -8,7 +8,6 @@ use std::fmt::Write as _;
 use std::fs::OpenOptions;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use gauge_bus::regular::{self, Replace};
 use sha1::{Digest, Sha1};
@@ -232,7 +231,7 @@ impl Store {
                 ["cc-gain", "inverted"] => new.inverted = true,
                 ["instruction", row, digits] => {
                     let bytes = from_hex(digits).and_then(|bytes| bytes.try_into().ok());
-                    let rows = new.firmware.as_mut().map(|firmware| Arc::make_mut(&mut firmware.rows));
+                    let rows = new.firmware.as_mut().map(Firmware::rows_mut);
                     let place = rows.and_then(|rows| rows.get_mut(row.parse::<usize>().ok()?));
                     match (place, bytes) {
                         (Some(place), Some(bytes)) => *place = bytes,

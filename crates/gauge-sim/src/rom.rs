@@ -40,49 +40,77 @@ fn erased() -> Row {
     std::array::from_fn(|at| ERASED[at % 3])
 }
 
+/// Words that stand for firmware of a version: TI's own are TI's.
+fn words(version: u16) -> Vec<Row> {
+    let mut random = Random::new(u64::from(version));
+    let mut rows: Vec<Row> = vec![erased(); ROWS];
+    for row in &mut rows[..ROWS - 12] {
+        for (at, byte) in row.iter_mut().enumerate() {
+            *byte = random.roll(256) as u8 & ERASED[at % 3];
+        }
+    }
+    rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
+    rows[0][VERSION_AT..VERSION_AT + 2].copy_from_slice(&version.to_le_bytes());
+    rows
+}
+
 /// Instruction flash, and the bytes of data flash that belong to no class.
 #[derive(Clone, Debug)]
 pub(super) struct Firmware {
-    /// What the part leaves the factory with, and runs.
-    own: Arc<Vec<Row>>,
-    pub(super) rows: Arc<Vec<Row>>,
+    version: u16,
+    /// `None` as long as nothing has looked at it: it takes more memory than all else of a gauge.
+    rows: Option<Rows>,
     pub(super) rest: Arc<[u8]>,
 }
 
+#[derive(Clone, Debug)]
+struct Rows {
+    /// What the part leaves the factory with, and runs.
+    own: Arc<Vec<Row>>,
+    now: Arc<Vec<Row>>,
+}
+
 impl Firmware {
-    /// Words that stand for firmware of a version: TI's own are TI's.
+    /// The firmware of a new part.
     pub(super) fn new(version: u16) -> Self {
-        let mut random = Random::new(u64::from(version));
-        let mut rows: Vec<Row> = vec![erased(); ROWS];
-        for row in &mut rows[..ROWS - 12] {
-            for (at, byte) in row.iter_mut().enumerate() {
-                *byte = random.roll(256) as u8 & ERASED[at % 3];
-            }
-        }
-        rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
-        rows[0][VERSION_AT..VERSION_AT + 2].copy_from_slice(&version.to_le_bytes());
-        let rows = Arc::new(rows);
-        Self { own: rows.clone(), rows, rest: vec![0xFF; DATA].into() }
+        Self { version, rows: None, rest: vec![0xFF; DATA].into() }
     }
 
     /// Whether the gauge starts its firmware, instead of staying in ROM mode.
     pub(super) fn is_marked(&self) -> bool {
-        self.rows[0][MARK_AT..MARK_AT + 3] == MARK
+        self.rows.as_ref().is_none_or(|rows| rows.now[0][MARK_AT..MARK_AT + 3] == MARK)
     }
 
     /// Whether it works.
     pub(super) fn is_sound(&self) -> bool {
-        self.rows == self.own
+        self.rows.as_ref().is_none_or(|rows| rows.now == rows.own)
+    }
+
+    fn known(&mut self) -> &mut Rows {
+        self.rows.get_or_insert_with(|| {
+            let own = Arc::new(words(self.version));
+            Rows { now: own.clone(), own }
+        })
+    }
+
+    /// The rows as they are.
+    pub(super) fn rows(&self) -> Arc<Vec<Row>> {
+        self.rows.as_ref().map_or_else(|| words(self.version).into(), |rows| rows.now.clone())
+    }
+
+    /// The rows, to be changed.
+    pub(super) fn rows_mut(&mut self) -> &mut Vec<Row> {
+        Arc::make_mut(&mut self.known().now)
     }
 
     /// The rows that are not as in a new part.
     pub(super) fn changed(&self) -> impl Iterator<Item = (usize, &Row)> {
-        let rows = self.rows.iter().zip(&*self.own).enumerate();
+        let rows = self.rows.iter().flat_map(|rows| rows.now.iter().zip(&*rows.own).enumerate());
         rows.filter(|(_, (row, own))| row != own).map(|(at, (row, _))| (at, row))
     }
 
-    fn sum(&self) -> u32 {
-        let words = self.rows.iter().flat_map(|row| row.chunks(3));
+    fn sum(&mut self) -> u32 {
+        let words = self.known().now.iter().flat_map(|row| row.chunks(3));
         words.fold(0, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])))
     }
 }
@@ -168,9 +196,9 @@ impl Boot {
         let ms = Duration::from_millis;
         let mut torn = None;
         let (time, work) = match self.buffer[0] {
-            0x00 if row < ROWS => (ms(2), Work::Answer(firmware.rows[row].to_vec())),
+            0x00 if row < ROWS => (ms(2), Work::Answer(firmware.known().now[row].to_vec())),
             0x01 if row < ROWS && self.buffer[3] < 32 => {
-                let mut new = firmware.rows[row];
+                let mut new = firmware.known().now[row];
                 let at = usize::from(self.buffer[3]) * 3;
                 for (old, byte) in new[at..at + 3].iter_mut().zip(&self.buffer[4..7]) {
                     *old &= byte;
@@ -179,7 +207,8 @@ impl Boot {
             }
             0x02 if row < ROWS => {
                 // Programming clears bits; only an erase sets them.
-                let new = std::array::from_fn(|at| firmware.rows[row][at] & self.buffer[4 + at]);
+                let old = firmware.known().now[row];
+                let new = std::array::from_fn(|at| old[at] & self.buffer[4 + at]);
                 (ms(2), Work::Rows(vec![(row, new)]))
             }
             0x03 if row < ROWS / 2 => {
@@ -205,7 +234,7 @@ impl Boot {
             0x0F => return Some(Effect::Leave),
             // A gauge that was sent this never answered again (E2E 171568).
             0x06 => {
-                let rows = Arc::make_mut(&mut firmware.rows);
+                let rows = firmware.rows_mut();
                 rows[0] = erased();
                 rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
                 self.ruined = true;
@@ -217,7 +246,7 @@ impl Boot {
             }
         };
         if let Work::Rows(new) = &work {
-            let rows = Arc::make_mut(&mut firmware.rows);
+            let rows = firmware.rows_mut();
             for (at, (row, new)) in new.iter().enumerate() {
                 // Half of the words of a row, and half of the rows; the mark is the first to be lost and the last to be there.
                 for (byte, new) in
@@ -241,7 +270,7 @@ impl Boot {
         self.result = DONE;
         Some(match work {
             Work::Rows(new) => {
-                let rows = Arc::make_mut(&mut firmware.rows);
+                let rows = firmware.rows_mut();
                 for (row, new) in new {
                     rows[row] = new;
                 }
