@@ -203,10 +203,14 @@ impl fmt::Debug for Keys {
     }
 }
 
+/// How deep below its caller [`wipe_stack`] wipes, in bytes. What is wiped stays in memory for as long as its thread runs,
+/// which is as long as a gauge is mounted, so it is no more than twice what a poll needs.
+pub const WIPED: usize = 16 * 1024;
+
 /// Wipes copies of keys that functions have left on the stack.
 #[inline(never)]
 pub fn wipe_stack() {
-    [0u128; 4 * 1024].zeroize();
+    [0u128; WIPED / size_of::<u128>()].zeroize();
 }
 
 impl Keys {

@@ -1,6 +1,8 @@
 //! Changing keys: which keys a gauge accepts afterwards, what is refused before the gauge is touched, and one
 //! fault at each transfer in turn.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
@@ -10,7 +12,7 @@ use ti_gauge::chip::{CHIPS, FLAT, KeyStorage, Kind};
 use ti_gauge::dataflash::{Change, Decision};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::{KeyChange, Keys, Name};
+use ti_gauge::keys::{KeyChange, Keys, Name, WIPED};
 use ti_gauge::value::Value;
 
 use crate::journal::Folder;
@@ -733,5 +735,43 @@ fn regression_another_pack_gets_the_keys_of_an_interrupted_change() {
         rig.sim.set_flash(112, 0, &[0xff; 24]);
         rig.calibrate(3);
         assert!(rig.sim.flash() == erased);
+    }
+}
+
+/// A bus that notes how far down the stack keys come.
+struct Deep {
+    bus: gauge_sim::SimBus,
+    is_secret: bool,
+    lowest: Arc<AtomicUsize>,
+}
+
+impl Bus for Deep {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let here = 0_u8;
+        if self.is_secret {
+            self.lowest.fetch_min(std::ptr::from_ref(&here).addr(), Ordering::SeqCst);
+        }
+        self.bus.transfer(write, read)
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.is_secret = secret;
+        self.bus.set_secret(secret);
+    }
+}
+
+/// The other half is for the bus.
+#[test]
+fn keys_come_no_deeper_than_half_of_what_is_wiped() {
+    for case in cases() {
+        let mut rig = case.rig();
+        let lowest = Arc::new(AtomicUsize::new(usize::MAX));
+        let bus = Deep { bus: rig.sim.bus(), is_secret: false, lowest: lowest.clone() };
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+        rig.gauge.seal().expect("the gauge answers");
+        let here = 0_u8;
+        run(&mut rig, case.text).expect("no fault");
+        let deep = std::ptr::from_ref(&here).addr().saturating_sub(lowest.load(Ordering::SeqCst));
+        assert!((1..WIPED / 2).contains(&deep), "{} {}: {deep} bytes", case.chip, case.text);
     }
 }
