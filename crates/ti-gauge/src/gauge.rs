@@ -12,7 +12,7 @@ use std::time::Duration;
 pub use crate::chip::Answers;
 use crate::chip::{Chip, Scheme, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
-use crate::keys::{Keys, Name, Secret, wipe_stack};
+use crate::keys::{Keys, Name, Secret, wipe_words};
 pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
@@ -849,7 +849,7 @@ impl Gauge {
         // A word that was not acknowledged is sent again at once: nothing may come between the two.
         let mut send = |word: &[u8]| self.again(|gauge| gauge.write_once(CONTROL, &[word[1], word[0]]));
         let sent = key.bytes().chunks_exact(2).try_for_each(&mut send);
-        wipe_stack();
+        wipe_words();
         self.set_secret(false);
         // A word that was not acknowledged counts as a refused key; the state read below shows it.
         if let Err(bus) = sent

@@ -203,14 +203,23 @@ impl fmt::Debug for Keys {
     }
 }
 
-/// How deep below its caller [`wipe_stack`] wipes, in bytes. What is wiped stays in memory for as long as its thread runs,
-/// which is as long as a gauge is mounted, so it is no more than twice what a poll needs.
+/// How deep below its caller [`wipe_stack`] wipes, in bytes.
 pub const WIPED: usize = 16 * 1024;
+
+/// How deep the words of a key are wiped after a transfer. What is wiped stays in memory for as long as a gauge is
+/// mounted, so it is no more than a poll needs.
+pub const WIPED_OF_WORDS: usize = 8 * 1024;
 
 /// Wipes copies of keys that functions have left on the stack.
 #[inline(never)]
 pub fn wipe_stack() {
     [0u128; WIPED / size_of::<u128>()].zeroize();
+}
+
+/// Wipes those that a transfer of the words of a key has left.
+#[inline(never)]
+pub(crate) fn wipe_words() {
+    [0u128; WIPED_OF_WORDS / size_of::<u128>()].zeroize();
 }
 
 impl Keys {

@@ -12,7 +12,7 @@ use ti_gauge::chip::{CHIPS, FLAT, KeyStorage, Kind};
 use ti_gauge::dataflash::{Change, Decision};
 use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::{KeyChange, Keys, Name, WIPED};
+use ti_gauge::keys::{KeyChange, Keys, Name, WIPED, WIPED_OF_WORDS};
 use ti_gauge::value::Value;
 
 use crate::journal::Folder;
@@ -770,8 +770,13 @@ fn keys_come_no_deeper_than_half_of_what_is_wiped() {
         rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
         rig.gauge.seal().expect("the gauge answers");
         let here = 0_u8;
+        let deep =
+            || std::ptr::from_ref(&here).addr().saturating_sub(lowest.swap(usize::MAX, Ordering::SeqCst));
         run(&mut rig, case.text).expect("no fault");
-        let deep = std::ptr::from_ref(&here).addr().saturating_sub(lowest.load(Ordering::SeqCst));
-        assert!((1..WIPED / 2).contains(&deep), "{} {}: {deep} bytes", case.chip, case.text);
+        let changed = deep();
+        assert!((1..WIPED / 2).contains(&changed), "{} {}: {changed} bytes", case.chip, case.text);
+        rig.gauge.try_key(&parse("unseal 0414 3672 8d3e b7c5").old, Seal::Unsealed).expect("no fault");
+        let sent = deep();
+        assert!((1..WIPED_OF_WORDS / 2).contains(&sent), "{}: {sent} bytes", case.chip);
     }
 }
