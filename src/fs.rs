@@ -14,6 +14,8 @@
 //! | `df` | data flash; `transaction` and `raw` parse what is written to `df/transaction` |
 //! | `gauge_dir` | `gauge/`, one row for each file |
 //! | `sim_dir` | `sim/` |
+//!
+//! `place` has the number of each node.
 
 use std::sync::Arc;
 
@@ -27,6 +29,7 @@ mod covered;
 mod df;
 mod gauge_dir;
 mod mains;
+mod place;
 mod raw;
 mod root;
 mod sim_dir;
@@ -514,6 +517,12 @@ impl Fs {
     pub fn raise(&self, node: Node) {
         let gauge = if let Node::Of(gauge, _) = node { gauge } else { 0 };
         self.supplies[usize::from(gauge)].handle.raise();
+    }
+
+    /// Whether names come and go in a folder.
+    pub fn may_change(&self, folder: Node) -> bool {
+        let gauge = if let Node::Of(gauge, _) = folder { gauge } else { 0 };
+        self.changing_folders(&[gauge]).contains(&folder)
     }
 
     /// The folders in which names come and go with the values of these gauges.

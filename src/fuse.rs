@@ -2,8 +2,8 @@
 //!
 //! - `adapter` handles the kernel's requests.
 //! - `inodes` is the table of nodeids. One nodeid is one immutable value: LOOKUP gives a file's present text
-//!   a nodeid of its own with its exact size, GETATTR and READ of that nodeid serve those bytes for ever, and
-//!   FORGET drops it. So no reader gets the size of one value with the bytes of another, and a value that
+//!   a nodeid of its own with its exact size, and GETATTR and READ of that nodeid serve those bytes until FORGET, or
+//!   until nobody has used it for a while. So no reader gets the size of one value with the bytes of another, and a value that
 //!   has not changed comes from the kernel's page cache without a message. A file that may be written has a nodeid
 //!   for each lookup, so that nobody reads what the kernel has copied there for a writer and gaugefs then refuses.
 //! - `notify` is the thread that notifies the kernel that files have a new value.

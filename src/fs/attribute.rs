@@ -146,7 +146,7 @@ const LISTED_WHILE_GONE: [&str; 2] = ["type", "present"];
 
 /// One attribute: a row of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Attribute(u8);
+pub struct Attribute(pub(super) u8);
 
 impl Attribute {
     /// All of them, in the order of `uevent`.

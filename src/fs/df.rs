@@ -27,7 +27,7 @@ const SHOWN_AT_ONCE: usize = 64;
 /// What `df/transaction` holds while no transaction is open.
 const IDLE: &[u8] = b"idle\n";
 
-/// What `df/` holds. Numbers are indices into the chip's table.
+/// What `df/` holds. Numbers are indices into the chip's table, which has at most 64 subclasses of 256 parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DfItem {
     /// The folder itself.
@@ -39,17 +39,17 @@ pub enum DfItem {
     /// `df/flash`, on parts with a flat address space.
     Flat,
     /// `df/SUBCLASS`.
-    Subclass(u16),
+    Subclass(u8),
     /// `df/SUBCLASS/OFFSET` or `df/flash/ADDRESS`: the subclass, and the index of the parameter in it.
-    Parameter(u16, u16),
+    Parameter(u8, u8),
     /// `df/SUBCLASS/raw`.
-    Raw(u16),
+    Raw(u8),
     /// `df/by-name`.
     ByName,
     /// `df/by-name/CLASS`.
-    Class(u16),
+    Class(u8),
     /// `df/by-name/CLASS/PARAM`: the subclass, and the index of the parameter in it.
-    Link(u16, u16),
+    Link(u8, u8),
 }
 
 impl Operations for Of<'_, DfItem> {
@@ -88,7 +88,7 @@ impl Operations for Of<'_, DfItem> {
     fn list(&self) -> Vec<(String, Node)> {
         let chip = self.supply.chip();
         let subclasses = || (0..).zip(chip.subclasses);
-        let parameters = |at: u16| (0..).zip(self.supply.subclass(at).parameters);
+        let parameters = |at: u8| (0..).zip(self.supply.subclass(at).parameters);
         let list: Vec<(String, DfItem)> = match self.item {
             DfItem::Folder => {
                 let fixed = [
@@ -110,7 +110,7 @@ impl Operations for Of<'_, DfItem> {
             }
             DfItem::Subclass(at) => {
                 let file =
-                    |(row, field): (u16, &Parameter)| (field.offset.to_string(), DfItem::Parameter(at, row));
+                    |(row, field): (u8, &Parameter)| (field.offset.to_string(), DfItem::Parameter(at, row));
                 parameters(at).map(file).chain([("raw".to_string(), DfItem::Raw(at))]).collect()
             }
             DfItem::ByName => {
@@ -255,16 +255,16 @@ impl Operations for Of<'_, DfItem> {
 }
 
 impl Supply {
-    fn subclass(&self, at: u16) -> &'static Subclass {
+    fn subclass(&self, at: u8) -> &'static Subclass {
         &self.chip().subclasses[usize::from(at)]
     }
 
-    fn row(&self, at: u16, row: u16) -> (&'static Subclass, &'static Parameter) {
+    fn row(&self, at: u8, row: u8) -> (&'static Subclass, &'static Parameter) {
         let subclass = self.subclass(at);
         (subclass, &subclass.parameters[usize::from(row)])
     }
 
-    fn parameter_text(&self, at: u16, row: u16, bytes: &[u8]) -> Vec<u8> {
+    fn parameter_text(&self, at: u8, row: u8, bytes: &[u8]) -> Vec<u8> {
         let (subclass, parameter) = self.row(at, row);
         (value_text(subclass, parameter, bytes) + "\n").into_bytes()
     }
@@ -348,7 +348,10 @@ impl Supply {
     /// `df/index`: a line for each parameter of the table.
     fn index(&self) -> Vec<u8> {
         let dm_code = self.published().answers.dm_code;
-        let mut lines = String::from("subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n");
+        let rows = self.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
+        // Lines are half as long as they may be, or less.
+        let mut lines = String::with_capacity((LINE / 2) as usize * rows.sum::<usize>());
+        lines += "subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n";
         for (at, subclass) in self.chip().subclasses.iter().enumerate() {
             let is_secret = subclass.kind == Kind::Security;
             let bytes = if is_secret { None } else { self.handle.kept(at) };

@@ -102,9 +102,9 @@ struct Group {
     /// The folder that holds them; `None` for `gauge/` itself.
     folder: Option<&'static str>,
     /// Name of each file that is there now, and a number that identifies it for the life of the mount.
-    list: fn(&Supply) -> Vec<(u16, String)>,
+    list: fn(&Supply) -> Vec<(u8, String)>,
     /// The whole text of one; `None` while there is no such file.
-    show: fn(&Supply, u16) -> Option<String>,
+    show: fn(&Supply, u8) -> Option<String>,
 }
 
 static GROUPS: &[Group] = &[
@@ -124,7 +124,7 @@ pub enum GaugeItem {
     /// The folder of a row of `GROUPS`.
     Group(u8),
     /// A row of `GROUPS`, and the number of a file in it.
-    Member(u8, u16),
+    Member(u8, u8),
 }
 
 /// A file of `gauge/` with a text of its own.
@@ -366,7 +366,7 @@ fn settling(gauge: &Supply) -> Option<String> {
 }
 
 /// The registers that have been read, except Control() and the block-access window.
-fn registers(gauge: &Supply, wanted: impl Fn(&Register) -> bool) -> Vec<(u16, String)> {
+fn registers(gauge: &Supply, wanted: impl Fn(&Register) -> bool) -> Vec<(u8, String)> {
     let Some(snapshot) = gauge.fresh() else { return Vec::new() };
     let is_there = |register: &Register| register.tier != Tier::Window && snapshot.value(register).is_some();
     let all = (0..).zip(gauge.chip().registers);
@@ -374,20 +374,20 @@ fn registers(gauge: &Supply, wanted: impl Fn(&Register) -> bool) -> Vec<(u16, St
     shown.map(|(at, register)| (at, snake_case(register.name))).collect()
 }
 
-fn register(gauge: &Supply, at: u16) -> Option<String> {
+fn register(gauge: &Supply, at: u8) -> Option<String> {
     line(gauge.fresh()?.value(&gauge.chip().registers[usize::from(at)])?)
 }
 
-fn bits(gauge: &Supply, at: u16) -> Option<String> {
+fn bits(gauge: &Supply, at: u8) -> Option<String> {
     let register = &gauge.chip().registers[usize::from(at)];
     set_bits(register.bits, gauge.fresh()?.value(register)?)
 }
 
-fn statistics(gauge: &Supply) -> Vec<(u16, String)> {
+fn statistics(gauge: &Supply) -> Vec<(u8, String)> {
     (0..).zip(gauge.handle.statistics()).map(|(at, (name, _))| (at, name.to_string())).collect()
 }
 
-fn statistic(gauge: &Supply, at: u16) -> Option<String> {
+fn statistic(gauge: &Supply, at: u8) -> Option<String> {
     line(gauge.handle.statistics().get(usize::from(at))?.1)
 }
 

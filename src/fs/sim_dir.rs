@@ -12,7 +12,7 @@ pub enum SimItem {
     /// The folder itself.
     Folder,
     /// The knob of that index.
-    Knob(u16),
+    Knob(u8),
 }
 
 impl Of<'_, SimItem> {

@@ -19,8 +19,8 @@ use fuser::{
     TimeOrNow, WriteFlags,
 };
 
-use super::inodes::{Inode, Inodes, Now, Sharing, Shown, Value};
-use super::notify::Announcer;
+use super::inodes::{self, Inodes, Now, Sharing, Shown, Value};
+use super::notify::{Announcer, hash};
 use super::{Options, Table, lock};
 use crate::error::{Error, Result};
 use crate::fs::{Fs, Node, Shape};
@@ -71,8 +71,28 @@ impl Adapter {
         lock(&self.table)
     }
 
+    /// The table, with this nodeid in use.
+    fn using(&self, number: u64) -> MutexGuard<'_, Inodes<Waiter>> {
+        let mut inodes = self.inodes();
+        if inodes.get(number).is_none()
+            && let Some(node) = inodes::node(number).filter(|&node| self.fs.shape(node) == Shape::File)
+        {
+            inodes.wake(number, present(&self.fs, node), self.sharing(node, 0), Now::read());
+        }
+        inodes
+    }
+
     fn node(&self, ino: INodeNo) -> Option<Node> {
-        self.inodes().get(ino.into()).map(|inode| inode.node())
+        inodes::node(ino.into())
+    }
+
+    /// Which lookups find a nodeid that a thread has looked up.
+    fn sharing(&self, node: Node, thread: u32) -> Sharing {
+        match self.fs.may_be_written(node) && !self.options.read_only {
+            true => Sharing::Alone,
+            false if self.fs.may_be_cached(node) => Sharing::All,
+            false => Sharing::By(thread),
+        }
     }
 
     fn attr(&self, shown: &Shown) -> FileAttr {
@@ -127,7 +147,7 @@ impl Adapter {
 
     /// Answers a request when the nodeid's value has been read from the gauge.
     fn answer_when_read(&self, mut inodes: MutexGuard<'_, Inodes<Waiter>>, number: u64, waiter: Waiter) {
-        let node = inodes.get(number).map(Inode::node);
+        let node = inodes::node(number);
         // The first answer becomes the value of this nodeid, for this request and every other.
         let first = inodes.wait(number, waiter);
         drop(inodes);
@@ -141,7 +161,7 @@ impl Adapter {
     }
 
     fn pass_on_write(&self, number: u64, node: Node, offset: u64, data: &[u8], reply: ReplyWrite) {
-        self.inodes().write_begins(number, Now::read());
+        self.using(number).write_begins(number, Now::read());
         let mut writing = Writing {
             fs: self.fs.clone(),
             table: self.table.clone(),
@@ -152,6 +172,12 @@ impl Adapter {
             reply: Some(reply),
         };
         self.fs.write(node, offset, data, Box::new(move |outcome| writing.answer(outcome)));
+    }
+
+    /// Gives the kernel bytes of a nodeid's value.
+    fn serve(&self, number: u64, bytes: &[u8], offset: u64, size: u32, reply: ReplyData) {
+        reply.data(slice(bytes, offset, size));
+        self.inodes().served(number, offset + u64::from(size), Now::read());
     }
 
     /// Handles a request. A panic in it is an error of this request, whose reply is dropped, which answers EIO; it is
@@ -192,7 +218,9 @@ impl Arrival {
         let Some((shown, waiting)) = arrived else { return };
         for waiter in waiting {
             match (waiter, read) {
-                (Waiter::Read { offset, size, reply }, Ok(bytes)) => reply.data(slice(bytes, offset, size)),
+                (Waiter::Read { offset, size, reply }, Ok(bytes)) => {
+                    self.adapter.serve(self.number, bytes, offset, size, reply);
+                }
                 (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
                 (Waiter::SizeToRead(reply), Err(error)) => reply.error(errno(error)),
                 (Waiter::Attributes(reply) | Waiter::SizeToRead(reply), _) => {
@@ -281,17 +309,13 @@ impl Filesystem for Adapter {
             };
             // One lock for both: if a poll changed the value in between, nobody would notify the kernel of it.
             let mut inodes = self.inodes();
-            let value = match self.fs.shape(node) {
-                Shape::File => Value::of(self.fs.content(node)),
-                Shape::Folder | Shape::Link => Some(Value::Fixed),
+            let shown = match self.fs.shape(node) {
+                Shape::File => Value::of(self.fs.content(node))
+                    .map(|value| inodes.enter(node, value, self.sharing(node, request.pid()), Now::read())),
+                Shape::Folder | Shape::Link => Some(inodes.fixed(node)),
             };
-            let Some(value) = value else { return reply.error(Errno::ENOENT) };
-            let sharing = match self.fs.may_be_written(node) && !self.options.read_only {
-                true => Sharing::Alone,
-                false => Sharing::By(request.pid()),
-            };
-            let shown = inodes.enter(node, value, sharing, Now::read());
             drop(inodes);
+            let Some(shown) = shown else { return reply.error(Errno::ENOENT) };
             let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
             // The crate `fuser` takes the nodeid from here as well. Where the inode number is another one, the kernel asks
             // for it before it shows it, because these attributes are not valid for any time.
@@ -311,7 +335,7 @@ impl Filesystem for Adapter {
             let (number, now) = (u64::from(ino), Now::read());
             // `fstat` passes no handle.
             let reads = handle.is_some();
-            let mut inodes = self.inodes();
+            let mut inodes = self.using(number);
             if let Some(node) = inodes.due(number, now) {
                 let value = present(&self.fs, node);
                 // The estimated size of an unread value would be wrong for whoever is reading the old value.
@@ -319,7 +343,12 @@ impl Filesystem for Adapter {
                     inodes.renew(number, value, now);
                 }
             }
-            let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
+            let Some(inode) = inodes.get(number) else {
+                let Some(node) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+                let shown = inodes.fixed(node);
+                drop(inodes);
+                return reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
+            };
             if reads && inode.is_unread() {
                 return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
             }
@@ -359,8 +388,9 @@ impl Filesystem for Adapter {
                 return reply.error(self.fixed());
             }
             let number = u64::from(ino);
-            let mut inodes = self.inodes();
-            let Some(shown) = inodes.shown(number, Now::read()) else { return reply.error(Errno::ESTALE) };
+            let mut inodes = self.using(number);
+            let Some(node) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+            let shown = inodes.shown(number, Now::read()).unwrap_or_else(|| inodes.fixed(node));
             // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
             inodes.touch(number);
             drop(inodes);
@@ -416,15 +446,15 @@ impl Filesystem for Adapter {
         self.guard(ino, || {
             let number = u64::from(ino);
             let inodes = self.inodes();
+            // One that rests has not been shown to the kernel with the size of its present value.
             let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
             match inode.value() {
                 Value::Bytes(bytes) => {
                     let bytes = bytes.clone();
                     drop(inodes);
-                    return reply.data(slice(&bytes, offset, size));
+                    return self.serve(number, &bytes, offset, size, reply);
                 }
                 Value::Gone => return reply.error(Errno::ENODEV),
-                Value::Fixed => return reply.error(Errno::EISDIR),
                 Value::Unread(_) => {}
             }
             self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply });
@@ -460,8 +490,15 @@ impl Filesystem for Adapter {
     fn readdir(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: u64, mut reply: ReplyDirectory) {
         self.guard(ino, || {
             let Some(folder) = self.node(ino) else { return reply.error(Errno::ESTALE) };
+            // One lock for both: if a poll changed the names in between, nobody would notify the kernel of it.
+            let mut inodes = self.inodes();
+            let list = self.fs.list(folder);
+            if self.fs.may_change(folder) {
+                inodes.listed(folder, hash(&list), offset > 0);
+            }
+            drop(inodes);
             let dots = [".", ".."].map(|name| (name.to_string(), folder));
-            let list = dots.into_iter().chain(self.fs.list(folder));
+            let list = dots.into_iter().chain(list);
             for (at, (name, node)) in (1u64..).zip(list).skip(offset as usize) {
                 let kind = match self.fs.shape(node) {
                     Shape::Folder => FileType::Directory,
@@ -485,7 +522,7 @@ impl Filesystem for Adapter {
         self.guard(ino, || {
             let node = self.node(ino);
             if name == CAPABILITY && size == 0 && node.is_some_and(|node| self.is_read_only(node)) {
-                self.inodes().asks(ino.into(), request.pid());
+                self.using(ino.into()).asks(ino.into(), request.pid());
                 return reply.size(CAPABILITY_SIZE);
             }
             let list = node.map(|node| self.fs.xattrs(node)).unwrap_or_default();

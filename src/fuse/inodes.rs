@@ -8,16 +8,17 @@
 //! A file that may be written has a nodeid of its own for each lookup, and so for each time it is opened. The kernel
 //! copies what is written to its page cache before it passes it on, and nobody else may see that before it is accepted.
 //!
+//! The kernel keeps the nodeids of files that nobody has open for as long as it has memory, which is for ever. So a nodeid
+//! has in itself which node it is of, and the table holds those in use only. One that nobody has used for a while rests:
+//! nothing is known of it. If it is used again, because somebody has held it open, it is renewed.
+//!
 //! This module knows neither FUSE nor any lock, and reads no clock: every caller passes the time.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::fs::{Content, Node};
-
-/// The nodeid of the mount point, which the kernel never looks up and never forgets.
-pub(super) const ROOT: u64 = 1;
 
 /// Delay before an open file switches to its new value, so that no read of the old value is still under
 /// way. 50 ms was too short: one torn read in 5 million.
@@ -26,6 +27,22 @@ pub(super) const RENEWAL_DELAY: Duration = Duration::from_secs(2);
 /// Time after a renewal in which each GETATTR shows another file time, so that each reader drops the old bytes
 /// itself. It cannot rely on the first reader, which makes the new size visible before it drops the bytes.
 const SETTLING: Duration = Duration::from_millis(50);
+
+/// How long a nodeid of which nothing is asked is still in use. The kernel uses names and attributes for no longer than
+/// [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
+const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
+
+/// The same, where the kernel has been given the whole value, and asks for the name each time.
+const READ_THROUGH: Duration = Duration::from_millis(200);
+
+/// As many nodeids as this are in the table whether they are in use or not.
+const SPARE: usize = 128;
+
+/// A nodeid's bits from this one on distinguish it from others of the same file; those below are the number of its node.
+/// The numbers of folders and links have only those.
+const TURN: u32 = 32;
+/// How many nodeids a file can have until one comes again, if the kernel does not know it any more.
+const TURNS: u64 = 1 << 31;
 
 /// The present time on both clocks: one measures delays, the other is shown as a file's time.
 #[derive(Clone, Copy, Debug)]
@@ -39,8 +56,6 @@ pub(super) struct Now {
 /// What a nodeid shows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Value {
-    /// A folder or a link.
-    Fixed,
     /// A file's bytes.
     Bytes(Arc<[u8]>),
     /// A file that has not been read from the gauge yet, and its apparent size.
@@ -61,7 +76,6 @@ impl Value {
 
     fn size(&self) -> u64 {
         match self {
-            Value::Fixed => 0,
             // Not 0: the kernel answers a read at the end of a file by itself, and would not return ENODEV.
             Value::Gone => 4096,
             Value::Bytes(bytes) => bytes.len() as u64,
@@ -91,13 +105,14 @@ pub(super) enum Sharing {
     Alone,
     /// All, as long as the value is the same; of an unread value those of this thread.
     By(u32),
+    /// All, as long as the value is the same. The kernel may keep its name.
+    All,
 }
 
 /// One nodeid. `W` is a request that waits for the value.
 #[derive(Debug)]
 pub(super) struct Inode<W> {
-    node: Node,
-    /// How often the kernel has looked it up and not forgotten it.
+    /// How often the kernel has looked it up and not forgotten it; [`UNKNOWN`] of one that has rested.
     lookups: u64,
     sharing: Sharing,
     value: Value,
@@ -112,27 +127,30 @@ pub(super) struct Inode<W> {
     waiting: Option<Vec<W>>,
     /// A thread that may be about to write, and how often it has asked for the attribute that says so.
     asked: (u32, u32),
+    /// When something was last asked of it.
+    used: Instant,
+    /// The kernel has been given the whole value.
+    is_read: bool,
 }
 
+/// So many lookups that no number of them takes them back.
+const UNKNOWN: u64 = u64::MAX / 2;
+
 impl<W> Inode<W> {
-    fn new(node: Node, value: Value, sharing: Sharing, since: SystemTime) -> Self {
+    fn new(value: Value, sharing: Sharing, now: Now) -> Self {
         Self {
-            node,
             lookups: 1,
             sharing,
             value,
-            since,
+            since: now.time,
             superseded: None,
             renewed: None,
             writing: 0,
             waiting: None,
             asked: (0, 0),
+            used: now.instant,
+            is_read: false,
         }
-    }
-
-    /// The file, folder or link.
-    pub(super) fn node(&self) -> Node {
-        self.node
     }
 
     /// What it shows.
@@ -154,6 +172,12 @@ impl<W> Inode<W> {
         self.writing == 0 && !self.is_awaited()
     }
 
+    /// Whether nothing needs to be known of it.
+    fn rests(&self, now: Now) -> bool {
+        let delay = if self.is_read && self.sharing != Sharing::All { READ_THROUGH } else { IN_USE };
+        self.is_idle() && now.instant >= self.used + delay
+    }
+
     /// When it is renewed; `None` while it is up to date or in use.
     fn due(&self) -> Option<Instant> {
         // Whoever opened a file alone asks before each read, and reads what it was answered.
@@ -162,66 +186,109 @@ impl<W> Inode<W> {
     }
 
     /// What `stat` shows of it; `number` is its own.
-    fn shown(&self, number: u64, ino: u64, now: Now) -> Shown {
+    fn shown(&self, number: u64, now: Now) -> Option<Shown> {
+        let node = node(number)?;
+        let ino = if self.sharing == Sharing::Alone { node.place().into() } else { number };
         let valid = match self.superseded {
             _ if self.renewed.is_some() => Duration::ZERO,
             // Even if it is superseded at once, it is not renewed earlier.
             None => RENEWAL_DELAY,
             Some(_) => self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)),
         };
-        Shown { number, ino, node: self.node, size: self.value.size(), since: self.since, valid }
+        Some(Shown { number, ino, node, size: self.value.size(), since: self.since, valid })
     }
 }
 
-/// All nodeids that the kernel has not forgotten.
+/// The file, folder or link of a nodeid.
+pub(super) fn node(number: u64) -> Option<Node> {
+    Node::at(number as u32)
+}
+
+/// A listing that the kernel may keep.
+#[derive(Debug)]
+struct Listing {
+    /// Of its names; `None` if it is certain that the kernel keeps another one.
+    hash: Option<u64>,
+    /// When it changed.
+    since: SystemTime,
+}
+
+/// The nodeids of files that are in use, and the listings of folders.
 #[derive(Debug)]
 pub(super) struct Inodes<W> {
-    next: u64,
+    /// Of the next nodeid of a file.
+    turn: u64,
     started: SystemTime,
-    live: HashMap<u64, Inode<W>>,
-    /// The nodeid that a lookup of the node finds, unless the value has changed.
-    current: HashMap<Node, u64>,
-    /// The inode number of each file whose nodeids are not shared.
-    numbers: HashMap<Node, u64>,
+    live: BTreeMap<u64, Inode<W>>,
+    /// The nodeid that a lookup of the node of that number finds, unless the value has changed.
+    current: BTreeMap<u32, u64>,
+    listings: HashMap<Node, Listing>,
+    /// How many nodeids there may be before those that rest are dropped.
+    room: usize,
 }
 
 impl<W> Inodes<W> {
-    /// A table that holds the mount point alone.
+    /// A table that holds nothing yet.
     pub(super) fn new(now: Now) -> Self {
         Self {
-            next: ROOT + 1,
+            turn: 0,
             started: now.time,
-            live: HashMap::from([(ROOT, Inode::new(Node::Root, Value::Fixed, Sharing::By(0), now.time))]),
-            current: HashMap::from([(Node::Root, ROOT)]),
-            numbers: HashMap::new(),
+            live: BTreeMap::new(),
+            current: BTreeMap::new(),
+            listings: HashMap::new(),
+            room: SPARE,
         }
     }
 
-    /// The nodeid, if the kernel has not forgotten it.
+    /// A nodeid of a file, if it is in use.
     pub(super) fn get(&self, number: u64) -> Option<&Inode<W>> {
         self.live.get(&number)
     }
 
-    /// What `stat` shows of it.
+    /// What `stat` shows of a nodeid of a file, if it is in use.
     pub(super) fn shown(&self, number: u64, now: Now) -> Option<Shown> {
-        self.get(number).map(|inode| inode.shown(number, self.ino(number, inode), now))
+        self.get(number)?.shown(number, now)
     }
 
-    fn ino(&self, number: u64, inode: &Inode<W>) -> u64 {
-        match inode.sharing {
-            Sharing::Alone => self.numbers.get(&inode.node).copied().unwrap_or(number),
-            Sharing::By(_) => number,
+    /// What `stat` shows of a folder or a link.
+    pub(super) fn fixed(&self, node: Node) -> Shown {
+        let number = node.place().into();
+        let since = self.listings.get(&node).map_or(self.started, |listing| listing.since);
+        Shown { number, ino: number, node, size: 0, since, valid: Duration::ZERO }
+    }
+
+    /// A new nodeid of a file.
+    fn next(&mut self, node: Node) -> u64 {
+        loop {
+            self.turn = self.turn % (TURNS - 1) + 1;
+            let number = self.turn << TURN | u64::from(node.place());
+            if !self.live.contains_key(&number) {
+                return number;
+            }
         }
     }
 
-    fn next(&mut self) -> u64 {
-        self.next += 1;
-        self.next - 1
+    /// Drops the nodeids that rest, if there are many.
+    pub(super) fn tidy(&mut self, now: Now) {
+        if self.live.len() < self.room {
+            return;
+        }
+        self.live.retain(|_, inode| !inode.rests(now));
+        self.room = self.live.len() + SPARE;
+        self.current.retain(|_, number| self.live.contains_key(number));
     }
 
-    /// The nodeid of a node's present value, if the kernel knows one.
+    /// A nodeid that rests is used again: it shows the file's present value from now on.
+    pub(super) fn wake(&mut self, number: u64, value: Value, sharing: Sharing, now: Now) {
+        // The kernel may have the bytes that it showed before.
+        let renewed = Some(now.instant);
+        let inode = Inode { lookups: UNKNOWN, renewed, ..Inode::new(value, sharing, now) };
+        self.live.entry(number).or_insert(inode);
+    }
+
+    /// The nodeid of a node's present value, if one is in use.
     pub(super) fn current(&self, node: Node) -> Option<u64> {
-        self.current.get(&node).copied()
+        self.current.get(&node.place()).copied()
     }
 
     /// Counts a lookup of a node that has this value now, and returns its nodeid.
@@ -232,6 +299,7 @@ impl<W> Inodes<W> {
     /// precede its READ and may share a nodeid; they must, because `cp` takes a file whose inode number
     /// changes for another file.
     pub(super) fn enter(&mut self, node: Node, value: Value, sharing: Sharing, now: Now) -> Shown {
+        self.tidy(now);
         let current = self.current(node).filter(|_| sharing != Sharing::Alone);
         if let Some(number) = current
             && let Some(inode) = self.live.get_mut(&number)
@@ -240,24 +308,26 @@ impl<W> Inodes<W> {
             let own = inode.sharing == sharing && sharing != Sharing::By(0) && !inode.is_awaited();
             if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
                 inode.lookups += 1;
-                return inode.shown(number, number, now);
+                inode.used = now.instant;
+                return inode.shown(number, now).expect("it is of this node");
             }
             self.retire(number, now);
         }
-        let number = self.next();
-        let since = if value == Value::Fixed { self.started } else { now.time };
-        let inode = Inode::new(node, value, sharing, since);
-        if sharing == Sharing::Alone {
-            if !self.numbers.contains_key(&node) {
-                let ino = self.next();
-                self.numbers.insert(node, ino);
-            }
-        } else {
-            self.current.insert(node, number);
+        let number = self.next(node);
+        let inode = Inode::new(value, sharing, now);
+        if sharing != Sharing::Alone {
+            self.current.insert(node.place(), number);
         }
-        let shown = inode.shown(number, self.ino(number, &inode), now);
+        let shown = inode.shown(number, now).expect("it is of this node");
         self.live.insert(number, inode);
         shown
+    }
+
+    /// The kernel has been given a nodeid's bytes up to there.
+    pub(super) fn served(&mut self, number: u64, end: u64, now: Now) {
+        let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.used = now.instant;
+        inode.is_read |= end >= inode.value.size();
     }
 
     /// Marks a nodeid as superseded: its node has another value now.
@@ -267,23 +337,25 @@ impl<W> Inodes<W> {
         if !matches!(inode.value, Value::Unread(_)) {
             inode.superseded.get_or_insert(now.instant);
         }
-        let node = inode.node;
-        self.drop_current(node, number);
+        self.drop_current(number);
     }
 
-    fn drop_current(&mut self, node: Node, number: u64) {
-        if self.current(node) == Some(number) {
-            self.current.remove(&node);
+    fn drop_current(&mut self, number: u64) {
+        if let Some(node) = node(number)
+            && self.current(node) == Some(number)
+        {
+            self.current.remove(&node.place());
         }
     }
 
     /// The files of which a change has to be noticed: those that show a value which was read and is not
     /// superseded.
     pub(super) fn up_to_date(&self) -> impl Iterator<Item = (u64, Node, &Value)> {
-        let files = self.live.iter().filter(|(_, inode)| {
-            inode.superseded.is_none() && !matches!(inode.value, Value::Fixed | Value::Unread(_))
-        });
-        files.map(|(&number, inode)| (number, inode.node, &inode.value))
+        let files = self
+            .live
+            .iter()
+            .filter(|(_, inode)| inode.superseded.is_none() && !matches!(inode.value, Value::Unread(_)));
+        files.filter_map(|(&number, inode)| Some((number, node(number)?, &inode.value)))
     }
 
     /// Adds a request that waits for an unread value. Returns whether it is the first, so that the caller
@@ -305,6 +377,7 @@ impl<W> Inodes<W> {
     ) -> Option<(Shown, Vec<W>)> {
         let inode = self.live.get_mut(&number)?;
         let waiting = inode.waiting.take().unwrap_or_default();
+        inode.used = now.instant;
         if let Some(bytes) = value {
             inode.value = Value::Bytes(bytes.clone());
             // A renewed nodeid gets its new size only now.
@@ -318,7 +391,7 @@ impl<W> Inodes<W> {
             if let Some(other) = self.current(shown.node).filter(|&other| other != number) {
                 self.retire(other, now);
             }
-            self.current.insert(shown.node, number);
+            self.current.insert(shown.node.place(), number);
         }
         Some((shown, waiting))
     }
@@ -327,10 +400,9 @@ impl<W> Inodes<W> {
     pub(super) fn forget(&mut self, number: u64, lookups: u64) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.lookups = inode.lookups.saturating_sub(lookups);
-        if inode.lookups == 0 && number != ROOT {
-            let node = inode.node;
+        if inode.lookups == 0 {
             self.live.remove(&number);
-            self.drop_current(node, number);
+            self.drop_current(number);
         }
     }
 
@@ -370,15 +442,17 @@ impl<W> Inodes<W> {
     /// The node of a nodeid that has to be renewed before it is shown; `None` if it need not be.
     pub(super) fn due(&self, number: u64, now: Now) -> Option<Node> {
         let inode = self.get(number)?;
-        inode.due().filter(|due| *due <= now.instant).map(|_| inode.node)
+        inode.due().filter(|due| *due <= now.instant).and_then(|_| node(number))
     }
 
     /// Gives a nodeid its file's present value.
     pub(super) fn renew(&mut self, number: u64, value: Value, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.value = value;
+        inode.is_read = false;
         inode.superseded = None;
         inode.renewed = Some(now.instant);
+        inode.used = now.instant;
         inode.since = now.time;
         self.touch(number);
     }
@@ -387,17 +461,33 @@ impl<W> Inodes<W> {
     /// the kernel's page has what is being written, and whoever drops it waits until the write is answered.
     pub(super) fn settle(&mut self, number: u64, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
+        inode.used = now.instant;
         inode.renewed = inode.renewed.filter(|&since| now.instant < since + SETTLING);
         if inode.renewed.is_some() || inode.writing > 0 {
             self.touch(number);
         }
     }
 
-    /// A folder has another listing from now on.
-    pub(super) fn restamp(&mut self, number: u64, now: Now) {
-        if let Some(inode) = self.live.get_mut(&number) {
-            inode.since = now.time;
-        }
+    /// The kernel has been given a folder's names, or with `continued` more of them, and may keep them.
+    pub(super) fn listed(&mut self, folder: Node, hash: u64, continued: bool) {
+        let since = self.started;
+        let listing = self.listings.entry(folder).or_insert(Listing { hash: None, since });
+        listing.hash = Some(hash).filter(|_| !continued || listing.hash == Some(hash));
+    }
+
+    /// Whether the kernel may keep a folder's names.
+    pub(super) fn is_listed(&self, folder: Node) -> bool {
+        self.listings.contains_key(&folder)
+    }
+
+    /// Whether the names that the kernel may keep are other ones than these. The folder has another time then.
+    pub(super) fn has_outdated(&mut self, folder: Node, hash: u64, now: Now) -> bool {
+        let Some(listing) = self.listings.get_mut(&folder).filter(|listing| listing.hash != Some(hash))
+        else {
+            return false;
+        };
+        *listing = Listing { hash: Some(hash), since: now.time };
+        true
     }
 
     /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one.
@@ -410,17 +500,21 @@ impl<W> Inodes<W> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::sync::LazyLock;
 
     use proptest::prelude::*;
 
     use super::*;
+    use crate::fs::{DfItem, Item};
 
-    const FILE: Node = Node::Covered(0);
-    const OTHER: Node = Node::Covered(1);
+    const FILE: Node = node_of(0);
+    const OTHER: Node = node_of(1);
     const THREAD: Sharing = Sharing::By(100);
     const OTHER_THREAD: Sharing = Sharing::By(101);
+
+    const fn node_of(file: u32) -> Node {
+        Node::Of(0, Item::Df(DfItem::Raw(file as u8)))
+    }
 
     fn at(millis: u64) -> Now {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
@@ -516,17 +610,99 @@ mod tests {
     }
 
     #[test]
-    fn the_root_is_never_dropped() {
+    fn folders_have_the_time_of_the_mount_until_their_names_change() {
         let mut inodes = inodes();
-        inodes.forget(ROOT, u64::MAX);
-        assert_eq!(inodes.get(ROOT).map(|root| root.node()), Some(Node::Root));
-        assert_eq!(inodes.current(Node::Root), Some(ROOT));
+        assert_eq!(inodes.fixed(Node::Root).number, 1, "FUSE_ROOT_ID");
+        let time = |inodes: &Inodes<u32>| inodes.fixed(Node::Root).since;
+        assert!(!inodes.has_outdated(Node::Root, 1, at(50)), "the kernel does not have them");
+        inodes.listed(Node::Root, 1, false);
+        assert!(inodes.is_listed(Node::Root) && !inodes.has_outdated(Node::Root, 1, at(60)));
+        assert_eq!(time(&inodes), at(0).time);
+        assert!(inodes.has_outdated(Node::Root, 2, at(77)));
+        assert!(!inodes.has_outdated(Node::Root, 2, at(88)), "once");
+        assert_eq!(time(&inodes), at(77).time);
+        // Half of each.
+        inodes.listed(Node::Root, 2, false);
+        inodes.listed(Node::Root, 3, true);
+        assert!(inodes.has_outdated(Node::Root, 3, at(99)));
+    }
+
+    /// As many nodeids that are in use as the table keeps in any case.
+    fn crowd(inodes: &mut Inodes<u32>, millis: u64) {
+        for _ in 0..SPARE {
+            inodes.enter(OTHER, bytes("1\n"), Sharing::Alone, at(millis));
+        }
+    }
+
+    /// Drops what rests, as if there were many.
+    fn drop_resting(inodes: &mut Inodes<u32>, millis: u64) {
+        inodes.room = 0;
+        inodes.tidy(at(millis));
     }
 
     #[test]
-    fn folders_have_the_time_of_the_mount() {
+    fn nodeids_that_nobody_uses_are_dropped_when_there_are_many() {
+        let in_use = IN_USE.as_millis() as u64;
+        for (sharing, is_read, stays) in [
+            (Sharing::Alone, false, in_use),
+            (Sharing::Alone, true, READ_THROUGH.as_millis() as u64),
+            (THREAD, true, READ_THROUGH.as_millis() as u64),
+            // The kernel has its name, and does not ask.
+            (Sharing::All, true, in_use),
+        ] {
+            let mut inodes = inodes();
+            let number = inodes.enter(FILE, bytes("1\n"), sharing, at(0)).number;
+            if is_read {
+                inodes.served(number, 4096, at(0));
+            }
+            inodes.tidy(at(9 * in_use));
+            assert!(inodes.get(number).is_some(), "there are few");
+            crowd(&mut inodes, 9 * in_use);
+            inodes.tidy(at(9 * in_use));
+            assert!(inodes.get(number).is_none(), "{sharing:?}");
+            assert_eq!((inodes.current(FILE), inodes.live.len()), (None, SPARE));
+
+            let number = inodes.enter(FILE, bytes("1\n"), sharing, at(9 * in_use)).number;
+            if is_read {
+                inodes.served(number, 4096, at(9 * in_use));
+            }
+            drop_resting(&mut inodes, 9 * in_use + stays - 1);
+            assert!(inodes.get(number).is_some(), "{sharing:?}");
+        }
+    }
+
+    #[test]
+    fn a_nodeid_that_is_being_read_or_written_does_not_rest() {
         let mut inodes = inodes();
-        assert_eq!(inodes.enter(FILE, Value::Fixed, THREAD, at(77)).since, at(0).time);
+        let read = inodes.enter(FILE, Value::Unread(4096), Sharing::Alone, at(0)).number;
+        let written = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(0)).number;
+        inodes.wait(read, 1);
+        inodes.write_begins(written, at(0));
+        drop_resting(&mut inodes, 60_000);
+        assert_eq!(inodes.live.len(), 2);
+        inodes.arrived(read, Some(&b"1\n"[..].into()), at(60_000)).expect("it is known");
+        inodes.write_ends(written, bytes("2\n"), at(60_000));
+        drop_resting(&mut inodes, 60_100);
+        assert_eq!(inodes.live.len(), 2, "they are to be read now");
+    }
+
+    #[test]
+    fn a_nodeid_that_rests_is_renewed_when_it_is_used_again() {
+        let mut inodes = inodes();
+        let entered = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(0));
+        drop_resting(&mut inodes, 60_000);
+        assert!(inodes.live.is_empty());
+        assert_eq!(node(entered.number), Some(FILE));
+        inodes.wake(entered.number, bytes("22\n"), Sharing::Alone, at(60_000));
+        let woken = shown(&inodes, entered.number, 60_000);
+        assert_eq!((woken.ino, woken.size, woken.valid), (entered.ino, 3, Duration::ZERO));
+        assert!(woken.since > entered.since, "the kernel drops the bytes that it has");
+        // Nobody knows how often it was looked up.
+        inodes.forget(entered.number, 1);
+        assert!(inodes.get(entered.number).is_some());
+        // In use it stays as it is.
+        inodes.wake(entered.number, bytes("333\n"), Sharing::Alone, at(60_001));
+        assert_eq!(value(&inodes, entered.number), &bytes("22\n"));
     }
 
     #[test]
@@ -712,6 +888,8 @@ mod tests {
         Announce,
         /// A nodeid is renewed if it is due.
         Renew(usize),
+        /// What rests is dropped, as when there are many.
+        Tidy,
         Wait(u64),
     }
 
@@ -727,6 +905,7 @@ mod tests {
             1 => nodeid().prop_map(Step::WriteEnds),
             1 => Just(Step::Announce),
             2 => nodeid().prop_map(Step::Renew),
+            1 => Just(Step::Tidy),
             1 => (0..2 * delay()).prop_map(Step::Wait),
         ]
     }
@@ -744,6 +923,7 @@ mod tests {
         bytes: Option<Vec<u8>>,
         writing: u32,
         waiting: Vec<u32>,
+        has_rested: bool,
     }
 
     /// A small reference model of the table.
@@ -810,10 +990,16 @@ mod tests {
                     }
                     let lookups = lookups.min(known.lookups);
                     known.lookups -= lookups;
-                    if known.lookups == 0 {
+                    let (is_last, has_rested) = (known.lookups == 0, known.has_rested);
+                    inodes.forget(number, lookups);
+                    if is_last {
                         self.known.remove(&number);
                     }
-                    inodes.forget(number, lookups);
+                    if is_last && has_rested {
+                        // It stays until it rests.
+                        inodes.live.remove(&number).expect("nobody knows how often it was looked up");
+                        inodes.drop_current(number);
+                    }
                 }
                 Step::Read(picked) => {
                     let (Some(number), request) = (self.pick(picked), self.unique()) else { return };
@@ -873,20 +1059,42 @@ mod tests {
                     let Some(number) = self.pick(picked) else { return };
                     let Some(node) = inodes.due(number, now) else { return };
                     let known = self.known.get_mut(&number).expect("it was picked");
-                    assert_eq!(node, Node::Covered(known.file));
+                    assert_eq!(node, node_of(known.file));
                     assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
                     let delay = if known.file == WRITABLE { 0 } else { delay() };
                     assert!(self.now >= known.last_lookup + delay, "only after the delay");
                     known.bytes = read_bytes(&self.files[known.file as usize]);
                     inodes.renew(number, as_value(known.bytes.as_deref()), now);
                 }
+                Step::Tidy => self.tidy(inodes),
                 Step::Wait(millis) => self.now += millis,
+            }
+        }
+
+        fn tidy(&mut self, inodes: &mut Inodes<u32>) {
+            drop_resting(inodes, self.now);
+            let dropped: Vec<u64> =
+                self.known.keys().copied().filter(|&number| inodes.get(number).is_none()).collect();
+            for number in dropped {
+                let known = self.known.get_mut(&number).expect("it was listed");
+                assert!(known.writing == 0 && known.waiting.is_empty(), "only when idle");
+                assert!(self.now >= known.last_lookup + IN_USE.as_millis() as u64, "only after a while");
+                self.last.retain(|_, last| *last != number);
+                if number % 2 == 0 {
+                    self.known.remove(&number);
+                    continue;
+                }
+                // Somebody has it open.
+                known.has_rested = true;
+                known.bytes = read_bytes(&self.files[known.file as usize]);
+                let sharing = if known.file == WRITABLE { Sharing::Alone } else { Sharing::By(0) };
+                inodes.wake(number, as_value(known.bytes.as_deref()), sharing, at(self.now));
             }
         }
 
         fn look_up(&mut self, file: u32, thread: u32, inodes: &mut Inodes<u32>) {
             let sharing = if file == WRITABLE { Sharing::Alone } else { Sharing::By(thread) };
-            let shown = inodes.enter(Node::Covered(file), self.value(file), sharing, at(self.now));
+            let shown = inodes.enter(node_of(file), self.value(file), sharing, at(self.now));
             let (bytes, number) = (self.bytes(file), shown.number);
             if file == WRITABLE {
                 assert!(!self.known.contains_key(&number), "each lookup has a nodeid of its own");
@@ -905,6 +1113,7 @@ mod tests {
                 bytes: bytes.clone(),
                 writing: 0,
                 waiting: Vec::new(),
+                has_rested: false,
             });
             assert_eq!((known.file, &known.bytes), (file, &bytes), "a lookup finds the present value");
             assert!(bytes.is_some() || known.thread == thread, "threads do not share an unread nodeid");
@@ -915,7 +1124,7 @@ mod tests {
 
         /// One nodeid never shows two values unless it was renewed, and its size matches its bytes.
         fn check(&self, inodes: &Inodes<u32>) {
-            assert_eq!(inodes.live.len(), self.known.len() + 1, "the root, and what was not forgotten");
+            assert_eq!(inodes.live.len(), self.known.len(), "what was not forgotten");
             for (&number, known) in &self.known {
                 assert_eq!(value(inodes, number), &as_value(known.bytes.as_deref()));
                 let size = known.bytes.as_ref().map_or(4096, |bytes| bytes.len() as u64);

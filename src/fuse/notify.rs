@@ -17,8 +17,8 @@
 //! The last one makes the kernel look up every name again. Linux has it since 6.16; an older one may not keep the
 //! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
-use std::collections::HashMap;
 use std::fs::File;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Write;
 use std::os::fd::BorrowedFd;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -81,8 +81,7 @@ impl Announcer {
 
     /// Starts the thread. It ends when the session has ended.
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
-        let mut announcing =
-            Announcing { fs, table, notifier, announcer: self.clone(), folders: HashMap::new() };
+        let mut announcing = Announcing { fs, table, notifier, announcer: self.clone() };
         let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
         let started = builder.spawn(move || announcing.run());
         started.map(drop).map_err(|error| host("a thread", &error))
@@ -147,8 +146,6 @@ struct Announcing {
     table: Arc<Table>,
     notifier: Notifier,
     announcer: Announcer,
-    /// The names that each folder held at the last look.
-    folders: HashMap<Node, Vec<String>>,
 }
 
 /// However the thread ends, no write is left without an answer.
@@ -187,6 +184,7 @@ impl Announcing {
             Node::Mains(_) => !gauges.is_empty(),
             Node::Root | Node::Covered(_) => false,
         };
+        lock(&self.table).tidy(Now::read());
         let files: Vec<(u64, Node, Value)> = lock(&self.table)
             .up_to_date()
             .filter(|(_, node, _)| has_changed(*node))
@@ -214,23 +212,25 @@ impl Announcing {
     /// it finds that the folder's time has changed.
     fn announce_folders(&mut self, gauges: &[u16]) {
         for folder in self.fs.changing_folders(gauges) {
-            let Some(number) = lock(&self.table).current(folder) else {
-                // The kernel does not know it, and will ask for a new listing when it does.
-                self.folders.remove(&folder);
+            if !lock(&self.table).is_listed(folder) {
+                // The kernel has not asked for its names.
                 continue;
-            };
-            let names: Vec<String> = self.fs.list(folder).into_iter().map(|(name, _)| name).collect();
-            let before = self.folders.insert(folder, names);
-            // The first time there is nothing to compare with: the listing may have changed since the kernel
-            // asked for it.
-            if before.is_none() || before.as_ref() != self.folders.get(&folder) {
-                lock(&self.table).restamp(number, Now::read());
+            }
+            let names = hash(&self.fs.list(folder));
+            if lock(&self.table).has_outdated(folder, names, Now::read()) {
                 // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows is
                 // invalid from now on; the pages of the listing stay, and so nothing waits for them.
-                let _ = self.notifier.inval_inode(INodeNo(number), -1, 0);
+                let _ = self.notifier.inval_inode(INodeNo(folder.place().into()), -1, 0);
             }
         }
     }
+}
+
+/// What distinguishes a folder's listing from another one.
+pub(super) fn hash(names: &[(String, Node)]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    names.hash(&mut hasher);
+    hasher.finish()
 }
 
 /// Makes the kernel look up every name again before it uses it.
