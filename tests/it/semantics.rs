@@ -70,9 +70,16 @@ impl Mount {
 
     /// Names and modes of the files in a folder of the gauge.
     fn list(&self, name: &str) -> BTreeMap<String, u32> {
-        let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
-        let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
-        entries.map(|entry| (entry.file_name().to_string_lossy().into_owned(), mode(entry.path()))).collect()
+        let listed = |_| -> Option<BTreeMap<String, u32>> {
+            let entries =
+                fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
+            let mode = |path: PathBuf| Some(fs::symlink_metadata(path).ok()?.permissions().mode() & 0o777);
+            let pairs = entries
+                .map(|entry| Some((entry.file_name().to_string_lossy().into_owned(), mode(entry.path())?)));
+            pairs.collect()
+        };
+        // A poll that comes between the listing and a look at a file may have taken its value away.
+        (0..3).find_map(listed).expect("the files that are listed")
     }
 }
 
