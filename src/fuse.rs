@@ -138,8 +138,8 @@ fn start(
         announcer.keep_names(session.as_fd());
     }
     let notifier = session.notifier();
-    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     announcer.start(fs, table, notifier)?;
+    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     Ok(Mounted { session, over, announcer })
 }
 

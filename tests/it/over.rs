@@ -124,6 +124,28 @@ fn the_kernels_supplies_stay_visible_and_unchanged() {
     assert_eq!(fs::remove_file(&link).expect_err("not from here").kind(), ErrorKind::PermissionDenied);
 }
 
+/// fusermount3 mounts a folder without a mode. The kernel then has none before its first GETATTR is answered, and drops an
+/// answer that a notification overtakes. Root may read a folder without a mode, so this is tried as somebody else.
+#[test]
+fn regression_the_first_look_of_an_ordinary_user_was_refused() {
+    use std::os::unix::process::CommandExt;
+    if !nix::unistd::geteuid().is_root() {
+        // Then the test below has looked as an ordinary user.
+        return;
+    }
+    let tree = Tree::new();
+    let program = tree.0.join("tests");
+    let own = std::env::current_exe().expect("the test's own program");
+    fs::copy(own, &program).expect("a copy that any user may run");
+    let mut command = Command::new(program);
+    command.args(["--exact", "--nocapture", "over::the_kernels_supplies_stay_visible_and_unchanged"]);
+    let output = command.uid(65534).gid(65534).current_dir("/").output().expect("it runs");
+    let text =
+        [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
+    eprint!("{text}");
+    assert!(output.status.success() && text.contains("1 passed"));
+}
+
 #[test]
 fn added_and_removed_supplies_show_at_once() {
     let tree = Tree::new();
