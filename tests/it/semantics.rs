@@ -68,11 +68,12 @@ impl Mount {
         within(Duration::from_secs(60), what, || holds(self));
     }
 
-    /// Names and modes of the files in a folder of the gauge.
+    /// Names and modes of the files in a folder of the gauge. A poll may have removed some since they were listed.
     fn list(&self, name: &str) -> BTreeMap<String, u32> {
         let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
-        let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
-        entries.map(|entry| (entry.file_name().to_string_lossy().into_owned(), mode(entry.path()))).collect()
+        let mode = |path: PathBuf| Some(fs::symlink_metadata(path).ok()?.permissions().mode() & 0o777);
+        let named = |entry: &fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        entries.filter_map(|entry| Some((named(&entry), mode(entry.path())?))).collect()
     }
 }
 
