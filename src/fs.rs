@@ -488,7 +488,9 @@ impl Fs {
         let why = "too long for a value, so it may not be whole; write the value alone, without padding";
         let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
         match node {
-            Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(Attempt::Other, error, done),
+            Node::Of(gauge, _) => {
+                self.supplies[usize::from(gauge)].handle.refuse(Attempt::Other, error, done)
+            }
             _ => done(Err(error)),
         }
     }

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
     use crate::daemon::recorded;
     use crate::owner::rig::{INTERVAL, Rig};
-    use crate::owner::{Request, Settings, Startup};
+    use crate::owner::{Settings, Startup, operations as op};
     use ti_gauge::dataflash::sample;
 
     /// Mounts a report as `--replay` does, and compares what its gauge shows with what the report says.
@@ -196,8 +196,7 @@ mod tests {
         let is_recorded = without_data_flash(&text).is_none() && chip.name != "bq35100";
         let index = sample(chip).filter(|_| is_recorded);
         if let Some(index) = index {
-            rig.ask(|done| Request::Read(vec![index], done))
-                .unwrap_or_else(|error| panic!("{name}: {error}"));
+            rig.ask(&op::READ, vec![index]).unwrap_or_else(|error| panic!("{name}: {error}"));
         }
         chip
     }
@@ -208,7 +207,7 @@ mod tests {
         for chip in Chip::all() {
             let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
             rig.start().expect("it answers");
-            rig.ask(Request::Report).expect("it answers");
+            rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
             assert_eq!(
                 matches!(&report.data_flash, Ok(read) if !read.is_empty()),
@@ -255,7 +254,7 @@ mod tests {
         ] {
             let mut rig = Rig::of(chip, Settings::default(), Startup::default());
             rig.start().expect("it answers");
-            rig.ask(Request::Report).expect("it answers");
+            rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
             let origin = Origin { place: "simulated gauge".into(), address: 0x55, adapter: String::new() };
             let text = text(rig.handle.chip(), &origin, &report);
@@ -300,7 +299,7 @@ mod tests {
     #[test]
     fn a_report_names_kernel_adapter_and_version_and_hostile_names_make_no_lines() {
         let mut rig = Rig::open();
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         let adapter = "i2c-7 (evil\nR: AA 08 2), capabilities 0x1".to_string();
         let origin = Origin { place: "/dev/i2c-7 address 0x55".into(), address: 0x55, adapter };

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::fuse;
 use crate::lock;
 use crate::output::say;
-use crate::owner::{Handle, Request};
+use crate::owner::{Handle, operations as op};
 
 /// How far a mount has come.
 #[derive(Default)]
@@ -118,17 +118,9 @@ pub(super) fn finish(handles: &[Handle]) -> Result<()> {
     for handle in handles {
         let done = done.clone();
         // Requests are served in order.
-        let stop = move |ended: Result<()>| {
-            let _ = done.send(ended);
-            drop(done);
-            loop {
-                std::thread::park();
-            }
-        };
-        handle.submit(Request::End(Box::new(stop)));
+        handle.ask(&op::END, (), Box::new(move |ended| drop(done.send(ended))));
     }
     drop(done);
-    // Each owner drops its end with the request, served or not.
     let owed = is_done.iter().filter_map(Result::err).inspect(|error| log::error!("{error}"));
     owed.reduce(|first, _| first).map_or(Ok(()), Err)
 }

@@ -9,7 +9,7 @@ use super::supply::Supply;
 use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Attempt, Done, Request};
+use crate::owner::{Attempt, Done, operations as op};
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
@@ -165,31 +165,35 @@ impl Operations for Of<'_, DfItem> {
                 let why = Cause::NotPermitted("keys are never read".into());
                 done(Err(Error::new(supply.subclass(at).name, why)));
             }
-            DfItem::Parameter(at, row) => handle.submit(Request::Read(
+            DfItem::Parameter(at, row) => handle.ask(
+                &op::READ,
                 vec![at.into()],
                 Box::new(move |read| done(read.map(|read| supply.parameter_text(at, row, &read[0])))),
-            )),
-            DfItem::Raw(at) => handle.submit(Request::Read(
+            ),
+            DfItem::Raw(at) => handle.ask(
+                &op::READ,
                 vec![at.into()],
                 Box::new(move |read| done(read.map(|read| read[0].to_vec()))),
-            )),
+            ),
             DfItem::Index => {
                 let rows = supply.chip().subclasses.iter().enumerate();
                 let readable = rows.filter(|(_, row)| row.kind != Kind::Security).map(|(at, _)| at);
-                handle.submit(Request::Read(
+                handle.ask(
+                    &op::READ,
                     readable.collect(),
                     Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
-                ));
+                );
             }
             DfItem::Transaction => {
                 let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
                 let staged = staged.changes(supply.chip());
-                handle.submit(Request::Read(
+                handle.ask(
+                    &op::READ,
                     supply.unread(&staged),
                     Box::new(move |read| {
                         done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))
                     }),
-                ));
+                );
             }
             _ => done(Err(super::no_value())),
         }
@@ -210,8 +214,11 @@ impl Operations for Of<'_, DfItem> {
                     None => Change::parse((subclass, parameter), data, handle.allows_unproven())
                         .map_err(Error::from),
                 };
-                let attempt = Attempt::Write(vec![Place::of((subclass, parameter))]);
-                supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
+                let attempt = || Attempt::Write(vec![Place::of((subclass, parameter))]);
+                match change {
+                    Ok(change) => handle.ask(&op::WRITE, vec![change], done),
+                    Err(error) => handle.refuse(attempt(), error, done),
+                }
             }
             DfItem::Transaction => {
                 // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
@@ -222,7 +229,7 @@ impl Operations for Of<'_, DfItem> {
                     return supply.stage(data, done);
                 }
                 let (supply, data) = (Arc::clone(supply), data.to_vec());
-                handle.submit(Request::Read(unread, Box::new(move |_| supply.stage(&data, done))));
+                handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(&data, done)));
             }
             _ => done(Err(super::not_writable())),
         }
@@ -290,12 +297,12 @@ impl Supply {
         };
         let staged = self.transaction.write(&rules, self.moment(), data);
         if staged.is_ok() && !self.transaction.is_spoiled() {
-            handle.succeeded(&Attempt::Stage);
+            handle.succeeded(&Attempt::STAGE);
         }
         match staged {
             Ok(None) => done(Ok(())),
-            Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-            Err(error) => self.refuse(Attempt::Stage, error, done),
+            Ok(Some(changes)) => handle.ask(&op::WRITE, changes, done),
+            Err(error) => handle.refuse(Attempt::STAGE, error, done),
         }
     }
 

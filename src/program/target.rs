@@ -11,7 +11,7 @@ use ti_gauge::text;
 
 use super::record::Changed;
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, Request, readable};
+use crate::owner::{Direct, operations as op, readable};
 
 /// The place of a parameter: subclass and offset.
 pub(super) type Place = (u8, u16);
@@ -27,10 +27,10 @@ pub(super) struct Flash {
 impl Flash {
     /// Reads it anew.
     pub(super) fn read(gauge: &mut Direct) -> Result<Self> {
-        gauge.ask(Request::Refresh)?;
+        gauge.ask(&op::REFRESH, ())?;
         let chip = gauge.handle.chip();
         let wanted = readable(chip);
-        let read = gauge.ask(|done| Request::Read(wanted.clone(), done))?;
+        let read = gauge.ask(&op::READ, wanted.clone())?;
         let firmware = gauge.handle.published().answers.firmware_version;
         Ok(Self { chip, firmware, rows: wanted.into_iter().zip(read).collect() })
     }

@@ -13,7 +13,7 @@ use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim, SimBus};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
+use gaugefs::owner::{self, Handle, Settings, Signal, Startup, operations as op};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 
@@ -519,7 +519,7 @@ fn a_gauge_that_comes_later_is_verified_first() {
         OpenOptions::new().write(true).open(path("gauge/control")).expect("it opens").write(b"FW_VERSION");
     assert_eq!(refused.map_err(errno), Err(Errno::ENODEV));
     assert!(fs::write(path("gauge/refresh"), "1").is_err());
-    handle.submit(Request::Look);
+    handle.ask(&op::LOOK, (), Box::new(drop));
     assert_eq!(cat("present"), "0\n");
     assert_eq!(written.load(Ordering::SeqCst), 0);
 

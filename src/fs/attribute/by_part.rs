@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use super::tests::{open, show, turn};
 use super::*;
-use crate::owner::Request;
+use crate::owner::operations as op;
 use crate::owner::rig::Rig;
 use ti_gauge::chip::{FLAT, Parameter, Subclass};
 
@@ -232,7 +232,7 @@ pub(super) fn read_places(rig: &mut Rig) {
     let rows = chip.subclasses.iter().enumerate().filter(|(_, row)| wanted(row));
     let rows: Vec<_> = rows.map(|(index, _)| index).collect();
     if !rows.is_empty() {
-        rig.ask(|done| Request::Read(rows, done)).expect("the default key");
+        rig.ask(&op::READ, rows).expect("the default key");
     }
 }
 
