@@ -427,7 +427,7 @@ impl Fs {
             return Error::host("", Errno::ENOENT, "there is no such file, and none can be made");
         };
         let supply = &self.supplies[usize::from(gauge)];
-        let error = df::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
+        let error = transaction::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
         supply.handle.report(Attempt::Other, &error);
         error
     }

@@ -7,7 +7,8 @@ use crate::owner::{Effect, Origin, Report, Times};
 use gauge_bus::{regular, trace};
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
 use ti_gauge::dataflash::Place;
-use ti_gauge::text::{self, hex, printable};
+use ti_gauge::notation;
+use ti_gauge::text::{hex, printable};
 
 /// How the line about data flash begins.
 const DATA_FLASH: &str = "Data flash: ";
@@ -38,7 +39,7 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     }
     about.extend(chip.beliefs().map(|belief| format!("Not confirmed: {}", belief.name)));
     about.extend(report.values.iter().map(|(row, value)| {
-        let (place, text) = (Place::of(*row), text::render(row.1.kind, value));
+        let (place, text) = (Place::of(*row), notation::render(row.1.kind, value));
         format!("Value {place} {} = {text} {}", row.1.name, row.1.unit).trim_end().to_string()
     }));
     about.extend(times(chip, report));

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
-use super::{GaugeOptions, file, from_toml, make_absolute};
-use crate::error::Result;
+use super::file::{self, File, Head, Table};
+use super::{GaugeOptions, from_toml, make_absolute};
+use crate::error::{Cause, Error, Result};
 use ti_gauge::image::Group;
 use ti_gauge::{date, text};
 
@@ -206,6 +207,47 @@ impl StationOptions {
     }
 }
 
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OfStation {
+    station: StationOptions,
+}
+
+/// Keys of gauges that a station has no use for.
+const NOT_AT_A_STATION: [&str; 10] = [
+    "replay",
+    "restore",
+    "poll",
+    "energy",
+    "absolute-current",
+    "current-scale",
+    "voltage-scale",
+    "energy-scale",
+    "allow-learning",
+    "trace",
+];
+
+/// Reads the options of a station and of its gauges.
+fn read_options(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
+    let text = file::text(path)?;
+    let head = Head::of::<StationOptions>("station", &["gauge"]);
+    let (file, OfStation { mut station }, gauges) = File::read::<OfStation>(path, &text, head)?;
+    make_absolute(station.paths(), file::folder(path))?;
+    station.check().map_err(|(key, why)| match file.place(Table::Head, key) {
+        Some(place) => file.refuse(place.at, key, &why),
+        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
+    })?;
+    for number in 0..gauges.gauge.len() {
+        let not_here = NOT_AT_A_STATION.iter();
+        let mut places = not_here
+            .filter_map(|key| file.place(Table::Gauge(number), key).or(file.place(Table::Defaults, key)));
+        if let Some(place) = places.next() {
+            return Err(file.refuse(place.at, &place.key, "has no meaning at a station; remove it"));
+        }
+    }
+    Ok((station, file.gauges(gauges, path, None)?))
+}
+
 /// What `gaugefs program` does. All paths are absolute.
 #[derive(Clone, Debug)]
 pub(crate) struct StationSetup {
@@ -224,7 +266,7 @@ impl StationSetup {
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let mut path = path.to_path_buf();
         make_absolute([&mut path].into_iter(), Path::new(""))?;
-        let (station, gauges) = file::read_station(&path)?;
+        let (station, gauges) = read_options(&path)?;
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let record = station.record.clone().unwrap_or_else(|| path.with_extension("jsonl"));
         let images = station.images.clone().unwrap_or_else(|| record.with_extension("images"));

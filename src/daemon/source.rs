@@ -18,8 +18,8 @@ use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
 use ti_gauge::chip::{Chip, SealStatus, Tier};
-use ti_gauge::gauge::bursts;
 use ti_gauge::probe::{self, Target};
+use ti_gauge::registers::bursts;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);

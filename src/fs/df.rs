@@ -10,9 +10,10 @@ use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Attempt, Done, operations as op};
-use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
@@ -344,7 +345,7 @@ impl Supply {
                 }
                 Some((subclass, parameter)) => {
                     let old = kept.map_or("-".into(), |kept| column(value_text(subclass, parameter, &kept)));
-                    let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                    let new = notation::render(parameter.kind, &codec::decode(parameter.kind, bytes));
                     format!("{}: {old} -> {new}\n", parameter.name)
                 }
             };
@@ -384,17 +385,6 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
-/// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
-/// what was written, which may be a secret in the wrong place.
-pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
-    // A path that no file has may be the name of a parameter in another spelling.
-    let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
-        Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
-        None => "no such parameter; df/index lists them all".into(),
-    };
-    Error::host("", Errno::ENOENT, why)
-}
-
 /// Name of a parameter's file on parts with a flat address space.
 fn address(parameter: &Parameter) -> String {
     format!("0x{:04x}", parameter.offset)
@@ -403,7 +393,7 @@ fn address(parameter: &Parameter) -> String {
 fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
     let at = usize::from(parameter.offset - subclass.start());
     let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
-    text::render(parameter.kind, &value)
+    notation::render(parameter.kind, &value)
 }
 
 /// A value where `-` means that there is none. Only a string can be a `-` itself.
@@ -413,7 +403,7 @@ fn column(text: String) -> String {
 
 /// Smallest and largest value as a source prints them, and the default of a part with that DM_CODE; keys show none of them.
 fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
-    let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
+    let show = |value: i64| notation::render(parameter.kind, &Value::Int(value));
     match &parameter.range {
         _ if subclass.kind == Kind::Security => [None, None, None],
         // The limits of a type are none that a source gives.
@@ -425,7 +415,7 @@ fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [
             [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
         }
         Range::Text { default } => {
-            let show = |text: &str| text::render(parameter.kind, &Value::Text(text.into()));
+            let show = |text: &str| notation::render(parameter.kind, &Value::Text(text.into()));
             [None, None, default.map(show)]
         }
     }
@@ -446,6 +436,7 @@ fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ti_gauge::chip::Chip;
 
     #[test]
     fn the_default_is_that_of_the_flavour() {
@@ -461,7 +452,7 @@ mod tests {
     fn an_unknown_parameter_is_reported_with_the_nearest_one() {
         let says = |chip: &str, place: &str| {
             let chip = Chip::by_name(chip).expect("it has a table");
-            let error = unknown(chip, place);
+            let error = transaction::unknown(chip, place);
             assert_eq!(error.errno(), Errno::ENOENT, "{place}");
             error.to_string()
         };

@@ -26,9 +26,8 @@ use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
-use super::adapter::present;
 use super::inodes::{Now, Value};
-use super::{Table, host, lock};
+use super::{Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;

@@ -15,6 +15,7 @@ use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::keys;
+use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::unit;
 
@@ -101,7 +102,7 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
 fn difference(change: &Change, old: &[u8]) -> String {
     let new = change.stored_over(old);
     let show = |bytes: &[u8]| match change.row() {
-        Some((_, parameter)) => unit::show(parameter, &codec::decode(parameter.kind, bytes)),
+        Some((_, parameter)) => notation::show(parameter, &codec::decode(parameter.kind, bytes)),
         None => text::hex(bytes),
     };
     let unit = match change.row() {

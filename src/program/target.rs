@@ -12,6 +12,7 @@ use ti_gauge::text;
 use super::record::Changed;
 use crate::error::{Cause, Error, Result};
 use crate::owner::{Direct, operations as op, readable};
+use ti_gauge::notation;
 
 /// The place of a parameter: subclass and offset.
 pub(super) type Place = (u8, u16);
@@ -55,7 +56,7 @@ impl Flash {
     /// The text of a parameter.
     pub(super) fn text(&self, row: Row) -> Option<String> {
         let bytes = self.bytes(row)?;
-        Some(text::render(row.1.kind, &codec::decode(row.1.kind, bytes)))
+        Some(notation::render(row.1.kind, &codec::decode(row.1.kind, bytes)))
     }
 
     /// The number that a parameter holds, where it holds one.

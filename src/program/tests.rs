@@ -24,6 +24,7 @@ use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
 use crate::config::{StationOptions, StationSetup};
 use crate::error::Result;
 use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
+use ti_gauge::notation;
 
 /// A station's folder, which is removed at the end.
 struct Folder(PathBuf);
@@ -92,7 +93,7 @@ fn golden() -> String {
     for (place, text) in OTHERS {
         let (id, offset) = place.split_once('/').expect("a place");
         let Some(row) = chip.row(id, offset) else { continue };
-        if let Ok(value) = text::parse(row.1, text.as_bytes()) {
+        if let Ok(value) = notation::parse(row.1, text.as_bytes()) {
             image.set(row.0, row.1, value);
         }
     }

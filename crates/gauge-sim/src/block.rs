@@ -12,19 +12,21 @@ use std::time::Duration;
 use sha1::{Digest, Sha1};
 
 use super::analog::{BOARD_COUNTS, CC_COUNTS};
-use super::device::{Device, Gauge};
+use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::error::{Error, Kind, Result};
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
 use super::knob;
+use super::model::{Host, Place};
 use super::model::{Kept, Model, Registers, bits};
-use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
+use super::options::Options;
+use super::part::{Action, BlockPart, Flag, Part, Scale, Status};
+use super::rom::ROM_ADDRESS;
 use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
-use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
 
 /// The class of the keys.

@@ -8,19 +8,8 @@ use super::knob::{Choice, Dial};
 use super::model::Kept;
 use super::part::{Part, Scheme};
 use super::random::Random;
-use super::timing::Timing;
+use super::timing::{Busy, Timing};
 use gauge_bus::BusError;
-
-/// What a gauge does while it is busy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Busy {
-    /// It does not acknowledge its address.
-    Nack,
-    /// It holds the clock.
-    Stretch,
-    /// It answers as it did before.
-    Old,
-}
 
 /// What is read of a block that is not loaded yet, in either case with the checksum that belongs to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,11 +58,6 @@ impl NackAs {
             NackAs::Eagain => BusError::ArbitrationLost,
         }
     }
-}
-
-impl Choice for Busy {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
 }
 
 impl Choice for Early {

@@ -9,7 +9,7 @@ use super::battery::Battery;
 use super::flash::Flash;
 use super::learning::{LEARNED, Learning, Lesson, Ocv, QMAX_AND_RA, settled};
 use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, lasting, signed, whole};
-use super::part::{Host, Place};
+use super::model::{Host, Place};
 
 /// Rest after which an open-circuit voltage is taken.
 const OCV_S: f64 = 1800.0;

@@ -4,6 +4,22 @@ use std::time::Duration;
 
 use super::error::{Error, Kind, Result};
 
+/// The knobs that have an effect on it.
+pub(super) const OF_REGISTERS: &[&str] = &[
+    "load_ma",
+    "temperature",
+    "speed",
+    "clock",
+    "soc",
+    "voltage_mv",
+    "power",
+    "mode",
+    "first_ms",
+    "single_byte",
+    "bus_free_us",
+    "watchdog",
+];
+
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Knob {

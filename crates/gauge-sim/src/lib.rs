@@ -60,6 +60,7 @@ mod knob;
 mod learning;
 mod mac;
 mod model;
+mod options;
 mod part;
 mod parts;
 mod random;
@@ -70,7 +71,6 @@ mod timing;
 mod update;
 mod watchdog;
 mod window;
-mod wire;
 
 use block::Block;
 use device::Gauge;
@@ -80,9 +80,9 @@ use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use fault::{FAULTS, FaultWord};
 pub use knob::Knob;
 use mac::Mac;
+pub use options::Options;
 use part::Scheme;
 use register::Register;
-pub use wire::Options;
 
 /// One bit at 100 kHz.
 const BIT: Duration = Duration::from_micros(10);

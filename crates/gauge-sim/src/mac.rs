@@ -8,18 +8,19 @@
 
 use std::time::Duration;
 
-use super::device::{Device, Gauge};
+use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::error::Result;
 use super::flash::{BLOCK, Flash};
 use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
 use super::knob;
 use super::model::{Kept, MacModel, Model, Registers, Reply};
+use super::options::Options;
 use super::part::{MacMemory, MacPart, Part, Scale};
+use super::rom::ROM_ADDRESS;
 use super::seal::{Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::checksum;
-use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
 
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).

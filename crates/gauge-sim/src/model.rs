@@ -18,6 +18,16 @@ pub(super) const NO_TIME: u16 = 0xFFFF;
 /// Duration of an offset measurement.
 const OFFSET_S: f64 = 4.0;
 
+/// A word that the host writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Host {
+    AtRate,
+    Temperature,
+}
+
+/// Class and offset of a value in data flash.
+pub(super) type Place = (u16, usize);
+
 /// Bytes that the gauge itself stores, and their place in flash.
 pub(super) struct Kept {
     pub(super) area: u16,

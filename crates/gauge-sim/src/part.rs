@@ -2,7 +2,7 @@
 
 use super::flash::{Flash, Image};
 use super::gauging::Map;
-use super::model::MacModel;
+use super::model::{Host, MacModel, Place};
 use super::rom::{Firmware, Layout};
 use super::seal::Level;
 use super::timing::Timing;
@@ -75,8 +75,6 @@ pub(super) enum Scheme {
     Registers(&'static RegisterPart),
 }
 
-/// Class and offset of a value in data flash.
-pub(super) type Place = (u16, usize);
 /// A bit of the word there.
 pub(super) type Flag = (u16, usize, u16);
 
@@ -176,13 +174,6 @@ impl Scale {
         let shown = (u64::from(voltage_mv) * self.factor() + board / 2) / board;
         if self.external && shown > u64::from(self.divider) { 0 } else { shown as u16 }
     }
-}
-
-/// A word that the host writes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Host {
-    AtRate,
-    Temperature,
 }
 
 /// What a subcommand does.

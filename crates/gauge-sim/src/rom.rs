@@ -11,6 +11,9 @@ use std::time::Duration;
 
 use super::random::Random;
 
+/// Where a gauge in ROM mode answers.
+pub(super) const ROM_ADDRESS: u8 = 0x0B;
+
 /// Rows of instruction flash and of data flash, and their bytes.
 const ROWS: usize = 512;
 const ROW: usize = 96;

@@ -2,7 +2,23 @@
 
 use std::time::Duration;
 
-use super::envelope::Busy;
+use super::knob::Choice;
+
+/// What a gauge does while it is busy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Busy {
+    /// It does not acknowledge its address.
+    Nack,
+    /// It holds the clock.
+    Stretch,
+    /// It answers as it did before.
+    Old,
+}
+
+impl Choice for Busy {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
+}
 
 /// The timing of one gauge.
 #[derive(Clone, Copy, Debug)]

@@ -13,7 +13,6 @@ pub use crate::chip::Answers;
 use crate::chip::{Chip, Scheme, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_stack};
-pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};

@@ -604,7 +604,7 @@ fn a_scale_that_is_written_applies() {
     let (mut rig, id, offset) = with_energy_scale("bq34z100-g1");
     for scale in ["1", "10"] {
         let row = rig.handle.chip().row(&id.to_string(), &offset.to_string()).expect("a row");
-        let value = ti_gauge::text::parse(row.1, scale.as_bytes()).expect("a value");
+        let value = ti_gauge::notation::parse(row.1, scale.as_bytes()).expect("a value");
         let change = ti_gauge::dataflash::Change::of_value(row, &value, true).expect("it fits");
         rig.ask(&op::WRITE, vec![change]).expect("the default key");
         for _ in 0..20 {

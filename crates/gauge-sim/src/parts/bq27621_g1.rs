@@ -9,8 +9,9 @@ use super::bq27441_g1::{FLAGS, OWN, TIMING};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
+use super::model::Host;
 use super::part::Action::*;
-use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
 use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::update::Exit;
 

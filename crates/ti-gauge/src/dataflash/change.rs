@@ -9,7 +9,7 @@ pub use crate::chip::Row;
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::text;
+use crate::notation;
 use crate::value::Value;
 
 /// New bytes for one place in data flash.
@@ -38,14 +38,14 @@ impl Change {
     /// second source confirms (EACCES otherwise).
     pub fn parse(row: Row, text: &[u8], allow_unproven: bool) -> Result<Self> {
         check_row(row, allow_unproven)?;
-        Self::of_value(row, &text::parse(row.1, text)?, allow_unproven)
+        Self::of_value(row, &notation::parse(row.1, text)?, allow_unproven)
     }
 
     /// A new value of a parameter. It must be of its type, in the manual's range and above the safe minimum.
     pub fn of_value(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
         let parameter = row.1;
         check_row(row, allow_unproven)?;
-        text::check(parameter, value)?;
+        notation::check(parameter, value)?;
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
         })?;
