@@ -5,6 +5,7 @@
 mod cli;
 mod config;
 mod doctor;
+mod documents;
 mod ends;
 mod input;
 mod keys;

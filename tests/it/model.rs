@@ -400,7 +400,7 @@ impl Model {
         );
         let answers =
             chip.subcommands.iter().filter(|one| matches!(one.effect, Effect::Answers | Effect::Safe));
-        let documented = table("## Errnos");
+        let documented = table(TEXT, "## Errnos");
         let documented = documented.iter().flat_map(|row| row[0].split(", "));
         let all: BTreeMap<String, Errno> =
             (1..200).map(Errno::from_raw).map(|errno| (format!("{errno:?}"), errno)).collect();

@@ -31,7 +31,7 @@ fn readme() -> String {
 }
 
 /// The cells of the rows of a section's tables.
-fn rows(section: &str) -> Vec<Vec<String>> {
+pub(crate) fn rows(section: &str) -> Vec<Vec<String>> {
     let text = readme();
     let after = text.split_once(&format!("\n## {section}\n")).expect("the section").1;
     let section = after.split("\n## ").next().expect("its text");
@@ -178,8 +178,9 @@ fn each_figure_has_a_measurement() {
 fn examples_for_root_say_sudo() {
     let help = fs::read_to_string(root().join("tests/it/golden/help")).expect("the help texts");
     let page = gaugefs(&["man"]).done().replace("\\-", "-");
-    let docs = ["README.md", "docs/MONITORS.md", "docs/SEMANTICS.md", "docs/PACKAGING.md"]
-        .map(|path| fs::read_to_string(root().join(path)).expect(path));
+    let docs =
+        ["README.md", "docs/MONITORS.md", "docs/MOUNTING.md", "docs/SEMANTICS.md", "docs/PACKAGING.md"]
+            .map(|path| fs::read_to_string(root().join(path)).expect(path));
     let mut seen = 0;
     for line in docs.iter().chain([&help, &page]).flat_map(|text| text.lines()).map(str::trim) {
         let command = line.trim_start_matches("$ ");

@@ -1,5 +1,5 @@
-//! Holds docs/SEMANTICS.md to what a mount does: every file of the tree has a row there and every row a file,
-//! attributes have the value that their row describes, and each errno of the table occurs when the table says.
+//! Holds docs/SEMANTICS.md and docs/ATTRIBUTES.md to what a mount does: every file of the tree has a row there and every
+//! row a file, attributes have the value that their row describes, and each errno of the table occurs when the table says.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,10 +15,11 @@ use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
 
 pub(crate) const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
+const ATTRIBUTES: &str = include_str!("../../docs/ATTRIBUTES.md");
 
-/// The cells of each row of the table below a heading.
-pub(crate) fn table(heading: &str) -> Vec<Vec<&'static str>> {
-    let section = TEXT.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
+/// The cells of each row of the table below a heading of a document.
+pub(crate) fn table(document: &'static str, heading: &str) -> Vec<Vec<&'static str>> {
+    let section = document.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
     let rows =
         section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
     rows.skip(2).map(|row| row.trim_matches('|').split('|').map(str::trim).collect()).collect()
@@ -109,8 +110,9 @@ fn describe_pack(mount: &Mount, chip: &Chip) {
 
 #[test]
 fn semantics_of_the_tree() {
-    let attributes: BTreeSet<_> = table("## Attributes").iter().flat_map(|row| quoted(row[0])).collect();
-    let rows = table("## gauge/");
+    let attributes: BTreeSet<_> =
+        table(ATTRIBUTES, "## The files").iter().flat_map(|row| quoted(row[0])).collect();
+    let rows = table(TEXT, "## gauge/");
     let gauge: BTreeMap<_, _> = rows
         .iter()
         .flat_map(|row| quoted(row[0]).map(|name| (name, (!row[1].is_empty(), !row[2].is_empty()))))
@@ -168,7 +170,7 @@ fn semantics_of_the_attributes() {
     for chip in CHIPS {
         let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "3600"]) else { return };
         let mut compared = 0;
-        for row in table("## Attributes") {
+        for row in table(ATTRIBUTES, "## The files") {
             let registers: Vec<_> =
                 row[1].split([' ', ',']).filter_map(|word| word.strip_suffix("()").map(snake_case)).collect();
             for (file, register) in quoted(row[0]).zip(&registers) {
@@ -222,7 +224,7 @@ fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
 
 #[test]
 fn semantics_of_the_errnos() {
-    let rows = table("## Errnos");
+    let rows = table(TEXT, "## Errnos");
     let documented: BTreeSet<_> = rows.iter().flat_map(|row| row[0].split(", ")).collect();
     let mut occurred = BTreeMap::new();
     let mut occurs = |what: &'static str, outcome: Result<(), Errno>| {
