@@ -31,7 +31,7 @@ pack, its next start records that this pack has failed. A record that is removed
 changed while the station runs ends it: no serial number is given without the record.
 
 Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
-Exit code 0: all packs have passed, 1: one has not, also one that an earlier run has left unfinished,
+Exit code 0: all packs have passed, 1: one has not passed, an earlier run has left one unfinished,
 or the station could not start or go on.
 
 Examples:
