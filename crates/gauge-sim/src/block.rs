@@ -4,7 +4,7 @@
 //! their descriptions, [`BlockPart`].
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
-//! after every reset, and it ignores silently what it refuses.
+//! after every reset, and it ignores refused commands silently.
 
 use std::mem;
 use std::time::Duration;
@@ -67,7 +67,7 @@ struct Ram {
     window: Window,
     /// The low byte of a word, until the high byte is written.
     low: u8,
-    /// What Control() reads.
+    /// The value that Control() reads.
     answer: u16,
     previous: u16,
     /// Bits of CONTROL_STATUS that subcommands have set.
@@ -512,7 +512,7 @@ impl Block {
         }
     }
 
-    /// What the boot loader does to the rest of the gauge.
+    /// Applies an effect of the boot loader to the rest of the gauge.
     fn affect(&mut self, device: &mut Device, effect: Option<Effect>) {
         match effect {
             Some(Effect::Data(parts)) => {

@@ -2,7 +2,7 @@
 //! timing, the battery's clock, and the knobs that all gauges have. Everything else is the part's scheme.
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: it does not answer while
-//! it starts, and what it does not store it acknowledges all the same.
+//! it starts, and it acknowledges also what it does not store.
 
 use std::borrow::Cow;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -27,7 +27,7 @@ enum Power {
     Off(Option<Duration>),
 }
 
-/// What is being programmed.
+/// A commit that is being programmed.
 struct Pending {
     old: Kept,
     started: Duration,
@@ -66,7 +66,7 @@ pub(super) struct Device {
     watchdog: Watchdog,
     /// Flash is programmed until then.
     busy_until: Duration,
-    /// What is being programmed, the latest last.
+    /// Commits that are being programmed, the latest last.
     pending: Vec<Pending>,
     /// Commits that were acknowledged and not stored.
     dropped: u64,
@@ -138,7 +138,7 @@ impl Device {
         self.quiet >= timing.key_quiet.max(full_access).max(refused)
     }
 
-    /// Whether the gauge does not get, or does not take, a command.
+    /// Whether the gauge loses or ignores a command.
     pub(super) fn loses(&mut self, lost: Lost) -> bool {
         self.plan.loses(lost) || self.envelope.loses(lost)
     }
@@ -314,7 +314,7 @@ impl Device {
         Kept { area: kept.area, offset: block * BLOCK, bytes }
     }
 
-    /// Leaves of a commit what a loss of power leaves of it. This is decided nowhere else.
+    /// Applies a loss of power to a commit. Nothing else decides what is left of it.
     fn tear(&mut self, old: &Kept, words: usize) {
         self.envelope.tear(&mut self.flash, old, words);
         self.save();
@@ -405,7 +405,7 @@ pub(super) trait Wire: Send {
 
     /// Builds all RAM anew, after a reset or when power has come.
     fn reset(&mut self, device: &mut Device);
-    /// Lets pass what depends on time. `settle` asks for a measurement at once.
+    /// Lets time pass. `settle` asks for a measurement at once.
     fn run(&mut self, device: &mut Device, settle: bool);
     /// Measures again, because a knob was turned.
     fn refresh(&mut self);
@@ -416,9 +416,9 @@ pub(super) trait Wire: Send {
     /// Whether the voltage allows flash to be programmed.
     fn gate(&self, flash: &Flash) -> bool;
 
-    /// What the `mode` knob shows while the gauge is on and not starting.
+    /// The text of the `mode` knob while the gauge is on and not starting.
     fn mode(&self, flash: &Flash) -> &'static str;
-    /// What a knob of this scheme shows.
+    /// The text of a knob of this scheme; `None` if it has no such knob.
     fn knob(&self, device: &Device, name: &str) -> Option<String>;
     fn set_knob(&mut self, device: &mut Device, name: &str, text: &str) -> Result<()>;
 }
@@ -564,7 +564,7 @@ impl Gauge {
         }
     }
 
-    /// What a knob shows.
+    /// The text that a knob shows; `None` if there is no knob of that name.
     pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);

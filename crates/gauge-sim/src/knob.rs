@@ -25,14 +25,14 @@ pub(super) const OF_REGISTERS: &[&str] = &[
 pub struct Knob {
     /// Name of the file.
     pub name: &'static str,
-    /// What it shows or does.
+    /// Describes what the knob shows or does.
     pub help: &'static str,
     /// Whether it can be written.
     pub writable: bool,
     pub(super) of: Of,
 }
 
-/// What has a knob.
+/// The gauges that have a knob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     Bus,

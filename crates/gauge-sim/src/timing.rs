@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::knob::Choice;
 
-/// What a gauge does while it is busy.
+/// The behaviour of a busy gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Busy {
     /// It does not acknowledge its address.
@@ -27,7 +27,7 @@ pub(super) struct Timing {
     pub(super) power_up: Duration,
     /// From a reset to the first answer.
     pub(super) reset: Duration,
-    /// What the gauge does during a reset. One that answers as before resets at the end of that time.
+    /// The behaviour during a reset. A gauge that answers as before resets at the end of that time.
     pub(super) reset_busy: Busy,
     /// It holds the clock after power has come too, if it does so during a reset. Otherwise it is silent then.
     pub(super) power_up_stretches: bool,
@@ -35,7 +35,7 @@ pub(super) struct Timing {
     pub(super) first_voltage: Duration,
     /// Programming a 16-bit word of flash.
     pub(super) word: Duration,
-    /// What a commit takes before that, to erase the row.
+    /// Time that a commit takes before that, to erase the row.
     pub(super) commit: Duration,
     /// From selecting a block or an address until it can be read.
     pub(super) load: Duration,

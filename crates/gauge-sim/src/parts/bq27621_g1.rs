@@ -195,7 +195,7 @@ mod tests {
     use super::super::check_sums;
     use super::*;
 
-    /// Of TI's sample image, the blocks that it leaves as they are.
+    /// Compares the blocks that TI's sample image leaves unchanged.
     #[test]
     fn blocks_have_the_checksums_of_tis_sample_image() {
         check_sums(
