@@ -38,7 +38,7 @@ Examples:
   gaugefs program --image golden.gm.fs --station line1.toml --check
   gaugefs program --image golden.gm.fs --station line1.toml";
 
-/// How often whoever waits for a line looks whether the station ends.
+/// Interval at which a wait for a line checks whether the station ends.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// Program one pack after the other, as a station's file says
@@ -140,7 +140,7 @@ impl Screen for Terminal {
     }
 }
 
-/// A line of standard input has at most so many bytes.
+/// Longest line of standard input, in bytes.
 const LONGEST: u64 = 64 << 10;
 
 /// Lines of standard input.
