@@ -20,7 +20,7 @@ use crate::daemon::Source;
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 
-/// What a file says of gauges.
+/// The gauges of a configuration file.
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct Gauges {
@@ -40,7 +40,7 @@ struct OfMount {
 
 /// The table of a file that is not about gauges.
 pub(super) struct Head {
-    /// Its name, which is also what it is about.
+    /// Its name, which is also its subject.
     name: &'static str,
     /// The tables of which there may be any number.
     lists: &'static [&'static str],
@@ -54,7 +54,7 @@ impl Head {
     }
 }
 
-/// Longer than a configuration of thousands of gauges.
+/// Largest size of a file. Thousands of gauges need less.
 const LONGEST: u64 = 4 << 20;
 /// Keys that belong to one gauge, and are no defaults for many.
 const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace", "trace-replace"];
@@ -111,7 +111,7 @@ pub(super) struct File<'a> {
     places: Vec<Place>,
 }
 
-/// Where a key is.
+/// The place of a key.
 pub(super) struct Place {
     table: Table,
     pub(super) key: String,
@@ -170,7 +170,7 @@ impl<'a> File<'a> {
         })
     }
 
-    /// Some of its tables.
+    /// Parses the wanted tables only.
     fn tables<T: DeserializeOwned>(&self, wanted: impl Fn(&str) -> bool) -> Result<T> {
         let mut document = self.parse()?;
         let all = std::mem::take(document.get_mut());
@@ -192,7 +192,7 @@ impl<'a> File<'a> {
         self.complete(gauge, &defaults)
     }
 
-    /// What is wrong at the place where the structs above do not fit the file.
+    /// The error for a place in the file that does not fit the structs above.
     fn explain(&self, error: &toml::de::Error) -> Error {
         let at = error.span().unwrap_or_default().start;
         // Keys of a table come after the table, so the last place is the innermost one.
@@ -276,7 +276,7 @@ impl<'a> File<'a> {
         Ok(complete)
     }
 
-    /// Why a key cannot be in a table.
+    /// The error for a key that cannot be in its table.
     fn unknown(&self, table: Table, key: &str) -> String {
         let head = self.head.name;
         let of_gauge = keys::<GaugeOptions>();
@@ -378,7 +378,7 @@ fn keys<Options: Args>() -> Vec<String> {
     command.get_arguments().map(|option| option.get_id().as_str().replace('_', "-")).collect()
 }
 
-/// What only one gauge can have.
+/// A property that only one gauge can have.
 #[derive(PartialEq, Eq, Hash)]
 enum Mark {
     Name(String),

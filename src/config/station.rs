@@ -37,7 +37,7 @@ pub(crate) struct StationOptions {
     #[arg(long)]
     pub(crate) same_chemistry: bool,
 
-    /// Where serial numbers are from
+    /// Source of the serial numbers
     #[arg(value_enum)]
     pub(crate) serial: Option<SerialFrom>,
     /// First number of the counter [default: 1]
@@ -83,17 +83,17 @@ pub(crate) struct StationOptions {
     pub(crate) seal: Option<bool>,
     /// Key file with the keys that the packs get
     pub(crate) new_key_file: Option<PathBuf>,
-    /// What is done with a pack that was programmed before [default: refuse]
+    /// How to treat a pack that was programmed before [default: refuse]
     #[arg(value_enum)]
     pub(crate) seen: Option<Seen>,
-    /// What is done with an interrupted write that may have been another pack's [default: refuse]
+    /// How to treat an interrupted write that may have been another pack's [default: refuse]
     #[arg(value_enum)]
     pub(crate) unsettled: Option<Unsettled>,
     /// How many simulated packs come one after the other [default: 1]
     pub(crate) packs: Option<u32>,
 }
 
-/// Where serial numbers are from.
+/// The source of the serial numbers.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum SerialFrom {
@@ -105,25 +105,25 @@ pub(crate) enum SerialFrom {
     Input,
 }
 
-/// What is done with a pack that was programmed before.
+/// How to treat a pack that was programmed before.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Seen {
-    /// Nothing.
+    /// Refuses it.
     #[default]
     Refuse,
-    /// It is programmed again, and keeps its serial number.
+    /// Programs it again; it keeps its serial number.
     Redo,
 }
 
-/// What is done with an interrupted write that may have been another pack's.
+/// How to treat an interrupted write that may have been another pack's.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Unsettled {
-    /// No pack is programmed until a person has settled it.
+    /// Programs no pack until a person has settled the write.
     #[default]
     Refuse,
-    /// Its journal is put beside the images.
+    /// Moves the journal of the write beside the images.
     Discard,
 }
 
@@ -132,11 +132,11 @@ pub(crate) enum Unsettled {
 pub(crate) enum Date {
     /// The day on which the pack is programmed.
     Today,
-    /// That day, as data flash has it.
+    /// A given day, as data flash has it.
     Day(i64),
 }
 
-/// A key that makes no sense, and why.
+/// A key with a bad value, and the reason.
 type Refused = (&'static str, String);
 
 impl StationOptions {
@@ -145,7 +145,7 @@ impl StationOptions {
         [record, images, state_dir, serial_list, new_key_file].into_iter().flatten()
     }
 
-    /// Refuses values that make no sense, and keys that do not belong together.
+    /// Refuses bad values, and keys that do not belong together.
     pub(super) fn check(&self) -> Result<(), Refused> {
         let refuse = |key, why: &str| Err((key, why.to_string()));
         self.groups()?;
@@ -213,7 +213,7 @@ struct OfStation {
     station: StationOptions,
 }
 
-/// Keys of gauges that a station has no use for.
+/// Keys of gauges that make no sense for a station.
 const NOT_AT_A_STATION: [&str; 10] = [
     "replay",
     "restore",
@@ -248,7 +248,7 @@ fn read_options(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
     Ok((station, file.gauges(gauges, path, None)?))
 }
 
-/// What `gaugefs program` does. All paths are absolute.
+/// The settings of `gaugefs program`. All paths are absolute.
 #[derive(Clone, Debug)]
 pub(crate) struct StationSetup {
     pub(crate) station: StationOptions,
