@@ -10,7 +10,7 @@ use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, WatchDescriptor};
 
 use crate::owner::{Handle, operations};
 
-/// What happens to a node when its device goes, comes, or gets the permissions that udev gives it.
+/// The events of a node when its device goes, comes, or gets its permissions from udev.
 const EVENTS: AddWatchFlags = AddWatchFlags::IN_CREATE
     .union(AddWatchFlags::IN_DELETE)
     .union(AddWatchFlags::IN_MOVED_FROM)

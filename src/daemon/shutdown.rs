@@ -13,7 +13,7 @@ use crate::lock;
 use crate::output::say;
 use crate::owner::{Handle, operations as op};
 
-/// How far a mount has come.
+/// The phase of a mount.
 #[derive(Default)]
 pub(super) enum Phase {
     /// Nothing is mounted, and nothing but reads has been sent to a gauge.
@@ -49,7 +49,7 @@ impl Shutdown {
     }
 
     /// Mounts. A signal waits until that is done and then finds the phase that comes with the mount: if it ended the
-    /// process in between, it would leave a mount behind that nobody answers for.
+    /// process in between, it would leave a mount behind without a daemon.
     pub(super) fn mount<T>(&self, mount: impl FnOnce() -> Result<(T, Phase)>) -> Result<T> {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (mounted, reached) = mount()?;
