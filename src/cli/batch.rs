@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::PASSED_OVER;
-use crate::error::Result;
+use crate::error::{Details, Result};
 use crate::mounted;
 use crate::output::{print, print_json, say, say_error};
 use ti_gauge::image::{Difference, RawDifference};
@@ -49,6 +49,8 @@ pub(super) struct Report {
     pub(super) left_out: Vec<String>,
     pub(super) passed_over: Vec<String>,
     error: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error_details: Option<Details>,
     exit_code: u8,
     /// The lines printed without --json.
     #[serde(skip)]
@@ -148,6 +150,7 @@ impl Batch {
             report.exit_code = outcome.unwrap_or_else(|error| {
                 say_error(&error);
                 (report.outcome, report.error) = ("failed", Some(error.to_string()));
+                report.error_details = Some(error.details());
                 failure
             });
             let failed = report.error.is_some();

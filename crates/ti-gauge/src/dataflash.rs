@@ -329,7 +329,9 @@ impl DataFlash {
         self.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
-            [change] => outcome.map_err(|error| error.within(&change.subject())),
+            [change] => {
+                outcome.map_err(|error| error.within(&change.subject()).at_place(change.place().into()))
+            }
             _ => outcome,
         }
     }
@@ -713,6 +715,12 @@ impl Place {
     /// Where a parameter is.
     pub fn of((subclass, parameter): Row) -> Self {
         Self { subclass: subclass.id, offset: parameter.offset }
+    }
+}
+
+impl From<Place> for (u8, u16) {
+    fn from(Place { subclass, offset }: Place) -> Self {
+        (subclass, offset)
     }
 }
 

@@ -110,6 +110,7 @@ pub fn check(parameter: &Parameter, value: &Value) -> Result<()> {
 fn outside(parameter: &Parameter, min: &str, max: &str) -> Error {
     let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
     Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
+        .allowing(min, max)
 }
 
 /// Parses a value that a gauge already holds, in or out of range: only the type is checked.

@@ -306,7 +306,8 @@ impl DataFlash {
                     "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or check its \
                      connection"
                 );
-                Err(Error::new("Voltage()", Cause::NotNow(why)).at(Step::Check))
+                let refused = Error::of_register("Voltage()", Cause::NotNow(why)).at(Step::Check);
+                Err(refused.allowing(min, max).showing(voltage_mv))
             }
             _ => Ok(()),
         }
