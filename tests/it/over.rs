@@ -28,7 +28,7 @@ impl Drop for Tree {
 
 impl Tree {
     fn new() -> Self {
-        let tree = Self(crate::scratch::folder());
+        let tree = Self(crate::room::folder());
         fs::create_dir_all(tree.supplies()).expect("a temporary folder");
         tree
     }

@@ -11,19 +11,10 @@ use std::time::{Duration, Instant};
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, snake_case};
 
-use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
+use crate::room::{Folder, TEXT, can_mount, gaugefs, table, within};
 
-pub(crate) const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
 const ATTRIBUTES: &str = include_str!("../../docs/ATTRIBUTES.md");
-
-/// The cells of each row of the table below a heading of a document.
-pub(crate) fn table(document: &'static str, heading: &str) -> Vec<Vec<&'static str>> {
-    let section = document.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
-    let rows =
-        section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
-    rows.skip(2).map(|row| row.trim_matches('|').split('|').map(str::trim).collect()).collect()
-}
 
 /// The parts of a cell that are in backticks.
 fn quoted(cell: &str) -> impl Iterator<Item = &str> {

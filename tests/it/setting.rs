@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use serde_json::Value;
 
-use crate::cli::{CHIP, Folder, Ran, can_mount, command, gaugefs, read, run, within};
+use crate::room::{CHIP, Folder, Ran, can_mount, command, gaugefs, read, run, within};
 
 const NAME: &str = "it-cfg/cell-terminate-voltage";
 

@@ -14,9 +14,9 @@ use ti_gauge::error::Result;
 use ti_gauge::keys::Keys;
 use ti_gauge::value::Value;
 
-use crate::cli::{Folder, gaugefs};
-use crate::mount::Mount;
 use crate::rig::Rig;
+use crate::room::Mount;
+use crate::room::{Folder, gaugefs};
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
 

@@ -8,7 +8,7 @@ use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
 
-use crate::block::{Bench, sum};
+use crate::bench::{Bench, sum};
 
 const FLASH: &str = "bq34z100-g1";
 const RAM: &str = "bq27441-g1";

@@ -7,7 +7,7 @@ use gauge_bus::Bus;
 use gauge_bus::clock::SimClock;
 use gauge_sim::{Options, Sim};
 
-use crate::block::Bench;
+use crate::bench::Bench;
 
 const UNSEAL: &str = "W 00 14 04 ; W 00 72 36";
 const FULL_ACCESS: &str = "X 5000 ; W 00 FF FF ; W 00 FF FF";
