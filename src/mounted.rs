@@ -14,6 +14,7 @@ use ti_gauge::text;
 use crate::daemon::mountpoint;
 use crate::error::{Cause, Error, Result, shown};
 use crate::output::say;
+use ti_gauge::notation;
 
 mod file;
 
@@ -292,7 +293,7 @@ pub(crate) fn values(gauge: &Path, chip: &'static Chip, rows: &[Row]) -> Result<
         }
         let read = text(gauge, &format!("df/by-name/{name}"));
         let text = read.map_err(|failure| failure.told(&format!("{name} cannot be read")))?;
-        let value = text::parse_stored(parameter, text.as_bytes())?;
+        let value = notation::parse_stored(parameter, text.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     Ok(image)
@@ -317,7 +318,7 @@ fn read(folder: &Path, chip: &'static Chip, index: &str) -> Result<Image> {
             image.left_out.push(LeftOut { text, group: None });
             continue;
         }
-        let value = text::parse_stored(parameter, value.as_bytes())?;
+        let value = notation::parse_stored(parameter, value.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     if image.entries.is_empty() {

@@ -8,8 +8,9 @@ use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
+use ti_gauge::dataflash::Place;
 use ti_gauge::image::{Entry, Image};
-use ti_gauge::unit;
+use ti_gauge::notation;
 
 /// `NAME=VALUE`, not yet looked up.
 #[derive(Clone, Debug)]
@@ -56,7 +57,9 @@ pub(super) fn image(chip: &'static Chip, assignments: &[Assignment]) -> Result<I
             let why = "keys are changed with `gaugefs keys change`";
             return Err(Error::new(name, Cause::NotPermitted(why.into())));
         }
-        let value = unit::parse(parameter, value).map_err(|error| error.about(&name))?;
+        let place = Place::of((subclass, parameter)).into();
+        let value = notation::parse_with_unit(parameter, value);
+        let value = value.map_err(|error| error.about(&name).at_place(place))?;
         let entry = Entry { subclass, parameter, value, line: 0 };
         if image.entries.iter().any(|other| other.is(&entry)) {
             return Err(Error::new(name, Cause::Invalid("it is given twice; remove one of the two".into())));

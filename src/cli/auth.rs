@@ -49,7 +49,7 @@ impl Auth {
         }))
     }
 
-    /// The text for a genuine pack, or why it is not genuine.
+    /// Returns `Ok` with the text for a genuine pack, or `Err` with the reason why it is not genuine.
     fn ask(&self) -> Result<Result<String, &'static str>> {
         let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
         let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());

@@ -59,7 +59,7 @@ fn word_of_program(word: &str) -> Result<String, String> {
 }
 
 impl AlertOptions {
-    /// What it is called.
+    /// Its name in messages.
     pub(crate) fn shown(&self) -> String {
         self.name.clone().unwrap_or_else(|| self.when.to_string())
     }

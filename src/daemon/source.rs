@@ -18,13 +18,13 @@ use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
 use ti_gauge::chip::{Chip, SealStatus, Tier};
-use ti_gauge::gauge::bursts;
 use ti_gauge::probe::{self, Target};
+use ti_gauge::registers::bursts;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
 
-/// Where a gauge is.
+/// The place of a gauge.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Source<'a> {
     /// Simulated in this process.
@@ -43,7 +43,7 @@ pub(crate) enum Source<'a> {
         bus: &'a Path,
         /// Its 7-bit address.
         address: u8,
-        /// `None` where the gauge is asked.
+        /// `None` if the gauge is asked.
         chip: Option<&'static Chip>,
         /// Write one byte a transfer, also while the gauge is asked.
         byte_writes: bool,
@@ -57,7 +57,7 @@ pub(crate) struct Opened {
     /// The bus clock, where it is known.
     pub(crate) clock_hz: Option<u32>,
     pub(crate) address: u8,
-    /// What to call it in messages.
+    /// Its name in messages.
     pub(crate) subject: String,
     pub(crate) sim: Option<Sim>,
     pub(crate) lock: Option<Lock>,
@@ -65,9 +65,9 @@ pub(crate) struct Opened {
     pub(crate) journal_key: Option<String>,
     /// The node of its adapter.
     pub(crate) node: Option<PathBuf>,
-    /// Nothing has shown yet that what is at the address reads like a gauge.
+    /// The device at the address has not been seen to read like a gauge yet.
     pub(crate) unverified: bool,
-    /// Why it cannot be reached yet.
+    /// The reason why the gauge cannot be reached yet.
     pub(crate) missing: Option<Error>,
 }
 
@@ -109,7 +109,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// What the gauge is, where the options say so.
+    /// The chip, if the options name it.
     pub(crate) fn chip(self) -> Option<&'static Chip> {
         match self {
             Self::Sim { chip, .. } => Some(chip),
@@ -118,8 +118,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// What [`open`](Self::open) would find, as far as that can be seen without a change and without a transfer. The
-    /// gauge is locked for a moment.
+    /// Returns the error that [`open`](Self::open) would return, as far as that is known without a change or a
+    /// transfer. Locks the gauge for a moment.
     pub(crate) fn check(self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
             Self::Sim { chip, state: Some(path), .. } => {

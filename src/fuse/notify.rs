@@ -26,9 +26,8 @@ use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
-use super::adapter::present;
 use super::inodes::{Now, Value};
-use super::{Table, host, lock};
+use super::{Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
@@ -79,8 +78,10 @@ impl Announcer {
         self.names.get().is_some()
     }
 
-    /// Starts the thread. It ends when the session has ended.
+    /// Starts the thread, before the first request is answered. It ends when the session has ended.
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
+        // The kernel knows no mode of a folder until its first GETATTR is answered, and drops an answer that a notification
+        // overtakes: ordinary users are then refused. So none is sent before the folder has been listed.
         let mut announcing = Announcing { fs, table, notifier, announcer: self.clone() };
         let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
         let started = builder.spawn(move || announcing.run());

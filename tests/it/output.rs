@@ -10,7 +10,7 @@ use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use crate::cli::{CHIP, Folder, Foreground, can_mount, command, gaugefs, run, stop};
+use crate::room::{CHIP, Folder, Foreground, can_mount, command, gaugefs, run, stop};
 
 /// Each command, with arguments that make it print something, or `None` where it prints nothing, or only with hardware.
 fn printing<'a>(
