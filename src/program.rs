@@ -20,8 +20,8 @@ use ti_gauge::keys::{Keys, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
-use crate::config::{Date, GaugeOptions, StationSetup};
-use crate::daemon::{self, Source, gauges, journal_dir};
+use crate::config::{Date, GaugeOptions, Source, StationSetup};
+use crate::daemon::{self, gauges, journal_dir};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
 use crate::mounted;

@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use clap::Subcommand;
 
-use crate::config;
 use crate::error::Result;
 
 mod alert;
@@ -51,5 +50,5 @@ impl Command {
 
 /// The value of `--interval`.
 fn seconds(text: &str) -> Result<Duration, String> {
-    config::seconds(text, (0.1, 86400.0))
+    gaugefs_host::seconds(text, (0.1, 86400.0))
 }

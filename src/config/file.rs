@@ -16,8 +16,7 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::station::StationOptions;
-use super::{AlertOptions, GaugeOptions, MountOptions, make_absolute, values};
-use crate::daemon::Source;
+use super::{AlertOptions, GaugeOptions, MountOptions, Source, make_absolute, values};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 

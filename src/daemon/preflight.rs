@@ -14,8 +14,8 @@ use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
 use super::gauges::{check_trace, keys, saved};
-use super::{Source, journal_dir, log, mountpoint};
-use crate::config::{GaugeOptions, MountOptions, Setup};
+use super::{journal_dir, log, mountpoint};
+use crate::config::{GaugeOptions, MountOptions, Setup, Source};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};

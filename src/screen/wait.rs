@@ -10,7 +10,6 @@ use nix::errno::Errno;
 
 use super::values::{self, Seen};
 use crate::condition::Condition;
-use crate::config;
 use crate::error::{Error, Result};
 use crate::output::say;
 
@@ -47,7 +46,7 @@ pub(crate) struct Wait {
 
 /// The value of `--timeout`.
 fn limit(text: &str) -> Result<Duration, String> {
-    config::seconds(text, (0.0, 1e9))
+    gaugefs_host::seconds(text, (0.0, 1e9))
 }
 
 impl Wait {

@@ -31,12 +31,12 @@ static CLOSED: AtomicBool = AtomicBool::new(false);
 static TURN: Mutex<()> = Mutex::new(());
 
 /// Prints lines for a person. Characters that control a terminal become escapes such as `\u{1b}`.
-pub(crate) fn print(text: &str) -> Result<()> {
+pub fn print(text: &str) -> Result<()> {
     print_file(text::lines(text).as_bytes())
 }
 
 /// Prints a value as one line of JSON.
-pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
+pub fn print_json(value: &impl Serialize) -> Result<()> {
     let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
     // Such a character can only be in a string of it.
     let escaped = json.chars().fold(String::with_capacity(json.len() + 1), |mut line, letter| {
@@ -50,7 +50,7 @@ pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
 }
 
 /// Prints the content of a file as it is.
-pub(crate) fn print_file(bytes: &[u8]) -> Result<()> {
+pub fn print_file(bytes: &[u8]) -> Result<()> {
     // A panic while it was held has left at most half a line behind.
     let _turn = TURN.lock();
     if is_closed() {
@@ -67,7 +67,7 @@ pub(crate) fn print_file(bytes: &[u8]) -> Result<()> {
 
 /// Writes a file that a person has named, as a whole, or leaves what is there: see [`regular::replace`]. `-` and the
 /// names of standard output are standard output.
-pub(crate) fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
+pub fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
     match is_standard_output(path) {
         true => print_file(bytes),
         false => regular::replace(path, bytes, how).map_err(|error| cannot_write(path, &error)),
@@ -75,7 +75,7 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> 
 }
 
 /// Whether [`write_file`] would be allowed, before the work for it is done.
-pub(crate) fn check_file(path: &Path, how: Replace) -> Result<()> {
+pub fn check_file(path: &Path, how: Replace) -> Result<()> {
     match is_standard_output(path) {
         true => Ok(()),
         false => regular::check_replace(path, how).map_err(|error| cannot_write(path, &error)),
@@ -83,7 +83,7 @@ pub(crate) fn check_file(path: &Path, how: Replace) -> Result<()> {
 }
 
 /// A regular file behind one of these names has a position, and other writers.
-pub(crate) fn is_standard_output(path: &Path) -> bool {
+pub fn is_standard_output(path: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].map(Path::new).contains(&path)
 }
 
@@ -96,14 +96,13 @@ fn cannot_write(path: &Path, error: &io::Error) -> Error {
 }
 
 /// Whether a write has found that the reader of standard output has closed the pipe.
-pub(crate) fn is_closed() -> bool {
+pub fn is_closed() -> bool {
     CLOSED.load(Ordering::SeqCst)
 }
 
 /// Whether the reader of standard output is gone, also if nothing was written since: a command that prints until it is
 /// stopped ends.
-#[cfg(feature = "screen")]
-pub(crate) fn is_unread() -> bool {
+pub fn is_unread() -> bool {
     let out = io::stdout();
     let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];
     let is_polled = poll(&mut polled, PollTimeout::ZERO).is_ok_and(|count| count > 0);
@@ -111,28 +110,27 @@ pub(crate) fn is_unread() -> bool {
 }
 
 /// Prints a line to standard error, such as `gaugefs: warning: ...`.
-pub(crate) fn say(line: impl Display) {
+pub fn say(line: impl Display) {
     print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
 }
 
 /// Prints an error to standard error: of a file all that is wrong with it.
-pub(crate) fn say_error(error: &Error) {
+pub fn say_error(error: &Error) {
     error.lines().for_each(say);
 }
 
 /// Prints a text to standard error as it is.
-pub(crate) fn print_error(text: &str) {
+pub fn print_error(text: &str) {
     let _ = write_all(io::stderr().as_fd(), text.as_bytes());
 }
 
 /// Whether a person sees what is printed.
-#[cfg(feature = "screen")]
-pub(crate) fn is_terminal() -> bool {
+pub fn is_terminal() -> bool {
     io::stdout().is_terminal()
 }
 
 /// Whether a person sees standard error.
-pub(crate) fn errors_are_seen() -> bool {
+pub fn errors_are_seen() -> bool {
     io::stderr().is_terminal()
 }
 

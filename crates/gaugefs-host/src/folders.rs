@@ -8,19 +8,19 @@ use std::path::PathBuf;
 use nix::unistd::{User, geteuid};
 
 /// Folders for the locks of root's daemons and of the services.
-pub(crate) const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
+pub const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
 /// Root's folder for locks, in which the services are mounted.
-pub(crate) const RUN: &str = "/run/gaugefs";
+pub const RUN: &str = "/run/gaugefs";
 /// The account of the services (`udev/sysusers.conf`).
 const SERVICE: &str = "gaugefs";
 /// The system's folder for configurations and key files.
-pub(crate) const CONFIGURATION: &str = "/etc/gaugefs";
+pub const CONFIGURATION: &str = "/etc/gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 
 /// The folder for locks: root's, the user's runtime folder, or the one for [`state`]. `None` for an account
 /// without any.
-pub(crate) fn locks() -> Option<PathBuf> {
+pub fn locks() -> Option<PathBuf> {
     if geteuid().is_root() {
         return Some(RUN.into());
     }
@@ -28,7 +28,7 @@ pub(crate) fn locks() -> Option<PathBuf> {
 }
 
 /// The folder for journals and backups: the system's, or the user's own. `None` for an account without a home.
-pub(crate) fn state() -> Option<PathBuf> {
+pub fn state() -> Option<PathBuf> {
     if geteuid().is_root() {
         return Some(STATE.into());
     }
@@ -39,7 +39,7 @@ pub(crate) fn state() -> Option<PathBuf> {
 
 /// The account of the services, whose folders root uses as well. `None` for other users, who trust only themselves and
 /// root.
-pub(crate) fn service() -> Option<u32> {
+pub fn service() -> Option<u32> {
     let account = || User::from_name(SERVICE).ok().flatten().map(|user| user.uid.as_raw());
     geteuid().is_root().then(account).flatten()
 }

@@ -9,18 +9,18 @@ use ti_gauge::chip::{CHIPS, Chip, kernel};
 
 /// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
 #[derive(Debug)]
-pub struct Node {
+pub(super) struct Node {
     /// The adapter's node.
-    pub bus: PathBuf,
+    pub(super) bus: PathBuf,
     /// Its 7-bit address.
-    pub address: u8,
+    pub(super) address: u8,
     /// Its chip, if the name in the tree is known and is that of one chip only; otherwise the gauge is asked.
-    pub chip: Option<&'static Chip>,
+    pub(super) chip: Option<&'static Chip>,
 }
 
 impl Node {
     /// The device of that folder; `None` if it is not a folder.
-    pub fn find(path: &Path) -> Result<Option<Self>> {
+    pub(super) fn find(path: &Path) -> Result<Option<Self>> {
         if !path.is_dir() {
             return Ok(None);
         }

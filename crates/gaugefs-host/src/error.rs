@@ -14,7 +14,7 @@ use crate::errno;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// A path in a message. Where another user has chosen it, such as a mount point, it may contain line ends.
-pub(crate) fn shown(path: &Path) -> String {
+pub fn shown(path: &Path) -> String {
     text::printable(&path.to_string_lossy())
 }
 
@@ -66,7 +66,7 @@ impl Error {
     }
 
     /// What is wrong with a file: the first mistake, and those that a person is told of as well.
-    pub(crate) fn of_file(faults: &Faults) -> Option<Self> {
+    pub fn of_file(faults: &Faults) -> Option<Self> {
         let mut all = faults.iter().cloned();
         let mut first = Self::from(all.next()?);
         first.others = all.collect();
@@ -78,7 +78,7 @@ impl Error {
     }
 
     /// All lines that a person is told, of which the error itself is the first.
-    pub(crate) fn lines(&self) -> impl Iterator<Item = String> {
+    pub fn lines(&self) -> impl Iterator<Item = String> {
         let others = self.others.iter().map(|other| text::printable(&other.to_string()));
         std::iter::once(self.to_string()).chain(others)
     }
@@ -123,19 +123,6 @@ impl From<gauge_bus::Error> for Error {
 impl From<gauge_bus::BusError> for Error {
     fn from(error: gauge_bus::BusError) -> Self {
         ti_gauge::error::Error::from(error).into()
-    }
-}
-
-impl From<gauge_sim::Error> for Error {
-    fn from(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Self {
-        use gauge_sim::Kind;
-        let cause = match kind {
-            Kind::Invalid => Cause::Invalid(text),
-            Kind::OutOfRange => Cause::OutOfRange(text),
-            Kind::NotPermitted => Cause::NotPermitted(text),
-            Kind::Io(kind) => Cause::Io(kind, text),
-        };
-        Self::new(subject, cause)
     }
 }
 
