@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -30,6 +30,7 @@ mod lint;
 mod list;
 mod manual;
 mod mount;
+mod mounted;
 mod names;
 mod probe;
 mod program;
@@ -224,12 +225,6 @@ fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
         say_error(&error);
         Ok(ExitCode::from(2))
     })
-}
-
-/// The name of a gauge's folder, with symbolic links resolved.
-fn folder_name(gauge: &Path) -> String {
-    let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
-    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

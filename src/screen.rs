@@ -9,18 +9,16 @@ use clap::Subcommand;
 use crate::error::Result;
 
 mod alert;
+mod decimal;
 mod learn;
 mod learning;
 mod log;
 mod metrics;
 mod plot;
-mod sample;
 mod thin;
 mod ticks;
 mod top;
-mod values;
 mod wait;
-mod watch;
 
 /// The commands of this module.
 #[derive(Debug, Subcommand)]

@@ -7,7 +7,7 @@ use clap::{Arg, Args, Command};
 use serde::Deserialize;
 
 use super::{from_toml, values};
-use crate::condition::Condition;
+use gaugefs_client::condition::Condition;
 
 // No documentation here: clap would take it for the description of the subcommand.
 
@@ -16,10 +16,11 @@ use crate::condition::Condition;
 pub(crate) struct AlertOptions {
     /// When the alert is raised, such as 'capacity<20'
     #[arg(value_name = "CONDITION", required = false, required_unless_present = "config")]
+    #[serde(deserialize_with = "from_toml::condition")]
     pub(crate) when: Condition,
     /// When it is cleared, and can be raised again [default: when CONDITION is false]
     #[arg(long, value_name = "CONDITION")]
-    #[serde(default)]
+    #[serde(default, deserialize_with = "from_toml::clear")]
     pub(crate) clear: Option<Condition>,
     /// Seconds for which CONDITION must be true in every poll [default: 0]
     #[arg(id = "for", long, value_name = "SECONDS", value_parser = values::hold)]

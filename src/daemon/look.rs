@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 
 use super::mountpoint;
 use crate::error::{Error, Result};
-use crate::mounted;
 use crate::output::print_file;
+use gaugefs_client::{Gauge, mounts};
 
 /// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
@@ -56,12 +56,12 @@ pub(crate) struct Listed {
 
 impl Listed {
     /// Reads what causes no transfer.
-    fn read(path: &Path) -> Self {
-        let text = |name: &str| Some(mounted::content(&path.join(name)).ok()?.trim().to_string());
-        let (part, serial) = mounted::pack(path);
+    fn read(gauge: &Gauge) -> Self {
+        let text = |name: &str| Some(gauge.text(name).ok()?.trim().to_string());
+        let (part, serial) = gauge.pack();
         let capacity = text("capacity").and_then(|text| text.parse().ok());
         let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
-        Self { part, serial, capacity, status, age_ms, path: path.to_string_lossy().into_owned() }
+        Self { part, serial, capacity, status, age_ms, path: gauge.folder().to_string_lossy().into_owned() }
     }
 }
 
@@ -116,14 +116,14 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     tell(path.as_os_str().as_bytes())?;
     // Only STATFS is never answered from the kernel's cache.
     let dead =
-        mountpoint::is_ours(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
+        mounts::is_gaugefs(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
     tell(if dead { b"dead" } else { b"alive" })?;
     if gauges && !dead {
-        let below = match mounted::gauges(&path) {
-            none if none.is_empty() => vec![path],
+        let below = match Gauge::below(&path) {
+            none if none.is_empty() => Gauge::open(&path).into_iter().collect(),
             gauges => gauges,
         };
-        for gauge in below.into_iter().filter(|gauge| mounted::is_gauge(gauge)) {
+        for gauge in below {
             tell(&serde_json::to_vec(&Listed::read(&gauge)).expect("keys are strings, so it cannot fail"))?;
         }
     }

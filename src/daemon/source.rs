@@ -6,7 +6,6 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use super::mountpoint;
 use crate::config::Source;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Knobs;
@@ -16,6 +15,7 @@ use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
+use gaugefs_client::mounts;
 use ti_gauge::chip::{Chip, SealStatus, Tier};
 use ti_gauge::gauge::bursts;
 use ti_gauge::probe::{self, Target};
@@ -96,7 +96,7 @@ impl Source<'_> {
 
 /// Whether the daemon that holds a lock is about to end: its mount is gone.
 fn is_ending(mountpoint: &Path) -> bool {
-    !mountpoint::is_ours(mountpoint)
+    !mounts::is_gaugefs(mountpoint)
 }
 
 /// The simulator's error.

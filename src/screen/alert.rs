@@ -15,11 +15,11 @@ use clap::Args;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::values::{self, Seen};
-use crate::condition::Texts;
 use crate::config::{self, AlertOptions};
 use crate::error::{Cause, Error, Result, shown};
 use crate::output::{self, print, say};
+use gaugefs_client::condition::Texts;
+use gaugefs_client::follow::{self, Seen};
 
 const WATCH: &str = "\
 An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
@@ -150,8 +150,8 @@ struct Watching {
 
 impl Watching {
     fn start(place: &Path, options: &[AlertOptions]) -> Result<Self> {
-        let folders = values::gauges_at(place)?;
-        let names = folders.iter().map(|gauge| values::folder_name(gauge)).collect::<Vec<_>>();
+        let folders = follow::supplies_at(place)?;
+        let names = folders.iter().map(|gauge| follow::folder_name(gauge)).collect::<Vec<_>>();
         let mut alerts = Vec::new();
         for options in options {
             if let Some(wanted) = &options.gauge
@@ -179,8 +179,8 @@ impl Watching {
                 of_gauge.flat_map(|alert| alert.options.names()).map(str::to_string).collect();
             files.sort();
             files.dedup();
-            values::follow(number, folder.clone(), files, sender.clone())?;
-            gauges.push(Gauge { folder, texts: None, trouble: String::new(), due: now + values::PATIENCE });
+            follow::to_channel(number, folder.clone(), files, sender.clone())?;
+            gauges.push(Gauge { folder, texts: None, trouble: String::new(), due: now + follow::PATIENCE });
         }
         Ok(Self { gauges, alerts, sender, events })
     }
@@ -198,7 +198,7 @@ impl Watching {
                     let now = Instant::now();
                     let silent = (0..).zip(&self.gauges).filter(|(_, gauge)| gauge.due <= now);
                     for gauge in silent.map(|(number, _)| number).collect::<Vec<_>>() {
-                        let texts = Err(values::SILENT.to_string());
+                        let texts = Err(follow::SILENT.to_string());
                         self.seen(Seen { gauge, texts, next: Duration::ZERO })?;
                     }
                 }
@@ -218,7 +218,7 @@ impl Watching {
     fn seen(&mut self, seen: Seen) -> Result<()> {
         let now = Instant::now();
         let gauge = &mut self.gauges[seen.gauge];
-        gauge.due = now + seen.next + values::PATIENCE;
+        gauge.due = now + seen.next + follow::PATIENCE;
         match seen.texts {
             Ok(texts) => {
                 gauge.texts = Some(texts);
@@ -306,7 +306,7 @@ fn event(alert: &Alert) -> &'static str {
 /// A line for each change.
 fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
     let (name, values) =
-        (values::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
+        (follow::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
     let line =
         format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
     print(&(ti_gauge::text::printable(&line) + "\n"))

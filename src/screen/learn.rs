@@ -8,10 +8,10 @@ use nix::errno::Errno;
 use serde::Serialize;
 
 use super::learning;
-use super::sample::{Moment, Sample};
-use super::watch::{INTERVAL, Order, Seen, Watch};
 use crate::error::{Error, Result};
 use crate::output::{self, print, print_json};
+use gaugefs_client::sample::{Moment, Sample};
+use gaugefs_client::watch::{INTERVAL, Order, Seen, Watch};
 use ti_gauge::learning::{Cycle, Learned, State};
 
 const LEARN: &str = "\

@@ -1,12 +1,9 @@
 //! A learning cycle, watched through the files of a mount.
 
-use std::path::Path;
-
 use jiff::Timestamp;
 
-use super::sample::Sample;
-use crate::mounted;
-use ti_gauge::chip::{Chip, Role, kebab_case, snake_case};
+use gaugefs_client::sample::Sample;
+use ti_gauge::chip::{Chip, Role, snake_case};
 use ti_gauge::learning::{Bits, Cycle, Learns, Limits, Reading, State};
 
 /// The chip that a sample is from.
@@ -54,26 +51,4 @@ pub(super) fn line(state: &State) -> String {
 /// A time in UTC.
 pub(super) fn clock(seconds: f64) -> String {
     Timestamp::from_second(seconds as i64).unwrap_or_default().to_string()
-}
-
-/// Reads the thresholds of a gauge from data flash; those that cannot be read are the manual's.
-pub(super) fn limits(gauge: &Path, model: &str) -> Limits {
-    let mut limits = Limits::default();
-    let Some(chip) = Chip::by_model(model) else { return limits };
-    let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
-    for (class, row) in rows.filter(|(_, row)| !row.unproven) {
-        let target = match (row.name, row.unit) {
-            ("Quit Current", "mA") => &mut limits.quit_ma,
-            ("Dsg Current Threshold", "mA") => &mut limits.discharge_ma,
-            ("Chg Current Threshold", "mA") => &mut limits.charge_ma,
-            ("Number of series cell", _) => limits.cells.insert(1.0),
-            _ => continue,
-        };
-        let place = Path::new("df/by-name").join(chip.class_dir(class)).join(kebab_case(row.name));
-        let text = mounted::content(&gauge.join(place)).unwrap_or_default();
-        if let Ok(value) = text.trim().parse() {
-            *target = value;
-        }
-    }
-    limits
 }

@@ -11,11 +11,11 @@ use jiff::{SignedDuration, Timestamp};
 use nix::errno::Errno;
 
 use super::learning;
-use super::sample::{Moment, Sample};
-use super::watch::{INTERVAL, Seen, Watch};
 use crate::error::{Cause, Error, Result};
 use crate::output::{self, print_file, say};
 use gauge_bus::regular;
+use gaugefs_client::sample::{Moment, Sample};
+use gaugefs_client::watch::{INTERVAL, Seen, Watch};
 use ti_gauge::learning::Cycle;
 use ti_gauge::text::printable;
 

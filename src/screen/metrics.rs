@@ -11,11 +11,11 @@ use clap::{Args, ValueEnum};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular::Replace;
 
-use super::values;
-use super::watch::gauges;
-use crate::daemon::mountpoint;
 use crate::error::{Error, Result};
 use crate::output::{print_file, say, write_file};
+use gaugefs_client::follow;
+use gaugefs_client::mounts;
+use gaugefs_client::watch::supplies;
 
 mod expected;
 mod page;
@@ -120,7 +120,7 @@ impl Reader {
     fn mounts(&self) -> Vec<PathBuf> {
         let (mut all, mut expected) = (self.mountpoints.clone(), self.expected.clone());
         if all.is_empty() {
-            all = mountpoint::list();
+            all = mounts::list();
             if expected.is_empty() {
                 expected = expected::configured();
             }
@@ -170,7 +170,7 @@ impl Reader {
         drop(sender);
         let mut mounts: Vec<_> =
             all.into_iter().map(|path| Mount { path, up: Up::No, gauges: Vec::new() }).collect();
-        while let Ok((number, seen)) = found.recv_timeout(values::PATIENCE) {
+        while let Ok((number, seen)) = found.recv_timeout(follow::PATIENCE) {
             match seen {
                 Seen::Gauge(gauge) => mounts[number].gauges.push(gauge),
                 Seen::End(up) => mounts[number].up = up,
@@ -191,13 +191,13 @@ enum Seen {
 fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
     let names = page::names();
     // Where a mount is gone there may be something else, even supplies of the kernel's.
-    if mountpoint::of(path).is_none() && mountpoint::of(&std::fs::canonicalize(path)?).is_none() {
+    if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
-    for folder in gauges(path)? {
+    for folder in supplies(path)? {
         // One that goes away meanwhile is not there.
-        let Ok(texts) = values::all(&folder, &names) else { continue };
-        if !report(page::Gauge { name: values::folder_name(&folder), texts }) {
+        let Ok(texts) = follow::all(&folder, &names) else { continue };
+        if !report(page::Gauge { name: follow::folder_name(&folder), texts }) {
             break;
         }
     }

@@ -6,9 +6,9 @@ use std::process::ExitCode;
 use clap::Args;
 
 use crate::error::{Cause, Error, Result};
-use crate::mounted;
 use crate::output::{print_file, write_file};
 use gauge_bus::regular::Replace;
+use gaugefs_host::input;
 
 mod scene;
 mod svg;
@@ -57,8 +57,8 @@ pub(crate) struct Plot {
 impl Plot {
     pub(super) fn run(self) -> Result<ExitCode> {
         self.output.as_deref().map_or(Ok(()), check_extension)?;
-        let name = mounted::name(&self.file);
-        let text = mounted::read_file(&self.file, LONGEST)
+        let name = input::name(&self.file);
+        let text = input::read_file(&self.file, LONGEST)
             .map_err(|error| Error::io(&name, "cannot read it", &error))?;
         let history = table::read(&text, &self.columns).map_err(|error| error.within(&name))?;
         let scene = scene::lay_out(&history, &self.limits, self.width, self.height)

@@ -14,10 +14,10 @@ use nix::errno::Errno;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::sample::Sample;
-use super::watch::{Report, Seen, Watch};
 use crate::error::{Error, Result};
 use crate::output::{self, print_json};
+use gaugefs_client::sample::Sample;
+use gaugefs_client::watch::{Report, Seen, Watch};
 
 mod draw;
 mod history;

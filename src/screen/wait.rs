@@ -2,16 +2,15 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use nix::errno::Errno;
 
-use super::values::{self, Seen};
-use crate::condition::Condition;
 use crate::error::{Error, Result};
 use crate::output::say;
+use gaugefs_client::condition::Condition;
+use gaugefs_client::follow::{Follow, supplies_at};
 
 const WAIT: &str = "\
 CONDITION compares files of the gauge's folder with < <= > >= == or !=, joined by &&: capacity<20,
@@ -53,37 +52,21 @@ impl Wait {
     pub(super) fn run(self) -> Result<ExitCode> {
         let begun = Instant::now();
         let name = self.gauge.display().to_string();
-        let [gauge] = &values::gauges_at(&self.gauge)?[..] else {
+        let [gauge] = &supplies_at(&self.gauge)?[..] else {
             let why = "more than one gauge is mounted here; name the folder of one";
             return Err(Error::host(name, Errno::EINVAL, why));
         };
-        let (sender, seen) = mpsc::channel::<Seen>();
         let names = self.condition.names().map(str::to_string).collect();
-        values::follow(0, gauge.clone(), names, sender)?;
-        let (mut next, mut told) = (Duration::ZERO, false);
+        let mut follow = Follow::start(gauge, names)?;
+        let (mut first, mut told) = (true, false);
         loop {
             // One look is taken, even if there is no time to wait.
             let left = self.timeout.map(|limit| limit.saturating_sub(begun.elapsed()));
-            let silent = next + values::PATIENCE;
-            let first = next.is_zero();
-            let patience = left.filter(|_| !first).map_or(silent, |left| left.min(silent));
-            let (texts, why) = match seen.recv_timeout(patience) {
-                Ok(Seen { texts: Ok(texts), next: soon, .. }) => {
-                    next = soon;
-                    (Some(texts), None)
-                }
-                Ok(Seen { texts: Err(why), next: soon, .. }) => {
-                    next = soon;
-                    (None, Some(why))
-                }
-                Err(RecvTimeoutError::Timeout) if patience == silent => {
-                    (None, Some(values::SILENT.to_string()))
-                }
-                Err(RecvTimeoutError::Timeout) => return Ok(TOO_LATE.into()),
-                // The thread ends only with its receiver.
-                Err(RecvTimeoutError::Disconnected) => {
-                    return Err(Error::host(name, Errno::EIO, "a thread has ended"));
-                }
+            let left = left.filter(|_| !std::mem::replace(&mut first, false));
+            let (texts, why) = match follow.next(left) {
+                Some(Ok(texts)) => (Some(texts), None),
+                Some(Err(why)) => (None, Some(why)),
+                None => return Ok(TOO_LATE.into()),
             };
             if self.condition.holds(texts.as_ref()) == Some(true) {
                 return Ok(ExitCode::SUCCESS);

@@ -970,7 +970,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         "{}",
         ran.err
     );
-    assert!(!gaugefs::daemon::mountpoint::is_ours(Path::new(&at)), "it is unmounted all the same");
+    assert!(!gaugefs_client::mounts::is_gaugefs(Path::new(&at)), "it is unmounted all the same");
     assert!(is_journal("first"), "the next start finds it");
 
     for by_signal in [true, false] {
@@ -1014,8 +1014,7 @@ impl Drop for Folder {
         let mut left = Vec::new();
         for name in ["m", "n"].map(|name| self.file(name)) {
             // Whoever looks at all mounts, as `gaugefs doctor` of another test does, uses this one for a moment.
-            let (is_there, start) =
-                (|| gaugefs::daemon::mountpoint::is_ours(Path::new(&name)), Instant::now());
+            let (is_there, start) = (|| gaugefs_client::mounts::is_gaugefs(Path::new(&name)), Instant::now());
             while gaugefs(&["umount", &name]).code == Some(0)
                 || is_there() && start.elapsed() < Duration::from_secs(30)
             {}
@@ -1085,7 +1084,7 @@ impl Foreground {
         Self(child)
     }
 
-    fn send(&self, signal: Signal) {
+    pub(crate) fn send(&self, signal: Signal) {
         kill(Pid::from_raw(self.0.id() as i32), signal).expect("it runs");
     }
 

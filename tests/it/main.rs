@@ -3,6 +3,7 @@
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
 mod cli;
+mod client;
 mod config;
 mod doctor;
 mod ends;
@@ -34,4 +35,7 @@ mod service;
 mod setting;
 mod simulator;
 mod swapped;
+#[allow(dead_code, reason = "a program has a main function")]
+#[path = "../../crates/gaugefs-client/examples/terminate_voltage.rs"]
+mod terminate_voltage;
 mod transaction;

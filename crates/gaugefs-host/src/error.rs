@@ -108,6 +108,20 @@ impl fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
+impl From<gaugefs_client::Error> for Error {
+    fn from(error: gaugefs_client::Error) -> Self {
+        let (subject, text) = (error.subject(), error.text());
+        match (error.refused(), error.io_error()) {
+            (Some(refused), _) => refused.clone().into(),
+            (None, Some(io)) => match io.raw_os_error() {
+                Some(errno) => Self::host(subject, Errno::from_raw(errno), text),
+                None => Self::new(subject, Cause::Io(io.kind(), text)),
+            },
+            (None, None) => Self::new(subject, Cause::Io(io::ErrorKind::Other, text)),
+        }
+    }
+}
+
 impl From<ti_gauge::error::Error> for Error {
     fn from(inner: ti_gauge::error::Error) -> Self {
         Self { inner, errno: None, others: Vec::new() }

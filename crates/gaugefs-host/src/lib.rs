@@ -1,5 +1,6 @@
 //! What the commands of gaugefs have in common: an [error](error::Error) with the errno that a file operation answers
-//! with, the checked way to [standard output and standard error](output), and the [folders] of gaugefs's own files.
+//! with, the checked way to [standard output and standard error](output), the [files](input) that a person names, and the
+//! [folders] of gaugefs's own.
 //!
 //! It is not meant for other programs: `gaugefs-client` is.
 
@@ -12,6 +13,7 @@ use ti_gauge::unit;
 mod errno;
 pub mod error;
 pub mod folders;
+pub mod input;
 pub mod output;
 
 /// A time of a command line or a configuration file: in seconds, or with a unit such as `2min`.

@@ -2,8 +2,9 @@
 
 use ti_gauge::chip::{Chip, Tier, snake_case};
 
-use super::super::sample::{Sample, decimal};
+use super::super::decimal::decimal;
 use crate::error::{Cause, Error, Result};
+use gaugefs_client::sample::Sample;
 
 /// The columns that every row begins with.
 pub(super) const FIRST: [&str; 2] = ["time (UTC)", "gauge"];

@@ -13,7 +13,7 @@ use ti_gauge::chip::Chip;
 use ti_gauge::learning::Bits;
 
 use super::Format;
-use crate::condition::Texts;
+use gaugefs_client::condition::Texts;
 
 /// A mount, and its gauges as far as they have answered.
 pub(super) struct Mount {

@@ -9,11 +9,12 @@ use ratatui::widgets::{
     Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, TableState, Wrap,
 };
 
+use super::super::decimal::decimal;
 use super::super::learning::line;
-use super::super::sample::{Sample, decimal};
 use super::super::ticks;
-use super::super::watch::learned_parameters;
 use super::model::{Gauge, Model};
+use gaugefs_client::sample::Sample;
+use gaugefs_client::watch::learned_parameters;
 use ti_gauge::chip::{Chip, snake_case};
 
 /// Keys, the most important first: a narrow screen has room for a few.

@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use super::super::sample::Sample;
 use super::super::thin;
+use gaugefs_client::sample::Sample;
 
 /// A day of the fastest polls. When it is full, the oldest are dropped.
 const MOST: usize = 172_800;

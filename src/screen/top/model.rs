@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::super::learning;
-use super::super::sample::Sample;
-use super::super::watch::{Learned, Order, Report, Seen};
 use super::history::{History, QUANTITIES, Quantity, seconds};
+use gaugefs_client::sample::Sample;
+use gaugefs_client::watch::{Learned, Order, Report, Seen};
 use ti_gauge::learning::{Cycle, Limits, State};
 
 /// The time spans of a chart, in seconds.

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::Terminal;
@@ -10,10 +11,10 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::super::sample::Sample;
-use super::super::watch::{Learned, Order, Report, Seen};
 use super::model::{Action, Model};
 use super::{draw, picture};
+use gaugefs_client::sample::Sample;
+use gaugefs_client::watch::{Learned, Order, Report, Seen};
 
 /// 2026-01-01T12:00:00Z
 const NOON: f64 = 1_767_268_800.0;
@@ -101,7 +102,7 @@ fn model(colour: bool) -> Model {
         let time = NOON - 240.0 + f64::from(at);
         let mut seen = seen.clone();
         seen.time = jiff::Timestamp::from_second(time as i64).expect("a time");
-        seen.moment = seen.moment.map(|moment| moment.later(at));
+        seen.moment = seen.moment.map(|moment| moment.later(Duration::from_secs(at.into())));
         let voltage = 3_900_000 - i64::from(at) * 187;
         for (name, value) in &mut seen.attributes {
             match name.as_str() {
@@ -381,7 +382,7 @@ fn recorded() -> Vec<Recorded> {
 fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -> Sample {
     let mut seen = seen.clone();
     seen.time = jiff::Timestamp::from_millisecond((time * 1000.0) as i64).expect("a time");
-    seen.moment = seen.moment.map(|moment| moment.later(passed as u32));
+    seen.moment = seen.moment.map(|moment| moment.later(Duration::from_secs(passed as u64)));
     let field =
         |title: &str| fields.iter().find(|(found, _)| found == title).map_or("", |(_, text)| text.as_str());
     let scaled = |title: &str, scale: f64| {

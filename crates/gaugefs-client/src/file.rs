@@ -12,141 +12,91 @@ use gauge_bus::regular;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::not_a_gauge;
-use crate::error::Error;
+use crate::error::{Error, Result};
+use crate::gauge::{EVERY, not_a_gauge, with_path};
 
 /// A file of a gauge's folder is at most so long, whatever has made that folder.
 pub(crate) const LONGEST: u64 = 16 << 20;
 
 /// The file that changes keys, which a mount's group may not.
-pub(crate) const KEYS: &str = "gauge/keys";
+const KEYS: &str = "gauge/keys";
 
-/// A file of a gauge's folder that is open.
-pub(crate) struct GaugeFile {
+/// A file of a gauge's folder that is open to be written to.
+#[derive(Debug)]
+pub struct GaugeFile {
     gauge: PathBuf,
     file: File,
     opened: Timestamp,
 }
 
-/// Why a request to a file of a gauge has failed.
-#[derive(Debug)]
-pub(crate) struct Failure {
-    gauge: PathBuf,
-    error: io::Error,
-    why: Why,
-}
-
-#[derive(Debug)]
-enum Why {
-    /// The file could not be opened, and what may be said about that beside the errno.
-    Own { file: String, hint: &'static str },
-    /// What the daemon says.
-    Daemon(String),
-    /// Nothing that is certain to be about this request.
-    Unknown,
-}
-
 impl GaugeFile {
     /// Opens a file to write to it.
-    pub(crate) fn to_write(gauge: &Path, name: &str) -> Result<Self, Failure> {
+    pub(crate) fn to_write(gauge: &Path, name: &str) -> Result<Self> {
         Self::open(gauge, name, true)
     }
 
-    fn to_read(gauge: &Path, name: &str) -> Result<Self, Failure> {
+    fn to_read(gauge: &Path, name: &str) -> Result<Self> {
         Self::open(gauge, name, false)
     }
 
-    fn open(gauge: &Path, name: &str, write: bool) -> Result<Self, Failure> {
+    fn open(gauge: &Path, name: &str, write: bool) -> Result<Self> {
         let (path, opened) = (gauge.join(name), Timestamp::now());
         match regular::open_linked(File::options().read(!write).write(write), &path) {
             Ok(file) => Ok(Self { gauge: gauge.into(), file, opened }),
             Err(error) => {
-                let hint = match errno(&error) {
+                let hint = match error.raw_os_error().map(Errno::from_raw) {
                     Some(Errno::EACCES | Errno::EPERM) if name == KEYS => "; only the mount's owner may",
                     Some(Errno::EACCES | Errno::EPERM) => "; only the mount's owner and group may",
                     Some(Errno::EROFS) => "; it is mounted read-only",
+                    _ if is_dead(&error) => return Err(not_a_gauge(gauge)),
                     _ => "",
                 };
-                Err(Failure { gauge: gauge.into(), error, why: Why::Own { file: name.into(), hint } })
+                Err(Error::unopened(gauge, name, hint, error))
             }
         }
     }
 
     /// Writes a request. One write(2) is one request. Returns how much of it was taken.
-    pub(crate) fn send(&mut self, request: &[u8]) -> Result<usize, Failure> {
+    pub fn send(&mut self, request: &[u8]) -> Result<usize> {
         self.file.write(request).map_err(|error| self.refused(error))
     }
 
-    fn text(&self) -> Result<String, Failure> {
+    fn text(&self) -> Result<String> {
         regular::read_from(&self.file, LONGEST).and_then(regular::text).map_err(|error| self.refused(error))
     }
 
     /// What the daemon says of an error that it has answered with.
-    fn refused(&self, error: io::Error) -> Failure {
+    fn refused(&self, error: io::Error) -> Error {
+        if is_dead(&error) {
+            return not_a_gauge(&self.gauge);
+        }
         let read = |name: &str| content(&self.gauge.join(name)).unwrap_or_default();
-        let told = read("gauge/last_error");
+        let told = read(EVERY);
         let time = told.split_once(": ").and_then(|(time, _)| time.parse::<Timestamp>().ok());
         // It has whole seconds. What is owed is the state of the gauge, however long it has been.
         let is_new = time.is_some_and(|time| time.as_second() >= self.opened.as_second());
         let is_owed = || read("gauge/owed").trim() == "1";
-        let why = match told.trim() {
+        match told.trim() {
             told if !told.is_empty() && (is_new || is_owed()) => {
-                Why::Daemon(super::with_gauge(told, &self.gauge))
+                Error::told(&self.gauge, with_path(told, &self.gauge), error)
             }
-            _ => Why::Unknown,
-        };
-        Failure { gauge: self.gauge.clone(), error, why }
-    }
-}
-
-impl Failure {
-    /// The errno, where there is one.
-    pub(crate) fn errno(&self) -> Option<Errno> {
-        errno(&self.error)
-    }
-
-    /// Whether the file could not even be opened.
-    pub(crate) fn is_own(&self) -> bool {
-        matches!(self.why, Why::Own { .. })
-    }
-
-    /// What the system or the daemon says, in one line.
-    pub(crate) fn reason(&self) -> String {
-        let desc = self.errno().map_or_else(|| self.error.to_string(), |errno| errno.desc().to_string());
-        match &self.why {
-            Why::Own { hint, .. } => desc + hint,
-            Why::Daemon(why) => why.clone(),
-            Why::Unknown => desc,
-        }
-    }
-
-    /// The error of a gauge that did not do `what`.
-    pub(crate) fn told(&self, what: &str) -> Error {
-        let (name, reason) = (self.gauge.display().to_string(), self.reason());
-        let text = match &self.why {
-            Why::Own { file, .. } => format!("{what}: {file}: {reason}"),
-            Why::Daemon(why) => why.clone(),
-            Why::Unknown => format!("{what}: {reason}"),
-        };
-        match self.errno() {
-            Some(Errno::ENOTCONN | Errno::ECONNABORTED) => not_a_gauge(&self.gauge),
-            Some(errno) => Error::host(name, errno, text),
-            None => Error::io(name, what, &self.error),
+            _ => Error::failed(&self.gauge, error),
         }
     }
 }
 
-fn errno(error: &io::Error) -> Option<Errno> {
-    error.raw_os_error().map(Errno::from_raw)
+/// Whether a call has failed because the daemon of the mount has ended.
+pub(crate) fn is_dead(error: &io::Error) -> bool {
+    [Errno::ENOTCONN, Errno::ECONNABORTED].iter().any(|dead| error.raw_os_error() == Some(*dead as i32))
 }
 
 /// Writes a request to a file of a gauge's folder.
-pub(crate) fn send(gauge: &Path, name: &str, request: &[u8]) -> Result<(), Failure> {
+pub(crate) fn send(gauge: &Path, name: &str, request: &[u8]) -> Result<()> {
     GaugeFile::to_write(gauge, name)?.send(request).map(drop)
 }
 
 /// The text of a file of a gauge's folder.
-pub(crate) fn text(gauge: &Path, name: &str) -> Result<String, Failure> {
+pub(crate) fn text(gauge: &Path, name: &str) -> Result<String> {
     GaugeFile::to_read(gauge, name)?.text()
 }
 
@@ -174,17 +124,17 @@ mod tests {
             .expect("a file that refuses what is written");
         let told = |name: &str| {
             let failure = send(&gauge, name, b"undo").expect_err("refused");
-            (failure.errno(), failure.told("cannot be settled").to_string())
+            (failure.errno(), failure.doing("cannot be settled").to_string())
         };
         let name = gauge.display();
-        let alone = (Some(Errno::EINVAL), format!("{name}: cannot be settled: Invalid argument"));
+        let alone = (Some(Errno::EINVAL as i32), format!("{name}: cannot be settled: Invalid argument"));
         assert_eq!(told("gauge/settle"), alone);
         let now = Timestamp::now();
         let before = now - jiff::SignedDuration::from_secs(2);
         file("last_error", &format!("{before:.0}: of somebody else\n"));
         assert_eq!(told("gauge/settle"), alone);
         let missing = (
-            Some(Errno::ENOENT),
+            Some(Errno::ENOENT as i32),
             format!("{name}: cannot be settled: gauge/none: No such file or directory"),
         );
         assert_eq!(told("gauge/none"), missing);
@@ -209,12 +159,12 @@ mod tests {
         for (name, why) in
             [("pipe", "not a regular file"), ("zeroes", "not a regular file"), ("long", "16 MiB")]
         {
-            let failure = text(&gauge, name).expect_err("refused").told("cannot be read").to_string();
+            let failure = text(&gauge, name).expect_err("refused").doing("cannot be read").to_string();
             assert!(failure.contains(why), "{name}: {failure}");
             assert!(content(&gauge.join(name)).expect_err("refused").to_string().contains(why), "{name}");
         }
         for name in ["pipe", "zeroes"] {
-            let failure = send(&gauge, name, b"1").expect_err("refused").told("cannot be asked").to_string();
+            let failure = send(&gauge, name, b"1").expect_err("refused").doing("cannot be asked").to_string();
             assert!(failure.contains("not a regular file"), "{name}: {failure}");
         }
         fs::remove_dir_all(&gauge).expect("a folder");

@@ -12,22 +12,23 @@ use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 
-use super::learning;
-use super::sample::Sample;
-use super::values::{PATIENCE, SILENT};
-use crate::daemon::mountpoint;
-use crate::error::{Error, Result};
-use crate::mounted;
-use ti_gauge::chip::{Chip, Parameter, Subclass};
+use ti_gauge::chip::{Chip, Parameter, Subclass, kebab_case};
 use ti_gauge::learning::Limits;
+
+use crate::error::{Error, Result};
+use crate::file::{content, send, text};
+use crate::follow::{PATIENCE, SILENT, thread};
+use crate::gauge::died;
+use crate::mounts;
+use crate::sample::Sample;
 
 /// TI's name for the subclass with the values that a gauge has learned.
 const STATE: &str = "State";
 /// Time between two samples if the time of the next poll is not known.
-pub(super) const INTERVAL: Duration = Duration::from_secs(1);
+pub const INTERVAL: Duration = Duration::from_secs(1);
 
 /// What a thread can be asked to do.
-pub(super) enum Order {
+pub enum Order {
     /// Poll this gauge now, through `gauge/refresh`.
     Refresh(PathBuf),
     /// Read the learned values of this gauge from data flash.
@@ -37,16 +38,18 @@ pub(super) enum Order {
 }
 
 /// What a thread reports.
-pub(super) struct Report {
+pub struct Report {
     /// The mount, as an index of [`Watch::roots`].
-    pub(super) root: usize,
+    pub root: usize,
     /// A gauge's folder; the root itself if there is no gauge in it.
-    pub(super) gauge: PathBuf,
-    pub(super) seen: Seen,
+    pub gauge: PathBuf,
+    /// What was seen of it.
+    pub seen: Seen,
 }
 
 /// The contents of a report.
-pub(super) enum Seen {
+pub enum Seen {
+    /// The values of a poll.
     Sample(Box<Sample>),
     /// There is no sample, for this reason.
     Trouble(String),
@@ -60,19 +63,22 @@ pub(super) enum Seen {
 
 /// One parameter that the gauge itself rewrites.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Learned {
-    pub(super) name: &'static str,
-    pub(super) value: String,
-    pub(super) unit: &'static str,
+pub struct Learned {
+    /// TI's name.
+    pub name: &'static str,
+    /// Its text.
+    pub value: String,
+    /// The unit of its number; empty if it has none.
+    pub unit: &'static str,
 }
 
 /// The threads and the channels to them.
-pub(super) struct Watch {
+pub struct Watch {
     /// What is watched: mount points, or the folder that the user named.
-    pub(super) roots: Vec<PathBuf>,
+    pub roots: Vec<PathBuf>,
     orders: Vec<Sender<Order>>,
     /// Where the reports of all threads arrive.
-    pub(super) reports: Receiver<Report>,
+    pub reports: Receiver<Report>,
     sender: Sender<Report>,
     /// Since when each thread has been reading its mount, in the order of `roots`.
     reads: Vec<Reading>,
@@ -91,7 +97,7 @@ fn set(reading: &Reading, since: Option<Instant>) {
 impl Watch {
     /// Watches a mount point or a gauge's folder, or else every gaugefs that is mounted. Without an interval,
     /// it takes one sample after each poll.
-    pub(super) fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
+    pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
         let (roots, orders, reads) = (Vec::new(), Vec::new(), Vec::new());
         let mut watch = Self { roots, orders, reports, sender, reads, every, named: named.is_some() };
@@ -109,7 +115,7 @@ impl Watch {
 
     /// The next report within a time limit. A mount that does not answer for too long is reported as that, and again
     /// each time after as long.
-    pub(super) fn next(&self, limit: Duration) -> Option<Report> {
+    pub fn next(&self, limit: Duration) -> Option<Report> {
         let end = Instant::now() + limit;
         loop {
             let left = end.saturating_duration_since(Instant::now());
@@ -135,11 +141,11 @@ impl Watch {
     }
 
     /// Adds new mounts, unless the user named one.
-    pub(super) fn find_mounts(&mut self) -> Result<()> {
+    pub fn find_mounts(&mut self) -> Result<()> {
         if self.named {
             return Ok(());
         }
-        for path in mountpoint::list() {
+        for path in mounts::list() {
             if !self.roots.contains(&path) {
                 self.add(path)?;
             }
@@ -150,19 +156,16 @@ impl Watch {
     fn add(&mut self, path: PathBuf) -> Result<()> {
         let (orders, received) = mpsc::channel();
         let (root, reports, every) = (self.roots.len(), self.sender.clone(), self.every);
-        let (thread, reading) = (path.clone(), Reading::default());
+        let (folder, reading) = (path.clone(), Reading::default());
         self.reads.push(reading.clone());
-        std::thread::Builder::new()
-            .stack_size(256 * 1024)
-            .spawn(move || watch(root, &thread, every, &received, &reports, &reading))
-            .map_err(|error| Error::io("", "cannot start a thread", &error))?;
+        thread(move || watch(root, &folder, every, &received, &reports, &reading))?;
         self.roots.push(path);
         self.orders.push(orders);
         Ok(())
     }
 
     /// Gives an order. Its result is a report.
-    pub(super) fn order(&self, root: usize, order: Order) {
+    pub fn order(&self, root: usize, order: Order) {
         // It cannot fail: the threads end only with the watch.
         let _ = self.orders[root].send(order);
     }
@@ -181,7 +184,7 @@ fn watch(
     loop {
         let mut next = INTERVAL;
         set(reading, Some(Instant::now()));
-        let listening = match gauges(path) {
+        let listening = match supplies(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
                 let sample = Sample::read(gauge);
                 // There may be many, each of which takes a moment.
@@ -202,7 +205,7 @@ fn watch(
         set(reading, None);
         let listening = listening
             && match orders.recv_timeout(every.unwrap_or(next)) {
-                Ok(Order::Refresh(gauge)) => match mounted::send(&gauge, "gauge/refresh", b"1\n") {
+                Ok(Order::Refresh(gauge)) => match send(&gauge, "gauge/refresh", b"1\n") {
                     Ok(()) => true,
                     Err(failure) => report(&gauge, Seen::Refused(format!("refresh: {}", failure.reason()))),
                 },
@@ -223,7 +226,7 @@ fn watch(
 }
 
 /// The gauges at a path: itself, or the folders in it.
-pub(super) fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
+pub fn supplies(path: &Path) -> io::Result<Vec<PathBuf>> {
     match fs::metadata(path.join("uevent")) {
         Ok(_) => return Ok(vec![path.to_path_buf()]),
         Err(error) if error.kind() == ErrorKind::NotFound => {}
@@ -235,11 +238,11 @@ pub(super) fn gauges(path: &Path) -> io::Result<Vec<PathBuf>> {
     if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
 }
 
-pub(super) fn trouble(root: &Path, error: &io::Error) -> String {
+pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
-            let mount = mountpoint::of(root);
-            mounted::died(mount.as_deref().unwrap_or(root).display())
+            let mount = mounts::of(root);
+            died(mount.as_deref().unwrap_or(root).display())
         }
         None | Some(Errno::ENOENT) => {
             "not mounted; give the folder of a mounted gauge, or its mount point".into()
@@ -250,7 +253,7 @@ pub(super) fn trouble(root: &Path, error: &io::Error) -> String {
 
 /// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
 /// Parameters whose address is uncertain are left out.
-pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
+pub fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
     let Some(chip) = Chip::by_model(model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
     let rows = states.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
@@ -263,15 +266,37 @@ pub(super) fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'stati
 }
 
 fn model_name(gauge: &Path) -> String {
-    let uevent = mounted::content(&gauge.join("uevent")).unwrap_or_default();
+    let uevent = content(&gauge.join("uevent")).unwrap_or_default();
     let model = uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME="));
     model.unwrap_or_default().into()
 }
 
 /// The thresholds of learning. A sealed gauge is not unsealed for them.
 fn limits(gauge: &Path) -> Option<Limits> {
-    let seal = mounted::content(&gauge.join("gauge/seal")).ok()?;
-    (seal.trim() != "sealed").then(|| learning::limits(gauge, &model_name(gauge)))
+    let seal = content(&gauge.join("gauge/seal")).ok()?;
+    (seal.trim() != "sealed").then(|| of_flash(gauge, &model_name(gauge)))
+}
+
+/// Reads the thresholds of a gauge from data flash; those that cannot be read are the manual's.
+fn of_flash(gauge: &Path, model: &str) -> Limits {
+    let mut limits = Limits::default();
+    let Some(chip) = Chip::by_model(model) else { return limits };
+    let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+    for (class, row) in rows.filter(|(_, row)| !row.unproven) {
+        let target = match (row.name, row.unit) {
+            ("Quit Current", "mA") => &mut limits.quit_ma,
+            ("Dsg Current Threshold", "mA") => &mut limits.discharge_ma,
+            ("Chg Current Threshold", "mA") => &mut limits.charge_ma,
+            ("Number of series cell", _) => limits.cells.insert(1.0),
+            _ => continue,
+        };
+        let place = Path::new("df/by-name").join(chip.class_dir(class)).join(kebab_case(row.name));
+        let text = content(&gauge.join(place)).unwrap_or_default();
+        if let Ok(value) = text.trim().parse() {
+            *target = value;
+        }
+    }
+    limits
 }
 
 /// Reads the learned parameters. They are in one subclass, so a sealed gauge is unsealed only once.
@@ -282,9 +307,11 @@ fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
     }
     let mut values = Vec::new();
     for (_, row, place) in rows {
-        let value = mounted::text(gauge, &place).map_err(|failure| match failure.errno() {
-            Some(Errno::EPERM) if !failure.is_own() => "sealed: no key".into(),
-            _ => failure.reason(),
+        let value = text(gauge, &place).map_err(|failure| {
+            match failure.is(&[Errno::EPERM]) && !failure.is_unopened() {
+                true => "sealed: no key".into(),
+                false => failure.reason(),
+            }
         })?;
         values.push(Learned { name: row.name, value: value.trim_end().to_string(), unit: row.unit });
     }

@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use crate::mounted;
+use crate::file::content;
 use gauge_bus::clock::{Clock, RealClock};
 
 /// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
 /// apart.
-pub(super) const SETTLED: Duration = Duration::from_millis(200);
+pub(crate) const SETTLED: Duration = Duration::from_millis(200);
 /// Attempts to read all files between two polls before a mixed sample is accepted.
 const TRIES: u32 = 3;
 /// Less than the time between two polls, more than the rounding of an age to milliseconds.
@@ -23,53 +23,51 @@ const SLACK: Duration = Duration::from_millis(100);
 
 /// The values of one poll.
 #[derive(Clone, Debug)]
-pub(super) struct Sample {
+pub struct Sample {
     /// The time of the poll; for a gauge that is gone, the time of the sample.
-    pub(super) time: Timestamp,
+    pub time: Timestamp,
     /// The time of the poll in the time of a simulated gauge's battery, and how fast that passes.
-    pub(super) simulated: Option<(Timestamp, f64)>,
+    pub simulated: Option<(Timestamp, f64)>,
     /// The time of the poll on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
-    pub(super) moment: Option<Moment>,
+    pub moment: Option<Moment>,
     /// `gauge/age_ms`.
-    pub(super) age: Option<Duration>,
+    pub age: Option<Duration>,
     /// The attributes of `uevent`, by their file names.
-    pub(super) attributes: Vec<(String, String)>,
+    pub attributes: Vec<(String, String)>,
     /// Status registers, and the names of the bits that are set in each.
-    pub(super) words: Vec<(String, String)>,
+    pub words: Vec<(String, String)>,
     /// `gauge/registers`, except those in `words`.
-    pub(super) registers: Vec<(String, i64)>,
+    pub registers: Vec<(String, i64)>,
     /// `gauge/seal`, if the user may read it.
-    pub(super) seal: Option<String>,
+    pub seal: Option<String>,
     /// `gauge/poll_interval`, if the user may read it.
-    pub(super) interval: Option<Duration>,
+    pub interval: Option<Duration>,
     /// `gauge/last_error`.
-    pub(super) last_error: String,
+    pub last_error: String,
 }
 
 /// The time of a poll, as exactly as its age gives it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Moment {
+pub struct Moment {
     earliest: Instant,
     latest: Instant,
 }
 
 impl Moment {
     /// Whether both may be the same poll.
-    pub(super) fn is_same_poll(self, other: Self) -> bool {
+    pub fn is_same_poll(self, other: Self) -> bool {
         self.earliest <= other.latest + SLACK && other.earliest <= self.latest + SLACK
     }
 
-    /// A poll this many seconds later.
-    #[cfg(test)]
-    pub(super) fn later(self, seconds: u32) -> Self {
-        let time = Duration::from_secs(seconds.into());
+    /// A poll so much later, for a history that is made up.
+    pub fn later(self, time: Duration) -> Self {
         Self { earliest: self.earliest + time, latest: self.latest + time }
     }
 }
 
 impl Sample {
     /// Reads a gauge's folder. If there was a poll just now, it waits a fraction of a second first.
-    pub(super) fn read(folder: &Path) -> io::Result<Self> {
+    pub fn read(folder: &Path) -> io::Result<Self> {
         of_one_poll(folder, |polled| Self::once(folder, polled))
     }
 
@@ -115,7 +113,7 @@ impl Sample {
     }
 
     /// The sample of a gauge whose mount has ended.
-    pub(super) fn absent() -> Self {
+    pub fn absent() -> Self {
         Self {
             time: Timestamp::now(),
             simulated: None,
@@ -131,42 +129,39 @@ impl Sample {
     }
 
     /// An attribute's text.
-    pub(super) fn attribute(&self, name: &str) -> Option<&str> {
+    pub fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(found, _)| found == name).map(|(_, value)| value.as_str())
     }
 
     /// An attribute's number.
-    pub(super) fn number(&self, name: &str) -> Option<i64> {
+    pub fn number(&self, name: &str) -> Option<i64> {
         self.attribute(name)?.parse().ok()
     }
 
     /// Time until the next poll can be read, if the poll interval is known.
-    pub(super) fn next_poll(&self) -> Option<Duration> {
+    pub fn next_poll(&self) -> Option<Duration> {
         Some(self.interval?.saturating_sub(self.age?) + SETTLED)
     }
 
     /// Whether the gauge is present.
-    pub(super) fn present(&self) -> bool {
+    pub fn present(&self) -> bool {
         self.attribute("present") == Some("1") && self.moment.is_some()
     }
 
     /// The time of the poll as its values have it: that of the battery, if it is simulated.
-    pub(super) fn battery_time(&self) -> Timestamp {
+    pub fn battery_time(&self) -> Timestamp {
         self.simulated.map_or(self.time, |(time, _)| time)
     }
 
     /// The bits that were set and cleared since an earlier sample, word by word: `+QEN -VOK`.
-    pub(super) fn changed_bits<'a>(
-        &'a self,
-        before: &'a Self,
-    ) -> impl Iterator<Item = (&'a str, String)> + 'a {
+    pub fn changed_bits<'a>(&'a self, before: &'a Self) -> impl Iterator<Item = (&'a str, String)> + 'a {
         let earlier = |name: &String| before.words.iter().find(|(old, _)| old == name);
         let pairs = self.words.iter().filter_map(move |(name, bits)| Some((name, &earlier(name)?.1, bits)));
         pairs.filter(|(_, old, new)| old != new).map(|(name, old, new)| (name.as_str(), difference(old, new)))
     }
 
     /// `status`, or `absent`.
-    pub(super) fn status(&self) -> String {
+    pub fn status(&self) -> String {
         match self.attribute("status") {
             Some(status) if self.present() => status.into(),
             _ => "absent".into(),
@@ -175,8 +170,8 @@ impl Sample {
 }
 
 /// The attributes of `uevent`, by their file names.
-pub(super) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
-    let uevent = mounted::content(&folder.join("uevent"))?;
+pub(crate) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
+    let uevent = content(&folder.join("uevent"))?;
     let attributes = uevent.lines().filter_map(|line| {
         let (name, value) = line.strip_prefix("POWER_SUPPLY_")?.split_once('=')?;
         // uevent writes a space as `_`, but a name may contain a real one.
@@ -187,7 +182,7 @@ pub(super) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
 }
 
 /// Reads files of one poll. If there was a poll just now, it waits a fraction of a second first.
-pub(super) fn of_one_poll<T>(
+pub(crate) fn of_one_poll<T>(
     folder: &Path,
     read: impl Fn(Option<(Duration, Moment)>) -> io::Result<T>,
 ) -> io::Result<T> {
@@ -244,12 +239,12 @@ fn difference(before: &str, after: &str) -> String {
 }
 
 /// A file's one line; `None` if the file does not exist now, or this user may not read it.
-pub(super) fn text(path: &Path) -> io::Result<Option<String>> {
-    Ok(if_readable(mounted::content(path))?.map(|text| text.trim_end().to_string()))
+pub(crate) fn text(path: &Path) -> io::Result<Option<String>> {
+    Ok(if_readable(content(path))?.map(|text| text.trim_end().to_string()))
 }
 
 /// `None` for a file that does not exist now, or that this user may not read.
-pub(super) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
+pub(crate) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(value) => Ok(Some(value)),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => Ok(None),
@@ -258,29 +253,9 @@ pub(super) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
-/// An integer in units of 10^-`places` as an exact decimal with at least `least` places.
-pub(super) fn decimal(value: i64, places: usize, least: usize) -> String {
-    let digits = format!("{:0width$}", value.unsigned_abs(), width = places + 1);
-    let (whole, fraction) = digits.split_at(digits.len() - places);
-    let mut kept = fraction.trim_end_matches('0').len().max(least);
-    kept = kept.min(places);
-    let sign = if value < 0 { "-" } else { "" };
-    let point = if kept > 0 { "." } else { "" };
-    format!("{sign}{whole}{point}{}", &fraction[..kept])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn decimals_are_exact() {
-        assert_eq!(decimal(3_855_000, 6, 3), "3.855");
-        assert_eq!(decimal(-500, 6, 3), "-0.0005");
-        assert_eq!(decimal(-5, 1, 1), "-0.5");
-        assert_eq!(decimal(0, 6, 3), "0.000");
-        assert_eq!(decimal(i64::MIN, 0, 0), i64::MIN.to_string());
-    }
 
     #[test]
     fn two_samples_of_one_poll_are_recognised() {

@@ -1,10 +1,13 @@
-//! The files of a gauge that a condition compares, read after each poll.
+//! Some files of a gauge, read after each poll.
+//!
+//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of their own reads them, and whoever waits
+//! for it is told that it is silent.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{self, Sender};
-use std::time::Duration;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use nix::fcntl::{OFlag, openat};
@@ -12,28 +15,29 @@ use nix::sys::stat::Mode;
 
 use gauge_bus::clock::{Clock, RealClock};
 
-use super::sample::{self, if_readable, of_one_poll, text};
-use super::watch::{INTERVAL, gauges, trouble};
 use crate::condition::Texts;
 use crate::error::{Error, Result};
+use crate::sample::{self, if_readable, of_one_poll, text};
+use crate::watch::{INTERVAL, supplies, trouble};
 
 /// A daemon that has not answered for this long hangs.
-pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+pub const PATIENCE: Duration = Duration::from_secs(5);
 /// Why there is nothing of a daemon that hangs.
-pub(super) const SILENT: &str = "its daemon does not answer";
+pub const SILENT: &str = "its daemon does not answer";
 
 /// What a thread that follows a gauge reports.
-pub(super) struct Seen {
+#[derive(Clone, Debug)]
+pub struct Seen {
     /// The gauge, by its number.
-    pub(super) gauge: usize,
+    pub gauge: usize,
     /// Its files; what is missing of them, or why there are none.
-    pub(super) texts: Result<Texts, String>,
+    pub texts: Result<Texts, String>,
     /// Time until the next report.
-    pub(super) next: Duration,
+    pub next: Duration,
 }
 
 /// The attributes of a gauge and other files of its folder.
-pub(super) fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
+pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     let mut texts: Texts = sample::attributes(folder)?.into_iter().collect();
     // The folder of the last file: those of one folder are named one after the other.
     let mut parent: Option<(&str, File)> = None;
@@ -58,8 +62,46 @@ fn text_in(folder: &File, name: &str) -> io::Result<String> {
     Ok(String::from_utf8_lossy(&bytes[..length]).trim_end().to_string())
 }
 
-/// Follows a gauge from a thread of its own, because a read blocks if the daemon hangs. It ends with its receiver.
-pub(super) fn follow<T: From<Seen> + Send + 'static>(
+/// Files of one gauge, poll by poll.
+#[derive(Debug)]
+pub struct Follow {
+    seen: Receiver<Seen>,
+    /// When the daemon counts as silent, unless something is heard of it.
+    due: Instant,
+}
+
+impl Follow {
+    /// Begins to follow a folder: its attributes, and these other files. They are read in this order, and those of one
+    /// folder best one after the other.
+    pub fn start(folder: &Path, names: Vec<String>) -> Result<Self> {
+        let (sender, seen) = mpsc::channel::<Seen>();
+        to_channel(0, folder.to_path_buf(), names, sender)?;
+        Ok(Self { seen, due: Instant::now() + PATIENCE })
+    }
+
+    /// Waits for the next poll, and returns the attributes and the files that are followed; or why there are none: the gauge
+    /// is gone, the mount has ended, or its daemon does not answer, and that again and again while it lasts. `None` after
+    /// the time limit.
+    pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
+        let silent = self.due.saturating_duration_since(Instant::now());
+        let patience = limit.map_or(silent, |limit| limit.min(silent));
+        match self.seen.recv_timeout(patience) {
+            Ok(Seen { texts, next, .. }) => {
+                self.due = Instant::now() + next + PATIENCE;
+                Some(texts)
+            }
+            Err(RecvTimeoutError::Timeout) if patience < silent => None,
+            // The thread ends only with its receiver.
+            Err(_) => {
+                self.due = Instant::now() + PATIENCE;
+                Some(Err(SILENT.into()))
+            }
+        }
+    }
+}
+
+/// Follows a gauge from a thread of its own, which reports to a channel. It ends with its receiver.
+pub fn to_channel<T: From<Seen> + Send + 'static>(
     gauge: usize,
     folder: PathBuf,
     names: Vec<String>,
@@ -81,8 +123,13 @@ pub(super) fn follow<T: From<Seen> + Send + 'static>(
             RealClock::new().sleep(next);
         }
     };
+    thread(work)
+}
+
+/// Starts a thread that calls into mounts.
+pub(crate) fn thread(work: impl FnOnce() + Send + 'static) -> Result<()> {
     let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(work);
-    thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", &error))
+    thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", error))
 }
 
 /// Time until the next poll can be read; `None` for a user who may not read the interval.
@@ -93,19 +140,16 @@ fn next_poll(folder: &Path) -> Option<Duration> {
 }
 
 /// The gauges at a path, which is a mount point or a gauge's folder; an error after 5 s without an answer.
-pub(super) fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
+pub fn supplies_at(path: &Path) -> Result<Vec<PathBuf>> {
     let name = path.display().to_string();
     // Symbolic links are not resolved: that may hang.
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let (sender, found) = mpsc::channel();
-    let look = move || {
-        let found = gauges(&path).map_err(|error| trouble(&path, &error));
+    thread(move || {
+        let found = supplies(&path).map_err(|error| trouble(&path, &error));
         // It cannot be heard any more after 5 s.
         let _ = sender.send(found);
-    };
-    std::thread::Builder::new()
-        .spawn(look)
-        .map_err(|error| Error::io("", "cannot start a thread", &error))?;
+    })?;
     match found.recv_timeout(PATIENCE) {
         Ok(Ok(gauges)) => Ok(gauges),
         Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),
@@ -114,6 +158,6 @@ pub(super) fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The name of a gauge's folder.
-pub(super) fn folder_name(gauge: &Path) -> String {
+pub fn folder_name(gauge: &Path) -> String {
     gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

@@ -8,11 +8,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use serde::Deserialize;
 use strsim::levenshtein;
 use ti_gauge::{text, unit};
 
-use crate::fs::{Attribute, named_files};
+use crate::names::{attribute, attributes, files};
 
 /// What decides whether a gauge is missing, instead of its values.
 const MISSING: &str = "missing";
@@ -35,12 +34,11 @@ const WORDS: [(&str, &[&str]); 3] = [
     ),
 ];
 /// The files of a gauge's folder, by their names in it.
-pub(crate) type Texts = BTreeMap<String, String>;
+pub type Texts = BTreeMap<String, String>;
 
 /// One condition: terms of which all must be true.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(try_from = "String")]
-pub(crate) struct Condition {
+#[derive(Clone, Debug)]
+pub struct Condition {
     text: String,
     terms: Vec<Term>,
 }
@@ -84,7 +82,7 @@ const OPERATORS: [(&str, Operator); 8] = [
 
 impl Condition {
     /// The files that it compares, without those that are compared twice.
-    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> {
         self.terms.iter().filter_map(|term| match term {
             Term::Compare { name, .. } => Some(name.as_str()),
             Term::Missing => None,
@@ -93,7 +91,7 @@ impl Condition {
 
     /// Whether it is true of a gauge with these files, of which `None` is missing. `None` where a missing value leaves
     /// that open.
-    pub(crate) fn holds(&self, texts: Option<&Texts>) -> Option<bool> {
+    pub fn holds(&self, texts: Option<&Texts>) -> Option<bool> {
         let mut all = Some(true);
         for term in &self.terms {
             match term.holds(texts) {
@@ -106,7 +104,7 @@ impl Condition {
     }
 
     /// The values that it compares, for a message.
-    pub(crate) fn values(&self, texts: Option<&Texts>) -> String {
+    pub fn values(&self, texts: Option<&Texts>) -> String {
         let value = |name: &str| match texts.and_then(|texts| texts.get(name)) {
             Some(text) => format!("{name} {text}"),
             None => format!("{name} missing"),
@@ -131,14 +129,6 @@ impl FromStr for Condition {
             return Err("`missing` stands alone: a gauge that is missing has no values".into());
         }
         Ok(Self { text: text.trim().to_string(), terms })
-    }
-}
-
-impl TryFrom<String> for Condition {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
     }
 }
 
@@ -198,7 +188,7 @@ fn number(text: &str) -> Option<f64> {
 }
 
 fn of_attribute((name, sign): (&str, &str), by: Operator, value: &str) -> Result<Operand, String> {
-    let attribute = Attribute::by_name(name).ok_or_else(|| unknown(name))?;
+    let attribute = attribute(name).ok_or_else(|| unknown(name))?;
     if name == "present" {
         return Err("write `missing`: a gauge that is not present has no values to compare".into());
     }
@@ -223,7 +213,7 @@ fn of_attribute((name, sign): (&str, &str), by: Operator, value: &str) -> Result
 }
 
 fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -> Result<Operand, String> {
-    let files: Vec<_> = named_files().filter(|known| known.name == file).collect();
+    let files: Vec<_> = files().filter(|known| known.name == file).collect();
     let Some(first) = files.first() else { return Err(unknown(name)) };
     let bits = || files.iter().flat_map(|file| file.bits.iter().map(|bit| bit.name));
     if by == Operator::Has {
@@ -281,8 +271,8 @@ fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, Strin
 }
 
 fn unknown(name: &str) -> String {
-    let attributes = Attribute::all().map(|attribute| attribute.name().to_string());
-    let names: Vec<_> = attributes.chain(named_files().map(|file| format!("gauge/{}", file.name))).collect();
+    let attributes = attributes().map(|attribute| attribute.name.to_string());
+    let names: Vec<_> = attributes.chain(files().map(|file| format!("gauge/{}", file.name))).collect();
     let shown = name.escape_debug();
     match nearest(name, names.iter().map(String::as_str)) {
         Some(meant) => format!("no gauge has a file `{shown}`; did you mean {meant}?"),
@@ -390,8 +380,8 @@ mod tests {
             other => panic!("{text}: {other:?}"),
         };
         // Every suggestion is a condition, for every file that has a unit.
-        let attributes = Attribute::all().map(|one| (one.name().to_string(), one.unit()));
-        let files = named_files().map(|file| (format!("gauge/{}", file.name), file.unit));
+        let attributes = attributes().map(|one| (one.name.to_string(), one.unit()));
+        let files = files().map(|file| (format!("gauge/{}", file.name), file.unit));
         let with_unit = attributes.chain(files).filter(|(_, own)| unit::is_known(own) && *own != "%");
         let mut count = 0;
         for name in with_unit.map(|(name, _)| name).collect::<BTreeSet<_>>() {
