@@ -39,6 +39,8 @@ mod rescue;
 mod set;
 mod settle;
 mod umount;
+#[cfg(feature = "screen")]
+mod watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -81,7 +83,9 @@ enum Command {
     Keys(keys::Command),
     #[cfg(feature = "screen")]
     #[command(flatten)]
-    Screen(crate::screen::Command),
+    Screen(gaugefs_screen::Command),
+    #[cfg(feature = "screen")]
+    Watch(watch::Watch),
     Doctor(doctor::Doctor),
     Completions(completions::Completions),
     Man(manual::Man),
@@ -131,6 +135,8 @@ impl Command {
             Self::Keys(command) => command.run(),
             #[cfg(feature = "screen")]
             Self::Screen(command) => command.run(),
+            #[cfg(feature = "screen")]
+            Self::Watch(command) => command.run(),
             Self::Doctor(command) => command.run(),
             Self::Completions(command) => command.run(),
             Self::Man(command) => command.run(),

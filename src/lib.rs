@@ -20,5 +20,3 @@ pub mod lock;
 pub mod owner;
 mod program;
 mod report;
-#[cfg(feature = "screen")]
-mod screen;

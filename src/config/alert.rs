@@ -58,15 +58,3 @@ fn word_of_program(word: &str) -> Result<String, String> {
         )),
     }
 }
-
-impl AlertOptions {
-    /// What it is called.
-    pub(crate) fn shown(&self) -> String {
-        self.name.clone().unwrap_or_else(|| self.when.to_string())
-    }
-
-    /// The files that it compares.
-    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.when.names().chain(self.clear.iter().flat_map(Condition::names))
-    }
-}

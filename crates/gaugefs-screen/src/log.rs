@@ -11,11 +11,11 @@ use jiff::{SignedDuration, Timestamp};
 use nix::errno::Errno;
 
 use super::learning;
-use crate::error::{Cause, Error, Result};
-use crate::output::{self, print_file, say};
 use gauge_bus::regular;
 use gaugefs_client::sample::{Moment, Sample};
 use gaugefs_client::watch::{INTERVAL, Seen, Watch};
+use gaugefs_host::error::{Cause, Error, Result};
+use gaugefs_host::output::{self, print_file, say};
 use ti_gauge::learning::Cycle;
 use ti_gauge::text::printable;
 
@@ -50,7 +50,7 @@ const EARLY: Duration = Duration::from_millis(250);
 /// Record the history of mounted gauges as CSV
 #[derive(Args, Debug)]
 #[command(after_help = LOG)]
-pub(crate) struct Log {
+pub struct Log {
     /// Mount point, or folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
     /// Minimum time between two rows [default: every poll]

@@ -11,52 +11,48 @@ use std::process::{Command, ExitCode, ExitStatus, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-use clap::Args;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use crate::config::{self, AlertOptions};
-use crate::error::{Cause, Error, Result, shown};
-use crate::output::{self, print, say};
-use gaugefs_client::condition::Texts;
+use gaugefs_client::condition::{Condition, Texts};
 use gaugefs_client::follow::{self, Seen};
+use gaugefs_host::error::{Error, Result, shown};
+use gaugefs_host::output::{self, print, say};
 
-const WATCH: &str = "\
-An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
-when the condition of --clear is true. Without --clear that is when the first condition is false; a
-value that is missing clears nothing. Each change is printed as a line, and the program of --exec or
---exec-clear is run for it: without a shell, unless CMD is sh -c '...', and never two at a time for
-one alert of one gauge. What follows CMD belongs to it, up to a `;`; an option of `gaugefs watch` is
-refused there: write it before --exec, or behind the `;`. The environment of the program has:
+/// When an alert is raised and cleared, and what is run for it.
+#[derive(Clone, Debug)]
+pub struct Rule {
+    /// When it is raised.
+    pub when: Condition,
+    /// When it is cleared, and can be raised again; `None` for when the first condition is false.
+    pub clear: Option<Condition>,
+    /// For how long the condition must be true in every poll.
+    pub hold: Duration,
+    /// Program to run when it is raised, with its arguments; none if that is empty.
+    pub exec: Vec<String>,
+    /// Program to run when it is cleared.
+    pub exec_clear: Vec<String>,
+    /// Its name in messages; `None` for its condition.
+    pub name: Option<String>,
+    /// Name of the folder of the only gauge that it is for.
+    pub gauge: Option<String>,
+}
 
-  GAUGEFS_EVENT       raised or cleared
-  GAUGEFS_ALERT       name of the alert
-  GAUGEFS_CONDITION   its condition
-  GAUGEFS_VALUE       text of the first file that it compares; not set if it is missing
-  GAUGEFS_GAUGE       folder of the gauge
-  POWER_SUPPLY_*      the lines of its uevent
+impl Rule {
+    /// What it is called.
+    fn shown(&self) -> String {
+        self.name.clone().unwrap_or_else(|| self.when.to_string())
+    }
 
-A program that fails is reported, and nothing else happens. An alert that comes and goes while its
-program runs is not reported to it again. Everything is read after each poll of the mount, which
-causes no bus traffic.
+    /// The files that it compares.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.when.names().chain(self.clear.iter().flat_map(Condition::names))
+    }
+}
 
-Examples:
-  gaugefs watch /run/gauges 'capacity<=5 && status==Discharging' --for 60 --exec systemctl poweroff
-  gaugefs watch /run/gauges/BAT0 'temp>50C' --clear 'temp<45C' --exec fan on \\; --exec-clear fan off
-  gaugefs watch --config /etc/gaugefs/gaugefs.toml     its [[alert]] tables";
-
-/// Run programs when conditions on gauges come true
-#[derive(Args, Debug)]
-#[command(after_help = WATCH)]
-pub(crate) struct Watch {
-    /// Mount point, or folder of a mounted gauge, such as /run/gauges/BAT0
-    #[arg(required_unless_present = "config")]
-    gauge: Option<PathBuf>,
-    /// Take the alerts, and the mount point if there is no other, from this file
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["when", "clear", "for", "exec", "exec_clear", "name"])]
-    config: Option<PathBuf>,
-    #[command(flatten)]
-    alert: Option<AlertOptions>,
+/// Watches the gauges at a mount point, or one by its folder, until nobody reads the output any more.
+pub fn watch(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
+    Watching::start(place, rules)?.run()
 }
 
 /// What the main thread waits for.
@@ -85,7 +81,7 @@ struct Gauge {
 /// One alert of one gauge.
 struct Alert {
     gauge: usize,
-    options: AlertOptions,
+    rule: Rule,
     state: State,
     /// The event for which a program was run last, or none was needed.
     told: bool,
@@ -102,7 +98,7 @@ struct State {
 
 impl State {
     /// Takes a poll in.
-    fn update(&mut self, alert: &AlertOptions, texts: Option<&Texts>, now: Instant) {
+    fn update(&mut self, alert: &Rule, texts: Option<&Texts>, now: Instant) {
         let holds = alert.when.holds(texts);
         if self.raised {
             let is_over = match &alert.clear {
@@ -115,28 +111,10 @@ impl State {
         // What clears an alert does not raise it again at once.
         else if holds == Some(true) {
             let since = *self.since.get_or_insert(now);
-            self.raised = now.duration_since(since) >= alert.hold.unwrap_or_default();
+            self.raised = now.duration_since(since) >= alert.hold;
         } else {
             self.since = None;
         }
-    }
-}
-
-impl Watch {
-    pub(super) fn run(self) -> Result<ExitCode> {
-        let (place, alerts) = match (self.config, self.alert) {
-            (Some(file), _) => {
-                let (mountpoint, alerts) = config::alerts(&file)?;
-                let place = self.gauge.or(mountpoint).ok_or_else(|| {
-                    let why = "no mount point; give one on the command line, or set mountpoint below [mount]";
-                    Error::new(file.display().to_string(), Cause::Invalid(why.into()))
-                })?;
-                (place, alerts)
-            }
-            (None, Some(alert)) => (self.gauge.expect("clap demands it"), vec![alert]),
-            (None, None) => unreachable!("clap demands a condition or a file"),
-        };
-        Watching::start(&place, &alerts)?.run()
     }
 }
 
@@ -149,22 +127,22 @@ struct Watching {
 }
 
 impl Watching {
-    fn start(place: &Path, options: &[AlertOptions]) -> Result<Self> {
+    fn start(place: &Path, rules: &[Rule]) -> Result<Self> {
         let folders = follow::supplies_at(place)?;
         let names = folders.iter().map(|gauge| follow::folder_name(gauge)).collect::<Vec<_>>();
         let mut alerts = Vec::new();
-        for options in options {
-            if let Some(wanted) = &options.gauge
+        for rule in rules {
+            if let Some(wanted) = &rule.gauge
                 && !names.contains(wanted)
             {
                 let why = format!("no gauge {wanted} is mounted there, only {}", names.join(", "));
                 return Err(Error::host(place.display().to_string(), Errno::ENOENT, why));
             }
-            let is_for = |name: &String| options.gauge.as_ref().is_none_or(|wanted| wanted == name);
+            let is_for = |name: &String| rule.gauge.as_ref().is_none_or(|wanted| wanted == name);
             let gauges = (0..).zip(&names).filter(|(_, name)| is_for(name));
             alerts.extend(gauges.map(|(gauge, _)| Alert {
                 gauge,
-                options: options.clone(),
+                rule: rule.clone(),
                 state: State::default(),
                 told: false,
                 running: false,
@@ -176,7 +154,7 @@ impl Watching {
         for (number, folder) in folders.into_iter().enumerate() {
             let of_gauge = alerts.iter().filter(|alert| alert.gauge == number);
             let mut files: Vec<_> =
-                of_gauge.flat_map(|alert| alert.options.names()).map(str::to_string).collect();
+                of_gauge.flat_map(|alert| alert.rule.names()).map(str::to_string).collect();
             files.sort();
             files.dedup();
             follow::to_channel(number, folder.clone(), files, sender.clone())?;
@@ -209,9 +187,7 @@ impl Watching {
 
     /// Whether an alert runs a program.
     fn has_programs(&self) -> bool {
-        self.alerts
-            .iter()
-            .any(|alert| !(alert.options.exec.is_empty() && alert.options.exec_clear.is_empty()))
+        self.alerts.iter().any(|alert| !(alert.rule.exec.is_empty() && alert.rule.exec_clear.is_empty()))
     }
 
     /// Takes a look at a gauge in.
@@ -239,7 +215,7 @@ impl Watching {
             }
             let before = alert.state.raised;
             let texts = self.gauges[seen.gauge].texts.as_ref();
-            alert.state.update(&alert.options, texts, now);
+            alert.state.update(&alert.rule, texts, now);
             if alert.state.raised != before {
                 let printed = print_event(&self.gauges[seen.gauge], alert);
                 // Whoever has programs run needs no lines.
@@ -261,11 +237,11 @@ impl Watching {
             return;
         }
         alert.told = raised;
-        let program = if raised { &alert.options.exec } else { &alert.options.exec_clear };
+        let program = if raised { &alert.rule.exec } else { &alert.rule.exec_clear };
         let Some((program, arguments)) = program.split_first() else { return };
         let facts = facts(&self.gauges[alert.gauge], alert);
         let child = Command::new(program).args(arguments).envs(facts).stdin(Stdio::null()).spawn();
-        let name = alert.options.shown();
+        let name = alert.rule.shown();
         let waits = child.and_then(|mut child| {
             let sender = self.sender.clone();
             let wait = move || {
@@ -293,7 +269,7 @@ impl Watching {
             Err(error) => Some(error.to_string()),
         };
         if let Some(what) = what {
-            say(format_args!("alert {}: its program has failed: {what}", alert.options.shown()));
+            say(format_args!("alert {}: its program has failed: {what}", alert.rule.shown()));
         }
         self.act(number);
     }
@@ -305,10 +281,8 @@ fn event(alert: &Alert) -> &'static str {
 
 /// A line for each change.
 fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
-    let (name, values) =
-        (follow::folder_name(&gauge.folder), alert.options.when.values(gauge.texts.as_ref()));
-    let line =
-        format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.options.shown());
+    let (name, values) = (follow::folder_name(&gauge.folder), alert.rule.when.values(gauge.texts.as_ref()));
+    let line = format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.rule.shown());
     print(&(ti_gauge::text::printable(&line) + "\n"))
 }
 
@@ -317,11 +291,11 @@ fn facts(gauge: &Gauge, alert: &Alert) -> HashMap<String, OsString> {
     let mut facts = HashMap::new();
     let texts = gauge.texts.iter().flatten().filter(|(name, _)| !name.contains('/'));
     facts.extend(texts.map(|(name, text)| (format!("POWER_SUPPLY_{}", name.to_uppercase()), text.into())));
-    let value = alert.options.when.names().next().and_then(|name| gauge.texts.as_ref()?.get(name));
+    let value = alert.rule.when.names().next().and_then(|name| gauge.texts.as_ref()?.get(name));
     let rows = [
         ("EVENT", Some(event(alert).into())),
-        ("ALERT", Some(alert.options.shown().into())),
-        ("CONDITION", Some(alert.options.when.to_string().into())),
+        ("ALERT", Some(alert.rule.shown().into())),
+        ("CONDITION", Some(alert.rule.when.to_string().into())),
         ("VALUE", value.map(OsString::from)),
         ("GAUGE", Some(gauge.folder.clone().into_os_string())),
     ];
@@ -333,12 +307,12 @@ fn facts(gauge: &Gauge, alert: &Alert) -> HashMap<String, OsString> {
 mod tests {
     use super::*;
 
-    fn alert(when: &str, clear: Option<&str>, hold: u64) -> AlertOptions {
+    fn alert(when: &str, clear: Option<&str>, hold: u64) -> Rule {
         let parse = |text: &str| text.parse().expect(text);
-        AlertOptions {
+        Rule {
             when: parse(when),
             clear: clear.map(parse),
-            hold: Some(Duration::from_secs(hold)),
+            hold: Duration::from_secs(hold),
             exec: Vec::new(),
             exec_clear: Vec::new(),
             name: None,
@@ -347,7 +321,7 @@ mod tests {
     }
 
     /// The states after polls with these capacities, one a second.
-    fn states(alert: &AlertOptions, capacities: &[Option<u32>]) -> Vec<bool> {
+    fn states(alert: &Rule, capacities: &[Option<u32>]) -> Vec<bool> {
         let (start, mut state) = (Instant::now(), State::default());
         let seconds = (0..).zip(capacities);
         let states = seconds.map(|(second, capacity)| {

@@ -4,7 +4,7 @@ use super::super::thin::thin;
 use super::super::ticks::{self, Tick};
 use super::Limit;
 use super::table::{Flow, Gauge, History, Panel, Series};
-use crate::error::{Cause, Error, Result};
+use gaugefs_host::error::{Cause, Error, Result};
 
 /// Size of letters, and an upper bound for their average width.
 pub(super) const SIZE: f64 = 12.0;

@@ -3,8 +3,8 @@
 use ti_gauge::chip::{Chip, Tier, snake_case};
 
 use super::super::decimal::decimal;
-use crate::error::{Cause, Error, Result};
 use gaugefs_client::sample::Sample;
+use gaugefs_host::error::{Cause, Error, Result};
 
 /// The columns that every row begins with.
 pub(super) const FIRST: [&str; 2] = ["time (UTC)", "gauge"];
@@ -78,7 +78,7 @@ fn plain(sample: &Sample, name: &str) -> Option<String> {
 }
 
 /// Splits `voltage (V)` into name and unit. What a unit is followed by says how often the value is read.
-pub(in crate::screen) fn split(title: &str) -> (&str, &str) {
+pub(crate) fn split(title: &str) -> (&str, &str) {
     let parts = title.strip_suffix(')').and_then(|title| title.split_once(" ("));
     let (name, unit) = parts.unwrap_or((title, ""));
     let unit = unit.strip_suffix(SLOW).map_or(unit, |unit| unit.trim_end_matches("; "));

@@ -8,10 +8,10 @@ use nix::errno::Errno;
 use serde::Serialize;
 
 use super::learning;
-use crate::error::{Error, Result};
-use crate::output::{self, print, print_json};
 use gaugefs_client::sample::{Moment, Sample};
 use gaugefs_client::watch::{INTERVAL, Order, Seen, Watch};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::{self, print, print_json};
 use ti_gauge::learning::{Cycle, Learned, State};
 
 const LEARN: &str = "\
@@ -38,7 +38,7 @@ const DISQUALIFIED: u8 = 4;
 /// Watch a learning cycle: what it waits for, and what has spoiled it
 #[derive(Args, Debug)]
 #[command(after_help = LEARN)]
-pub(crate) struct Learn {
+pub struct Learn {
     /// Folder of a mounted gauge
     gauge: PathBuf,
     /// Print one line and exit

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use nix::errno::Errno;
 
-use crate::error::{Error, Result};
-use crate::output::say;
 use gaugefs_client::condition::Condition;
 use gaugefs_client::follow::{Follow, supplies_at};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::say;
 
 const WAIT: &str = "\
 CONDITION compares files of the gauge's folder with < <= > >= == or !=, joined by &&: capacity<20,
@@ -33,7 +33,7 @@ const TOO_LATE: u8 = 3;
 /// Wait until a condition on a gauge is true
 #[derive(Args, Debug)]
 #[command(after_help = WAIT)]
-pub(crate) struct Wait {
+pub struct Wait {
     /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
     /// What to wait for, such as 'capacity<20'

@@ -1,14 +1,19 @@
-//! The commands that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`, `watch` and
-//! `metrics`. The cargo feature `screen` guards this module and its place in the command line.
+//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait` and
+//! `metrics`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
+//!
+//! All that they have of a gauge is `gaugefs-client`.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Subcommand;
 
-use crate::error::Result;
+use gaugefs_host::error::Result;
 
-mod alert;
+pub mod alert;
 mod decimal;
 mod learn;
 mod learning;
@@ -20,20 +25,21 @@ mod ticks;
 mod top;
 mod wait;
 
-/// The commands of this module.
+/// The commands of this crate.
 #[derive(Debug, Subcommand)]
-pub(crate) enum Command {
+#[allow(missing_docs, reason = "clap would take it for the description of the subcommand")]
+pub enum Command {
     Top(top::Top),
     Learn(learn::Learn),
     Log(log::Log),
     Plot(plot::Plot),
     Wait(wait::Wait),
     Metrics(metrics::Metrics),
-    Watch(alert::Watch),
 }
 
 impl Command {
-    pub(crate) fn run(self) -> Result<ExitCode> {
+    /// Carries it out.
+    pub fn run(self) -> Result<ExitCode> {
         match self {
             Self::Top(top) => top.run(),
             Self::Learn(learn) => learn.run(),
@@ -41,7 +47,6 @@ impl Command {
             Self::Plot(plot) => plot.run(),
             Self::Wait(wait) => wait.run(),
             Self::Metrics(metrics) => metrics.run(),
-            Self::Watch(watch) => watch.run(),
         }
     }
 }

@@ -14,10 +14,10 @@ use nix::errno::Errno;
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::error::{Error, Result};
-use crate::output::{self, print_json};
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::{Report, Seen, Watch};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::{self, print_json};
 
 mod draw;
 mod history;
@@ -44,7 +44,7 @@ Examples:
 /// Show mounted gauges and their history on a live screen
 #[derive(Args, Debug)]
 #[command(after_help = TOP)]
-pub(crate) struct Top {
+pub struct Top {
     /// Mount point, or folder of a mounted gauge [default: all mounted gauges]
     gauge: Option<PathBuf>,
     /// Print JSON instead, one object per line for each gauge and interval

@@ -5,10 +5,10 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use crate::error::{Cause, Error, Result};
-use crate::output::{print_file, write_file};
 use gauge_bus::regular::Replace;
+use gaugefs_host::error::{Cause, Error, Result};
 use gaugefs_host::input;
+use gaugefs_host::output::{print_file, write_file};
 
 mod scene;
 mod svg;
@@ -33,7 +33,7 @@ const LONGEST: u64 = 512 << 20;
 /// Draw a history that `gaugefs log` has recorded, as SVG
 #[derive(Args, Debug)]
 #[command(after_help = PLOT)]
-pub(crate) struct Plot {
+pub struct Plot {
     /// CSV file to draw; - is standard input
     file: PathBuf,
     /// SVG file to write [default: -, standard output]

@@ -15,9 +15,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::{Format, MOST, Reader};
-use crate::error::{Error, Result};
-use crate::output::say;
 use gauge_bus::clock::{Clock, RealClock};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::say;
 
 /// A client has this long to send a request, and to take the answer.
 const PATIENCE: Duration = Duration::from_secs(5);

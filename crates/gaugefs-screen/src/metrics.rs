@@ -11,11 +11,11 @@ use clap::{Args, ValueEnum};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular::Replace;
 
-use crate::error::{Error, Result};
-use crate::output::{print_file, say, write_file};
 use gaugefs_client::follow;
 use gaugefs_client::mounts;
 use gaugefs_client::watch::supplies;
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::{print_file, say, write_file};
 
 mod expected;
 mod page;
@@ -47,7 +47,7 @@ const MOST: usize = 8;
 /// Print metrics of mounted gauges for Prometheus
 #[derive(Args, Debug)]
 #[command(after_help = METRICS)]
-pub(crate) struct Metrics {
+pub struct Metrics {
     /// Mount points [default: every mounted gaugefs]
     mountpoints: Vec<PathBuf>,
     /// Mount point, or name of a file in /etc/gaugefs, that is reported as down when it is gone [default:

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::super::log::columns::split;
 use super::super::thin::Point;
-use crate::error::{Cause, Error, Result};
+use gaugefs_host::error::{Cause, Error, Result};
 
 /// The columns that are drawn by default.
 const USUAL: [&str; 4] = ["voltage", "current", "capacity", "temperature"];

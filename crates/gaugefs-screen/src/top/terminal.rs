@@ -20,9 +20,9 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use super::draw;
 use super::history::seconds;
 use super::model::{Action, Model};
-use crate::error::{Error, Result};
 use gauge_bus::clock::{Clock, RealClock};
 use gaugefs_client::watch::Watch;
+use gaugefs_host::error::{Error, Result};
 
 /// The longest delay until a report or a signal is noticed.
 const STEP: Duration = Duration::from_millis(100);

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::folders;
 use gauge_bus::regular;
+use gaugefs_host::folders;
 
 /// The mount point that `--expect` means: a path, or the name of a file in `/etc/gaugefs`.
 pub(super) fn named(word: &Path) -> PathBuf {

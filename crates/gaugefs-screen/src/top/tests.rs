@@ -140,7 +140,7 @@ fn text(buffer: &Buffer) -> String {
 
 #[track_caller]
 fn golden(name: &str, now: &str) {
-    matches(&Path::new("tests/it/golden/top").join(name), now);
+    matches(&Path::new("../../tests/it/golden/top").join(name), now);
 }
 
 /// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`.
@@ -367,7 +367,7 @@ type Recorded = (String, f64, Vec<(String, String)>);
 
 /// What `tests/record` has recorded of three gauges.
 fn recorded() -> Vec<Recorded> {
-    let text = include_str!("../../../tests/it/images/recorded-three.csv");
+    let text = include_str!("../../../../tests/it/images/recorded-three.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let titles = reader.headers().expect("a header").clone();
     let row = |record: csv::StringRecord| {
@@ -424,5 +424,5 @@ fn the_picture_in_docs_is_what_top_draws() {
     press(&mut model, '+');
     press(&mut model, '+');
     let svg = picture::svg(&drawn(&model, 80, 24, last + 1.0));
-    matches(Path::new("docs/top.svg"), &svg);
+    matches(Path::new("../../docs/top.svg"), &svg);
 }
