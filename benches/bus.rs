@@ -24,9 +24,10 @@ use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Row};
 use ti_gauge::error::Result;
-use ti_gauge::gauge::{Gauge, Seal, bursts};
+use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
+use ti_gauge::registers::bursts;
 use ti_gauge::value::Value;
 
 mod report;

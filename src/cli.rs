@@ -181,8 +181,9 @@ fn failed(error: &Error) -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// What clap says of a misuse, as gaugefs says it. Its advice to put `--` before an unknown option is left out: nothing
-/// here takes one as a value. Of a list that is too long to be read, what it suggests is left, and where the list is.
+/// Rewords clap's message about a misuse in the style of gaugefs. Leaves out the advice to put `--` before an unknown
+/// option, because no argument here takes one as a value. Replaces a list of chips that is too long to be read by a
+/// hint where to find it.
 fn reworded(text: &str) -> String {
     const LONGEST: usize = 200;
     let text =
@@ -222,7 +223,7 @@ fn counted(parameters: usize) -> String {
     if parameters == 1 { "1 parameter".into() } else { format!("{parameters} parameters") }
 }
 
-/// Exit code of a command that has done all but something that it lists on standard error.
+/// Exit code of a command that has left something out, which it lists on standard error.
 const PASSED_OVER: u8 = 3;
 
 /// The exit codes of diff(1): a failure is 2, which a script can distinguish from a difference.

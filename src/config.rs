@@ -230,7 +230,7 @@ impl MountOptions {
 }
 
 impl GaugeOptions {
-    /// Where `bus` is a device in sysfs, completed by what the device tree says of it.
+    /// If `bus` is a device in sysfs, completes the options from the device tree.
     fn of_node(self) -> Result<Self> {
         let node = self.bus.as_deref().map(Node::find).transpose()?.flatten();
         let Some(Node { bus, address, chip }) = node else { return Ok(self) };
@@ -293,7 +293,7 @@ impl GaugeOptions {
     }
 }
 
-/// What `gaugefs mount` mounts, as the command line and the configuration file have it. All paths are
+/// The settings of `gaugefs mount`, from the command line and the configuration file. All paths are
 /// absolute, because the daemon in the background changes its folder to `/`.
 #[derive(Debug)]
 pub(crate) struct Setup {
@@ -379,7 +379,7 @@ pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     file::alerts(path)
 }
 
-/// What `-` stands for on a command line, in place of a file to read.
+/// The file that `-` stands for on a command line, in place of a file to read.
 const STANDARD_INPUT: &str = "/dev/stdin";
 
 /// A file of a command line that is read as a whole, before the command returns.

@@ -426,7 +426,7 @@ impl Fs {
             return Error::host("", Errno::ENOENT, "there is no such file, and none can be made");
         };
         let supply = &self.supplies[usize::from(gauge)];
-        let error = df::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
+        let error = transaction::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
         supply.handle.report(Attempt::Other, &error);
         error
     }
@@ -487,7 +487,9 @@ impl Fs {
         let why = "too long for a value, so it may not be whole; write the value alone, without padding";
         let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
         match node {
-            Node::Of(gauge, _) => self.supplies[usize::from(gauge)].refuse(Attempt::Other, error, done),
+            Node::Of(gauge, _) => {
+                self.supplies[usize::from(gauge)].handle.refuse(Attempt::Other, error, done)
+            }
             _ => done(Err(error)),
         }
     }

@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use fuser::{Config, MountOption, Session, SessionACL};
 
 use crate::error::{Error, Result};
-use crate::fs::Fs;
+use crate::fs::{Fs, Node};
 use crate::owner::Signal;
 
 mod adapter;
@@ -32,7 +32,7 @@ mod inodes;
 mod notify;
 
 use adapter::{Adapter, Waiter};
-use inodes::{Inodes, Now};
+use inodes::{Inodes, Now, Value};
 pub use notify::Announcer;
 
 /// How to mount.
@@ -138,8 +138,8 @@ fn start(
         announcer.keep_names(session.as_fd());
     }
     let notifier = session.notifier();
-    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     announcer.start(fs, table, notifier)?;
+    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     Ok(Mounted { session, over, announcer })
 }
 
@@ -149,4 +149,9 @@ type Table = Mutex<Inodes<Waiter>>;
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // What a thread that has panicked left is a table of values, each of which is whole.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The value that a file has now.
+fn present(fs: &Fs, node: Node) -> Value {
+    Value::of(fs.content(node)).unwrap_or(Value::Gone)
 }

@@ -4,8 +4,8 @@
 //! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
-//! `handle` is what everything else sees of a gauge, `request` is what the owner can be asked to do, `attempt`
-//! says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
+//! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
+//! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
 //! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
@@ -36,11 +36,13 @@ mod calibrate;
 mod debt;
 mod direct;
 mod handle;
+mod operation;
+pub mod operations;
 mod poll;
 mod report;
-mod request;
 #[cfg(test)]
 pub(crate) mod rig;
+mod words;
 
 use arrival::Loss;
 pub use attempt::Attempt;
@@ -50,9 +52,11 @@ use debt::Debt;
 pub(crate) use direct::Direct;
 use handle::Shared;
 pub use handle::{Handle, Published, Signal, Snapshot};
+use operation::Request;
+pub(crate) use operation::{Context, Spoken};
+pub use operation::{Done, Operation};
 use poll::Schedule;
 pub use report::{Effect, Origin, Report, Times};
-pub use request::{Done, Request};
 
 /// Longest wait for a request. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
 /// fell due then is done at most this long after the host is awake.
@@ -185,6 +189,8 @@ struct Owner {
     unverified: bool,
     /// See [`Startup::missing`].
     missing: Option<Error>,
+    /// It was asked to end.
+    has_ended: bool,
 }
 
 impl Owner {
@@ -221,6 +227,7 @@ impl Owner {
             backed_up: false,
             unverified: startup.unverified,
             missing: startup.missing,
+            has_ended: false,
         };
         (owner, shared)
     }
@@ -246,32 +253,32 @@ impl Owner {
         })
     }
 
-    /// Serves requests, and polls when a poll is due, until the last handle has been dropped.
+    /// Serves requests, and polls when a poll is due, until the last handle has been dropped. After the operation END
+    /// it does nothing any more.
     fn run(&mut self, requests: &Receiver<(Duration, Request)>) {
         loop {
             let poll = self.schedule.due(self.shared.published().interval);
             let due = self.debt.due().map_or(poll, |debt| debt.min(poll));
             let left = due.saturating_sub(self.gauge.clock.now());
             match requests.recv_timeout(left.min(NAP)) {
-                Ok((submitted, request)) => self.answer(submitted, request),
+                Ok((submitted, request)) => {
+                    self.carry_out(submitted, request);
+                    if self.has_ended {
+                        // The process is about to end. Whoever still asks must not be told before that it has failed.
+                        loop {
+                            std::thread::park();
+                        }
+                    }
+                }
                 Err(RecvTimeoutError::Timeout) if self.gauge.clock.now() < due => {}
                 Err(RecvTimeoutError::Timeout) if due < poll => {
-                    let _ = self.survive(Attempt::Settle, Self::pay);
+                    let _ = self.survive(Attempt::SETTLE, Self::pay);
                 }
                 Err(RecvTimeoutError::Timeout) => {
                     let _ = self.survive(Attempt::Poll, Self::poll_on_time);
                 }
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-        }
-    }
-
-    /// Carries out a request, which gets an answer even if that panics.
-    fn answer(&mut self, submitted: Duration, request: Request) {
-        let attempt = request.attempt();
-        let (request, unanswered) = request.or_else_answered();
-        if let Err(error) = self.survive(attempt.clone(), |owner| owner.serve(submitted, request)) {
-            let _ = self.survive(attempt, |_| unanswered(error));
         }
     }
 
@@ -379,7 +386,7 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-panic-{}", std::process::id()));
         let write = |rig: &mut Rig| {
             let change = change(rig.handle.chip());
-            rig.ask(|done| Request::WriteAll(vec![change], done))
+            rig.ask(&operations::WRITE, vec![change])
         };
         let mut plain = Rig::open();
         let (old, before) = (plain.sim.flash(), plain.transfers());
@@ -427,19 +434,14 @@ mod tests {
         let bus = Box::new(Panics { bus: sim.bus(), done: 0, at: at.clone() });
         let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
         let handle = spawn(chip, bus, clock, settings, Arc::default()).expect("it answers");
-        let run = |request: &dyn Fn(Done<()>) -> Request| {
-            let (done, is_done) = mpsc::channel();
-            handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("the test waits"))));
-            is_done.recv().expect("an answer")
-        };
         let transfers = handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("a count").1;
         at.store(transfers + 1, Ordering::SeqCst);
-        let error = run(&Request::Refresh).expect_err("a panic");
+        let error = handle.wait_for(&operations::REFRESH, ()).expect_err("a panic");
         assert_eq!(error.errno(), Errno::EIO, "{error}");
         assert!(handle.published().snapshot.is_none());
-        run(&Request::Refresh).expect("it is identified again");
+        handle.wait_for(&operations::REFRESH, ()).expect("it is identified again");
         assert!(handle.published().snapshot.is_some());
         assert_eq!(*handle.published().last_error, *"");
-        run(&|done| Request::WriteAll(vec![change(chip)], done)).expect("the default key");
+        handle.wait_for(&operations::WRITE, vec![change(chip)]).expect("the default key");
     }
 }

@@ -28,6 +28,7 @@ use crate::owner::Settings;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
 use gaugefs_host::input;
+use ti_gauge::notation;
 
 mod pack;
 mod record;
@@ -166,8 +167,8 @@ impl Plan {
         for (key, parameter, number) in lots {
             if let Some(number) = number {
                 let row = own_row(chip, key, parameter)?;
-                let value =
-                    text::parse(row.1, number.to_string().as_bytes()).map_err(|error| error.within(key))?;
+                let value = notation::parse(row.1, number.to_string().as_bytes())
+                    .map_err(|error| error.within(key))?;
                 image.set(row.0, row.1, value);
             }
         }

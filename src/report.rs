@@ -7,7 +7,8 @@ use crate::owner::{Effect, Origin, Report, Times};
 use gauge_bus::{regular, trace};
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
 use ti_gauge::dataflash::Place;
-use ti_gauge::text::{self, hex, printable};
+use ti_gauge::notation;
+use ti_gauge::text::{hex, printable};
 
 /// How the line about data flash begins.
 const DATA_FLASH: &str = "Data flash: ";
@@ -38,7 +39,7 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     }
     about.extend(chip.beliefs().map(|belief| format!("Not confirmed: {}", belief.name)));
     about.extend(report.values.iter().map(|(row, value)| {
-        let (place, text) = (Place::of(*row), text::render(row.1.kind, value));
+        let (place, text) = (Place::of(*row), notation::render(row.1.kind, value));
         format!("Value {place} {} = {text} {}", row.1.name, row.1.unit).trim_end().to_string()
     }));
     about.extend(times(chip, report));
@@ -152,7 +153,7 @@ mod tests {
     use super::*;
     use crate::daemon::recorded;
     use crate::owner::rig::{INTERVAL, Rig};
-    use crate::owner::{Request, Settings, Startup};
+    use crate::owner::{Settings, Startup, operations as op};
     use ti_gauge::dataflash::sample;
 
     /// Mounts a report as `--replay` does, and compares what its gauge shows with what the report says.
@@ -196,8 +197,7 @@ mod tests {
         let is_recorded = without_data_flash(&text).is_none() && chip.name != "bq35100";
         let index = sample(chip).filter(|_| is_recorded);
         if let Some(index) = index {
-            rig.ask(|done| Request::Read(vec![index], done))
-                .unwrap_or_else(|error| panic!("{name}: {error}"));
+            rig.ask(&op::READ, vec![index]).unwrap_or_else(|error| panic!("{name}: {error}"));
         }
         chip
     }
@@ -208,7 +208,7 @@ mod tests {
         for chip in Chip::all() {
             let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
             rig.start().expect("it answers");
-            rig.ask(Request::Report).expect("it answers");
+            rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
             assert_eq!(
                 matches!(&report.data_flash, Ok(read) if !read.is_empty()),
@@ -255,7 +255,7 @@ mod tests {
         ] {
             let mut rig = Rig::of(chip, Settings::default(), Startup::default());
             rig.start().expect("it answers");
-            rig.ask(Request::Report).expect("it answers");
+            rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
             let origin = Origin { place: "simulated gauge".into(), address: 0x55, adapter: String::new() };
             let text = text(rig.handle.chip(), &origin, &report);
@@ -300,7 +300,7 @@ mod tests {
     #[test]
     fn a_report_names_kernel_adapter_and_version_and_hostile_names_make_no_lines() {
         let mut rig = Rig::open();
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         let adapter = "i2c-7 (evil\nR: AA 08 2), capabilities 0x1".to_string();
         let origin = Origin { place: "/dev/i2c-7 address 0x55".into(), address: 0x55, adapter };

@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::PASSED_OVER;
-use crate::error::Result;
+use crate::error::{Details, Result};
 use crate::output::{print, print_json, say, say_error};
 use gaugefs_client::Gauge;
 use ti_gauge::image::{Difference, RawDifference};
@@ -15,7 +15,7 @@ use ti_gauge::unit;
 
 /// Exit code for a failure where 1 means something else.
 pub(super) const TROUBLE: u8 = 2;
-/// Exit code for a failure elsewhere, and for what differs.
+/// Exit code for a failure elsewhere, and for a difference.
 pub(super) const FAILED: u8 = 1;
 
 #[derive(Args, Clone, Copy, Debug)]
@@ -28,7 +28,7 @@ pub(super) struct Batch {
     pub(super) fail_fast: bool,
 }
 
-/// What has become of one gauge: as lines, or as an object of --json.
+/// The result for one gauge, as lines or as an object of --json.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Report {
     gauge: String,
@@ -44,13 +44,15 @@ pub(super) struct Report {
     /// The file that was written.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) file: Option<String>,
-    /// What the format of that file has no place for.
+    /// Values for which the format of `file` has no place.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) left_out: Vec<String>,
     pub(super) passed_over: Vec<String>,
     error: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error_details: Option<Details>,
     exit_code: u8,
-    /// What is printed of it without --json.
+    /// The lines printed without --json.
     #[serde(skip)]
     lines: Vec<String>,
 }
@@ -73,7 +75,7 @@ pub(super) struct Value {
 }
 
 impl Report {
-    /// Adds what changes.
+    /// Adds the changes.
     pub(super) fn change(&mut self, changes: &[Difference<'_>], raw: &[RawDifference]) {
         let rows = changes.iter().map(|change| Row {
             name: change.name.clone(),
@@ -97,12 +99,12 @@ impl Report {
         (self.part, self.serial) = gauge.pack();
     }
 
-    /// Adds a line to what is printed.
+    /// Adds a line to print.
     pub(super) fn say(&mut self, line: String) {
         self.lines.push(line);
     }
 
-    /// What was done, and the exit code that follows from it.
+    /// Sets the outcome of a gauge that did not fail, and returns its exit code.
     pub(super) fn done(&mut self, dry_run: bool) -> u8 {
         let changes = !self.lines.is_empty();
         let (outcome, code) = match (dry_run, changes, self.passed_over.is_empty()) {
@@ -148,6 +150,7 @@ impl Batch {
             report.exit_code = outcome.unwrap_or_else(|error| {
                 say_error(&error);
                 (report.outcome, report.error) = ("failed", Some(error.to_string()));
+                report.error_details = Some(error.details());
                 failure
             });
             let failed = report.error.is_some();

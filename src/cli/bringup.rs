@@ -33,7 +33,7 @@ pub(super) struct BringUp {
     /// Cells in series
     #[arg(long, value_name = "N")]
     cells: u8,
-    /// Voltage Divider: the pack voltage at which the converter ends, such as 33V or 33000 mV
+    /// Voltage Divider: the pack voltage at the converter's full scale, such as 33V or 33000 mV
     #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::divider)]
     divider: u16,
     /// Voltage of the pack that a meter shows, such as 26.985V or 26985 mV [default: 1500 to 4600 mV for

@@ -70,7 +70,7 @@ struct Report {
     findings: Vec<Finding>,
 }
 
-/// What was checked, its state, and the remedy.
+/// A check: its subject, its state, and the remedy.
 #[derive(Serialize)]
 struct Finding {
     state: State,

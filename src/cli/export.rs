@@ -91,7 +91,7 @@ impl Export {
         }))
     }
 
-    /// The format of a file, which its ending names. One that is asked for besides has to be the same.
+    /// The format that the ending of a file names. If a format was asked for as well, it has to be the same.
     fn format_of(&self, file: Option<&Path>) -> Result<FormatName, String> {
         let name = file.map_or_else(String::new, |file| file.display().to_string());
         let lower = name.to_ascii_lowercase();
@@ -149,7 +149,7 @@ impl FormatName {
         self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_string())
     }
 
-    /// How the name of its files ends.
+    /// The ending of the names of its files.
     fn ending(self) -> &'static str {
         match self {
             Self::Toml => "toml",

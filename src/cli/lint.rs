@@ -49,7 +49,7 @@ pub(super) struct Lint {
     json: bool,
 }
 
-/// What a file would set, for --json.
+/// The values that a file would set, for --json.
 #[derive(Serialize)]
 struct Report<'a> {
     chip: &'static str,
@@ -91,7 +91,7 @@ impl<'a> Report<'a> {
     }
 }
 
-/// The notes about a file, and what it has that no image contains.
+/// The notes about a file, and its contents that the image leaves out.
 fn notes(image: &Image) -> impl Iterator<Item = &str> {
     let left_out = image.left_out.iter().map(|left| left.text.as_str());
     image.notes.iter().map(String::as_str).chain(left_out)
@@ -117,7 +117,7 @@ impl Lint {
         }
     }
 
-    /// Adds what is not wrong with the file, but with what is in it.
+    /// Adds the faults of the values and bytes in a file that could be read.
     fn check(&self, image: &Image, faults: &mut Faults) {
         let values = image.entries.iter();
         let values = values.filter_map(|entry| Some((entry.line, entry.not_imported(false).err()?)));

@@ -68,7 +68,7 @@ impl List {
     }
 }
 
-/// Why a mount has not shown all of its gauges.
+/// The reason why a mount has not shown all of its gauges, if it has not.
 fn trouble(mount: &Path, found: &Found) -> Option<String> {
     match found {
         Found { dead: Some(true), .. } => Some(gaugefs_client::died(shown(mount))),

@@ -31,8 +31,8 @@ pub(super) struct Mount {
     /// name none
     #[arg(long, value_name = "FILE", help_heading = "Gauge")]
     config: Option<PathBuf>,
-    /// Print what the configuration would mount, and list all that the mount would stumble over; mounts
-    /// nothing
+    /// Print what the configuration would mount, and list every problem that the mount would have;
+    /// mounts nothing
     #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     check: bool,
     #[command(flatten)]
@@ -87,7 +87,7 @@ impl Attach {
     }
 }
 
-/// Prints the gauges that a configuration would mount, and each thing that the mount would stumble over.
+/// Prints the gauges that a configuration would mount, and each problem that the mount would have.
 fn check(setup: &Setup) -> Result<ExitCode> {
     let (names, found) = preflight::check(setup);
     print(&plan(setup, &names))?;

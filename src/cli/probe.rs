@@ -1,4 +1,5 @@
-//! `gaugefs probe`: scans a bus. What may be sent to an unknown device is decided in [`ti_gauge::probe`].
+//! `gaugefs probe`: scans a bus. [`ti_gauge::probe`] decides what may be sent to an unknown
+//! device.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -47,7 +48,7 @@ pub(super) struct Probe {
     json: bool,
 }
 
-/// What answers at one address.
+/// The device at one address.
 #[derive(Serialize)]
 struct Found {
     address: u8,
@@ -56,7 +57,7 @@ struct Found {
     details: String,
 }
 
-/// What kind of device answers at an address.
+/// The kind of device at an address.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
@@ -76,7 +77,7 @@ enum State {
     Nothing,
 }
 
-/// What the whole command found, for --json.
+/// The findings of the whole command, for --json.
 #[derive(Serialize)]
 struct Report {
     bus: String,
@@ -109,7 +110,7 @@ impl Probe {
         Ok(if any { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 
-    /// Looks at every bus that this user may use. Returns whether there is something.
+    /// Looks at every bus that this user may use. Returns whether it has found something.
     fn all(&self) -> Result<bool> {
         let mut any = false;
         let buses = adapters(Path::new("/"));
@@ -176,13 +177,13 @@ impl Probe {
 }
 
 impl Report {
-    /// Whether something is there that is, or may be, a gauge.
+    /// Whether a device was found that is, or may be, a gauge.
     fn any(&self) -> bool {
         self.found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing))
     }
 }
 
-/// What to do next, as lines.
+/// Lines that tell the user what to do next.
 fn advice(found: &[Found], bus: &str) -> String {
     let at = |address, states: &[State]| {
         found.iter().any(|found| found.address == address && states.contains(&found.state))
@@ -199,7 +200,7 @@ fn advice(found: &[Found], bus: &str) -> String {
     }
 }
 
-/// What is at an address. Only one that the user has named is asked for its type.
+/// Looks at an address. Asks a device for its type only if the user has named the address.
 fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
     if let Some(details) = driver(adapter, address) {

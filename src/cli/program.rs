@@ -31,14 +31,14 @@ pack, its next start records that this pack has failed. A record that is removed
 changed while the station runs ends it: no serial number is given without the record.
 
 Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
-Exit code 0: all packs have passed, 1: one has not, also one that an earlier run has left unfinished,
+Exit code 0: all packs have passed, 1: one has not passed, an earlier run has left one unfinished,
 or the station could not start or go on.
 
 Examples:
   gaugefs program --image golden.gm.fs --station line1.toml --check
   gaugefs program --image golden.gm.fs --station line1.toml";
 
-/// How often whoever waits for a line looks whether the station ends.
+/// Interval at which a wait for a line checks whether the station ends.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// Program one pack after the other, as a station's file says
@@ -140,7 +140,7 @@ impl Screen for Terminal {
     }
 }
 
-/// A line of standard input has at most so many bytes.
+/// Longest line of standard input, in bytes.
 const LONGEST: u64 = 64 << 10;
 
 /// Lines of standard input.

@@ -135,7 +135,7 @@ fn of_mounted(path: &Path) -> Result<String> {
     Ok(text)
 }
 
-/// How a file that is there is treated.
+/// How to treat an existing file.
 fn how(force: bool) -> Replace {
     if force { Replace::Kept } else { Replace::Never }
 }

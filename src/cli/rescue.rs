@@ -1,4 +1,4 @@
-//! `gaugefs rescue`: brings back a gauge that is left in ROM mode. What is written is decided in [`ti_gauge::rom`].
+//! `gaugefs rescue`: brings back a gauge that is left in ROM mode. [`ti_gauge::rom`] decides what is written.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -44,8 +44,8 @@ Example:
 /// How long a gauge may take to start its firmware, and the time between two looks.
 const STARTING: Duration = Duration::from_secs(10);
 const STEP: Duration = Duration::from_millis(250);
-/// How often a gauge is looked for at its usual address before it counts as absent: it does not answer while it
-/// starts or programs flash.
+/// Number of looks at a gauge's usual address before it counts as absent: it does not answer while it starts or
+/// programs flash.
 const LOOKS: usize = 8;
 
 /// Bring back a gauge that is left in ROM mode, with its whole firmware file
@@ -235,7 +235,7 @@ mod tests {
 
     const CHIP: &str = "bq34z100-g1";
 
-    /// What answers at the usual address, or does not, until it is exchanged.
+    /// Two simulated gauges, one after the other, at the same address.
     struct Exchanged {
         packs: [gauge_sim::SimBus; 2],
         is_second: Arc<AtomicBool>,
@@ -290,7 +290,7 @@ mod tests {
         }
     }
 
-    /// Who answers the question may have changed the pack before: one in normal mode is there, or another one in ROM mode,
+    /// The pack may be swapped while the question is open: for one in normal mode, or for another one in ROM mode,
     /// whose firmware is half erased.
     #[test]
     fn a_gauge_that_comes_while_the_question_is_open_is_not_erased() {

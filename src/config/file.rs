@@ -15,17 +15,16 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::station::StationOptions;
 use super::{AlertOptions, GaugeOptions, MountOptions, Source, make_absolute, values};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 
-/// What a file says of gauges.
+/// The gauges of a configuration file.
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Gauges {
+pub(super) struct Gauges {
     defaults: GaugeOptions,
-    gauge: Vec<Spanned<GaugeOptions>>,
+    pub(super) gauge: Vec<Spanned<GaugeOptions>>,
 }
 
 /// The tables of [`Gauges`].
@@ -38,15 +37,9 @@ struct OfMount {
     alert: Vec<AlertOptions>,
 }
 
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct OfStation {
-    station: StationOptions,
-}
-
 /// The table of a file that is not about gauges.
-struct Head {
-    /// Its name, which is also what it is about.
+pub(super) struct Head {
+    /// Its name, which is also its subject.
     name: &'static str,
     /// The tables of which there may be any number.
     lists: &'static [&'static str],
@@ -55,12 +48,12 @@ struct Head {
 }
 
 impl Head {
-    fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
+    pub(super) fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
         Self { name, lists, keys: keys::<Options>(), augment: Options::augment_args }
     }
 }
 
-/// Longer than a configuration of thousands of gauges.
+/// Largest size of a file. Thousands of gauges need less.
 const LONGEST: u64 = 4 << 20;
 /// Keys that belong to one gauge, and are no defaults for many.
 const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace", "trace-replace"];
@@ -68,19 +61,6 @@ const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace"
 const CONFLICTS: [(&str, &[&str]); 2] = [
     ("sim", &["replay", "bus", "address", "chip"]),
     ("replay", &["bus", "address", "chip", "restore", "trace", "trace-replace"]),
-];
-/// Keys of gauges that a station has no use for.
-const NOT_AT_A_STATION: [&str; 10] = [
-    "replay",
-    "restore",
-    "poll",
-    "energy",
-    "absolute-current",
-    "current-scale",
-    "voltage-scale",
-    "energy-scale",
-    "allow-learning",
-    "trace",
 ];
 /// Keys that are for simulated gauges only.
 const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];
@@ -98,34 +78,13 @@ fn of_mount() -> Head {
     Head::of::<MountOptions>("mount", &["gauge", "alert"])
 }
 
-/// Reads the options of a station and of its gauges.
-pub(super) fn read_station(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
-    let text = text(path)?;
-    let head = Head::of::<StationOptions>("station", &["gauge"]);
-    let (file, OfStation { mut station }, gauges) = File::read::<OfStation>(path, &text, head)?;
-    make_absolute(station.paths(), folder(path))?;
-    station.check().map_err(|(key, why)| match file.place(Table::Head, key) {
-        Some(place) => file.refuse(place.at, key, &why),
-        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
-    })?;
-    for number in 0..gauges.gauge.len() {
-        let not_here = NOT_AT_A_STATION.iter();
-        let mut places = not_here
-            .filter_map(|key| file.place(Table::Gauge(number), key).or(file.place(Table::Defaults, key)));
-        if let Some(place) = places.next() {
-            return Err(file.refuse(place.at, &place.key, "has no meaning at a station; remove it"));
-        }
-    }
-    Ok((station, file.gauges(gauges, path, None)?))
-}
-
-fn text(path: &Path) -> Result<String> {
+pub(super) fn text(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path.display().to_string(), "cannot read it", &error);
     regular::read_text(path, LONGEST).map_err(failed)
 }
 
 /// The folder at which the relative paths of a file begin.
-fn folder(path: &Path) -> &Path {
+pub(super) fn folder(path: &Path) -> &Path {
     // Standard input has none.
     let is_input = path == Path::new(super::STANDARD_INPUT);
     if is_input { Path::new("") } else { path.parent().unwrap_or(Path::new("/")) }
@@ -144,23 +103,23 @@ pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
 }
 
 /// A configuration file that is being read.
-struct File<'a> {
-    name: String,
+pub(super) struct File<'a> {
+    pub(super) name: String,
     text: &'a str,
     head: Head,
     places: Vec<Place>,
 }
 
-/// Where a key is.
-struct Place {
+/// The place of a key.
+pub(super) struct Place {
     table: Table,
-    key: String,
-    at: usize,
+    pub(super) key: String,
+    pub(super) at: usize,
     value: Range<usize>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Table {
+pub(super) enum Table {
     /// The file outside of any table.
     Top,
     Head,
@@ -177,7 +136,7 @@ impl<'a> File<'a> {
     }
 
     /// An error about a key of the file.
-    fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
+    pub(super) fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
         // One line: TOML's own errors may have several, and so may a key in quotes.
         let why = why.lines().collect::<Vec<_>>().join(", ");
         let key = if key.is_empty() { "\"\"".into() } else { key.escape_debug().to_string() };
@@ -185,12 +144,16 @@ impl<'a> File<'a> {
         Error::new(subject, Cause::Invalid(why))
     }
 
-    fn place(&self, table: Table, key: &str) -> Option<&Place> {
+    pub(super) fn place(&self, table: Table, key: &str) -> Option<&Place> {
         self.places.iter().find(|place| place.table == table && place.key == key)
     }
 
     /// Reads the table of its head and those of the gauges.
-    fn read<H: DeserializeOwned>(path: &Path, text: &'a str, head: Head) -> Result<(Self, H, Gauges)> {
+    pub(super) fn read<H: DeserializeOwned>(
+        path: &Path,
+        text: &'a str,
+        head: Head,
+    ) -> Result<(Self, H, Gauges)> {
         let mut file = Self { name: path.display().to_string(), text, head, places: Vec::new() };
         file.places = places(file.parse()?.get_ref(), &file.head);
         let head = file.tables(|key| !OF_GAUGES.contains(&key))?;
@@ -206,7 +169,7 @@ impl<'a> File<'a> {
         })
     }
 
-    /// Some of its tables.
+    /// Parses the wanted tables only.
     fn tables<T: DeserializeOwned>(&self, wanted: impl Fn(&str) -> bool) -> Result<T> {
         let mut document = self.parse()?;
         let all = std::mem::take(document.get_mut());
@@ -215,7 +178,12 @@ impl<'a> File<'a> {
     }
 
     /// The gauges, complete and with absolute paths.
-    fn gauges(&self, gauges: Gauges, path: &Path, bus: Option<PathBuf>) -> Result<Vec<GaugeOptions>> {
+    pub(super) fn gauges(
+        &self,
+        gauges: Gauges,
+        path: &Path,
+        bus: Option<PathBuf>,
+    ) -> Result<Vec<GaugeOptions>> {
         let Gauges { mut defaults, mut gauge } = gauges;
         let paths = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
         make_absolute(defaults.paths().chain(paths), folder(path))?;
@@ -223,7 +191,7 @@ impl<'a> File<'a> {
         self.complete(gauge, &defaults)
     }
 
-    /// What is wrong at the place where the structs above do not fit the file.
+    /// The error for a place in the file that does not fit the structs above.
     fn explain(&self, error: &toml::de::Error) -> Error {
         let at = error.span().unwrap_or_default().start;
         // Keys of a table come after the table, so the last place is the innermost one.
@@ -307,7 +275,7 @@ impl<'a> File<'a> {
         Ok(complete)
     }
 
-    /// Why a key cannot be in a table.
+    /// The error for a key that cannot be in its table.
     fn unknown(&self, table: Table, key: &str) -> String {
         let head = self.head.name;
         let of_gauge = keys::<GaugeOptions>();
@@ -409,7 +377,7 @@ fn keys<Options: Args>() -> Vec<String> {
     command.get_arguments().map(|option| option.get_id().as_str().replace('_', "-")).collect()
 }
 
-/// What only one gauge can have.
+/// A property that only one gauge can have.
 #[derive(PartialEq, Eq, Hash)]
 enum Mark {
     Name(String),

@@ -7,7 +7,7 @@ use crate::error::{Cause, Error, Result};
 use gauge_bus::{GAUGE_ADDRESS, regular};
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-/// What a folder such as `/sys/bus/i2c/devices/1-0055` describes.
+/// The gauge that a folder such as `/sys/bus/i2c/devices/1-0055` describes.
 #[derive(Debug)]
 pub(super) struct Node {
     /// The adapter's node.

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Deserialize;
 
-use super::{GaugeOptions, file, from_toml, make_absolute};
-use crate::error::Result;
+use super::file::{self, File, Head, Table};
+use super::{GaugeOptions, from_toml, make_absolute};
+use crate::error::{Cause, Error, Result};
 use ti_gauge::image::Group;
 use ti_gauge::{date, text};
 
@@ -36,7 +37,7 @@ pub(crate) struct StationOptions {
     #[arg(long)]
     pub(crate) same_chemistry: bool,
 
-    /// Where serial numbers are from
+    /// Source of the serial numbers
     #[arg(value_enum)]
     pub(crate) serial: Option<SerialFrom>,
     /// First number of the counter [default: 1]
@@ -82,17 +83,17 @@ pub(crate) struct StationOptions {
     pub(crate) seal: Option<bool>,
     /// Key file with the keys that the packs get
     pub(crate) new_key_file: Option<PathBuf>,
-    /// What is done with a pack that was programmed before [default: refuse]
+    /// How to treat a pack that was programmed before [default: refuse]
     #[arg(value_enum)]
     pub(crate) seen: Option<Seen>,
-    /// What is done with an interrupted write that may have been another pack's [default: refuse]
+    /// How to treat an interrupted write that may have been another pack's [default: refuse]
     #[arg(value_enum)]
     pub(crate) unsettled: Option<Unsettled>,
     /// How many simulated packs come one after the other [default: 1]
     pub(crate) packs: Option<u32>,
 }
 
-/// Where serial numbers are from.
+/// The source of the serial numbers.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum SerialFrom {
@@ -104,25 +105,25 @@ pub(crate) enum SerialFrom {
     Input,
 }
 
-/// What is done with a pack that was programmed before.
+/// How to treat a pack that was programmed before.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Seen {
-    /// Nothing.
+    /// Refuses it.
     #[default]
     Refuse,
-    /// It is programmed again, and keeps its serial number.
+    /// Programs it again; it keeps its serial number.
     Redo,
 }
 
-/// What is done with an interrupted write that may have been another pack's.
+/// How to treat an interrupted write that may have been another pack's.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Unsettled {
-    /// No pack is programmed until a person has settled it.
+    /// Programs no pack until a person has settled the write.
     #[default]
     Refuse,
-    /// Its journal is put beside the images.
+    /// Moves the journal of the write beside the images.
     Discard,
 }
 
@@ -131,11 +132,11 @@ pub(crate) enum Unsettled {
 pub(crate) enum Date {
     /// The day on which the pack is programmed.
     Today,
-    /// That day, as data flash has it.
+    /// A given day, as data flash has it.
     Day(i64),
 }
 
-/// A key that makes no sense, and why.
+/// A key with a bad value, and the reason.
 type Refused = (&'static str, String);
 
 impl StationOptions {
@@ -144,7 +145,7 @@ impl StationOptions {
         [record, images, state_dir, serial_list, new_key_file].into_iter().flatten()
     }
 
-    /// Refuses values that make no sense, and keys that do not belong together.
+    /// Refuses bad values, and keys that do not belong together.
     pub(super) fn check(&self) -> Result<(), Refused> {
         let refuse = |key, why: &str| Err((key, why.to_string()));
         self.groups()?;
@@ -206,7 +207,48 @@ impl StationOptions {
     }
 }
 
-/// What `gaugefs program` does. All paths are absolute.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OfStation {
+    station: StationOptions,
+}
+
+/// Keys of gauges that make no sense for a station.
+const NOT_AT_A_STATION: [&str; 10] = [
+    "replay",
+    "restore",
+    "poll",
+    "energy",
+    "absolute-current",
+    "current-scale",
+    "voltage-scale",
+    "energy-scale",
+    "allow-learning",
+    "trace",
+];
+
+/// Reads the options of a station and of its gauges.
+fn read_options(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
+    let text = file::text(path)?;
+    let head = Head::of::<StationOptions>("station", &["gauge"]);
+    let (file, OfStation { mut station }, gauges) = File::read::<OfStation>(path, &text, head)?;
+    make_absolute(station.paths(), file::folder(path))?;
+    station.check().map_err(|(key, why)| match file.place(Table::Head, key) {
+        Some(place) => file.refuse(place.at, key, &why),
+        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
+    })?;
+    for number in 0..gauges.gauge.len() {
+        let not_here = NOT_AT_A_STATION.iter();
+        let mut places = not_here
+            .filter_map(|key| file.place(Table::Gauge(number), key).or(file.place(Table::Defaults, key)));
+        if let Some(place) = places.next() {
+            return Err(file.refuse(place.at, &place.key, "has no meaning at a station; remove it"));
+        }
+    }
+    Ok((station, file.gauges(gauges, path, None)?))
+}
+
+/// The settings of `gaugefs program`. All paths are absolute.
 #[derive(Clone, Debug)]
 pub(crate) struct StationSetup {
     pub(crate) station: StationOptions,
@@ -224,7 +266,7 @@ impl StationSetup {
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let mut path = path.to_path_buf();
         make_absolute([&mut path].into_iter(), Path::new(""))?;
-        let (station, gauges) = file::read_station(&path)?;
+        let (station, gauges) = read_options(&path)?;
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let record = station.record.clone().unwrap_or_else(|| path.with_extension("jsonl"));
         let images = station.images.clone().unwrap_or_else(|| record.with_extension("images"));

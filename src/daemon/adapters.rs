@@ -8,9 +8,9 @@ use std::path::PathBuf;
 
 use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, WatchDescriptor};
 
-use crate::owner::{Handle, Request};
+use crate::owner::{Handle, operations};
 
-/// What happens to a node when its device goes, comes, or gets the permissions that udev gives it.
+/// The events of a node when its device goes, comes, or gets its permissions from udev.
 const EVENTS: AddWatchFlags = AddWatchFlags::IN_CREATE
     .union(AddWatchFlags::IN_DELETE)
     .union(AddWatchFlags::IN_MOVED_FROM)
@@ -26,7 +26,7 @@ pub(super) fn watch(nodes: impl Iterator<Item = (PathBuf, Handle)>) {
         let real = fs::canonicalize(&node).ok().filter(|real| *real != node);
         for path in real.into_iter().chain([node]) {
             let handle = handle.clone();
-            watched.push((path, Box::new(move || handle.submit(Request::Look))));
+            watched.push((path, Box::new(move || handle.ask(&operations::LOOK, (), Box::new(drop)))));
         }
     }
     if let Err(error) = on_change(watched) {

@@ -31,7 +31,7 @@ use ti_gauge::keys::Keys;
 /// How long a mount of many gauges waits for those that do not answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// What all gauges of a mount have in common while they are opened.
+/// The settings that all gauges of a mount share while they are opened.
 #[derive(Clone)]
 pub(super) struct Opening {
     pub(super) mountpoint: PathBuf,
@@ -48,7 +48,7 @@ pub(super) struct Opening {
 /// A gauge whose owner is running.
 pub(super) struct Ready {
     pub(super) entry: MountedGauge,
-    /// What to call it in messages.
+    /// Its name in messages.
     pub(super) what: String,
     pub(super) lock: Option<Lock>,
     /// The node of its adapter.

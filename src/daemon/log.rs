@@ -1,4 +1,4 @@
-//! Where log lines go: standard error, a file, or syslog.
+//! The log, which goes to standard error, a file, or syslog.
 //!
 //! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart
 //! at any time. Without a syslog the line is lost.
@@ -22,7 +22,7 @@ const FILTER: &str = "info,fuser=warn";
 /// syslog's facility `daemon`, in the upper bits of a priority.
 const DAEMON: u8 = 3 << 3;
 
-/// Where log lines go.
+/// The destination of log lines.
 #[derive(Clone, Copy, Debug)]
 pub enum Destination<'a> {
     /// Standard error, where systemd or a person adds the time.

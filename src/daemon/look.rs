@@ -22,13 +22,13 @@ use crate::error::{Error, Result};
 use crate::output::print_file;
 use gaugefs_client::{Gauge, mounts};
 
-/// Time limit for a look. What it asks for needs no gauge, so a daemon that works answers at once; a slow machine that is
+/// Time limit for a look. A look needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
 const LIMIT: Duration = Duration::from_secs(5);
-/// What a child prints is no longer than this, even of very many gauges.
+/// Longest output of a child, even with very many gauges.
 const LONGEST: usize = 4 << 20;
 
-/// What a look has found out within its time limit.
+/// The findings of a look within its time limit.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
     /// The full path.
@@ -143,7 +143,8 @@ pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(
     Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
 }
 
-/// What a pipe delivers until its end, until the deadline or until it is too long, and whether that was not its end.
+/// Reads a pipe until its end, until the deadline, or until the text is too long. Returns the bytes, and whether it
+/// stopped before the end.
 fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
     let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
     loop {

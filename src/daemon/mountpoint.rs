@@ -34,7 +34,7 @@ const STEP: Duration = Duration::from_millis(20);
 /// Time limit for fusermount3.
 const FUSERMOUNT: Duration = Duration::from_secs(5);
 
-/// What is mounted at a path.
+/// The mount at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Mounted {
     Nothing,
@@ -147,7 +147,7 @@ const NO_FOLDERS: [&str; 13] = [
 
 const CANNOT_CREATE: &str = "cannot create the folder";
 
-/// What an ordinary user can do about a folder of root's.
+/// The error for a folder of root's, with the remedy for an ordinary user.
 fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
     let error = Error::io(path.display().to_string(), what, &errno.into());
     match errno {
@@ -235,13 +235,13 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// What remains after a mount was removed.
+/// The remains of a mount that was removed.
 #[derive(Default)]
 pub struct Unmounted {
-    /// Who keeps its daemon running all the same, as far as this user may see that.
+    /// The processes that keep its daemon running all the same, as far as this user may see them.
     pub elsewhere: Option<String>,
-    /// What is still owed, a line for each gauge: the daemon tries that once more when it ends, but nobody hears of it
-    /// then.
+    /// Writes and seals that are still owed, a line for each gauge. The daemon tries once more when it ends, but then
+    /// it cannot report the result.
     pub owed: Vec<String>,
 }
 
@@ -304,7 +304,7 @@ struct Elsewhere {
 }
 
 impl Elsewhere {
-    /// Those of a connection, as far as this user may see them. `path` is the one that is removed.
+    /// The other mounts of a connection, as far as this user may see them. `path` is the mount that is being removed.
     fn all(connection: u64, path: &Path) -> Vec<Self> {
         let namespace = |process: &str| fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
         let own = namespace("self");
@@ -331,7 +331,7 @@ impl Elsewhere {
     }
 }
 
-/// Where a process has a gaugefs of a connection mounted; `None` is this process.
+/// The mount points of a connection in the view of a process; `None` is this process.
 fn mounts_of(process: Option<i32>, connection: u64) -> Vec<PathBuf> {
     let process = process.map_or_else(|| "self".to_string(), |process| process.to_string());
     let table = Path::new("/proc").join(process).join("mountinfo");
@@ -406,8 +406,8 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
     }
 }
 
-/// Removes the topmost mount without its daemon: every request fails at once, also those under way. What the
-/// daemon does with its gauges it completes nevertheless, if it runs again.
+/// Removes the topmost mount without its daemon: every request fails at once, also those under way. If the
+/// daemon runs again, it still completes its work on the gauges.
 fn force(path: &Path) -> Result<()> {
     if geteuid().is_root() {
         return remove(path, MntFlags::MNT_FORCE | MntFlags::MNT_DETACH);

@@ -1,5 +1,5 @@
-//! What a mount needs of the machine: one list of checks, of which the mount reports the first that fails, before any
-//! gauge is opened, and `gaugefs mount --check` all. That also looks at what each gauge needs, and at /dev/fuse, with the
+//! Checks whether the machine has what a mount needs. The mount reports the first check that fails, before it opens any
+//! gauge; `gaugefs mount --check` reports all of them. It also checks what each gauge needs, and /dev/fuse, with the
 //! functions that open them.
 
 use std::collections::HashSet;
@@ -28,7 +28,7 @@ const SHARED: &str = "user_allow_other";
 /// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
 const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
 
-/// What prevents a mount as a whole, whatever its gauges are. `names` are those of the gauges, `taken` those of the
+/// The problems of the mount as a whole, whatever its gauges are. `names` are those of the gauges, `taken` those of the
 /// kernel's supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
 pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_service: bool) -> Vec<Error> {
     let Setup { mount, gauges, .. } = setup;
@@ -45,7 +45,7 @@ pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_servic
     found.into_iter().filter_map(Result::err).collect()
 }
 
-/// Everything that a setup would stumble over, and the names of its gauges. Nothing is mounted, written or sent on a bus.
+/// All problems of a setup, and the names of its gauges. Nothing is mounted, written or sent on a bus.
 pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let mut found: Vec<Error> = Vec::new();
     let mountpoint = mountpoint::check(setup.mountpoint()).unwrap_or_else(|error| {
@@ -153,7 +153,7 @@ fn group(options: &MountOptions) -> Result<()> {
     Ok(())
 }
 
-/// What one gauge would stumble over.
+/// The problems of one gauge.
 fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
     let mut found: Vec<Error> = Vec::new();
     match keys(gauge, name) {

@@ -1,14 +1,14 @@
 //! A report of a gauge that is not mounted: it is opened, as for a mount, for as long as the report takes.
 
 use std::path::Path;
-use std::sync::{Arc, mpsc};
+use std::sync::Arc;
 
 use nix::errno::Errno;
 
 use super::gauges::Opening;
 use crate::config::{GaugeOptions, Source};
 use crate::error::{Error, Result};
-use crate::owner::Request;
+use crate::owner::operations;
 use crate::report;
 use gauge_bus::clock::RealClock;
 
@@ -26,13 +26,8 @@ pub(crate) fn report(gauge: GaugeOptions) -> Result<String> {
     let subject = Source::of(&gauge).to_string();
     let ready = opening.one("report".into(), gauge)?;
     let handle = ready.entry.handle.clone();
-    let (done, outcome) = mpsc::channel();
-    handle.submit(Request::Report(Box::new(move |answer| {
-        // If nobody waits any more, the process ends.
-        let _ = done.send(answer);
-    })));
-    let ended = || Error::host(&subject, Errno::EIO, "its thread has ended");
-    outcome.recv().map_err(|_| ended())?.map_err(|error| error.within(&subject))?;
-    let report = handle.published().report.clone().ok_or_else(ended)?;
+    handle.wait_for(&operations::REPORT, ()).map_err(|error| error.within(&subject))?;
+    let none = || Error::host(&subject, Errno::EIO, "there is no report; try again");
+    let report = handle.published().report.clone().ok_or_else(none)?;
     Ok(report::text(handle.chip(), handle.origin(), &report))
 }

@@ -11,10 +11,10 @@ use crate::error::{Error, Result};
 use crate::fuse;
 use crate::lock;
 use crate::output::say;
-use crate::owner::{Handle, Request};
+use crate::owner::{Handle, operations as op};
 use gaugefs_client::mounts;
 
-/// How far a mount has come.
+/// The phase of a mount.
 #[derive(Default)]
 pub(super) enum Phase {
     /// Nothing is mounted, and nothing but reads has been sent to a gauge.
@@ -50,7 +50,7 @@ impl Shutdown {
     }
 
     /// Mounts. A signal waits until that is done and then finds the phase that comes with the mount: if it ended the
-    /// process in between, it would leave a mount behind that nobody answers for.
+    /// process in between, it would leave a mount behind without a daemon.
     pub(super) fn mount<T>(&self, mount: impl FnOnce() -> Result<(T, Phase)>) -> Result<T> {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (mounted, reached) = mount()?;
@@ -119,17 +119,9 @@ pub(super) fn finish(handles: &[Handle]) -> Result<()> {
     for handle in handles {
         let done = done.clone();
         // Requests are served in order.
-        let stop = move |ended: Result<()>| {
-            let _ = done.send(ended);
-            drop(done);
-            loop {
-                std::thread::park();
-            }
-        };
-        handle.submit(Request::End(Box::new(stop)));
+        handle.ask(&op::END, (), Box::new(move |ended| drop(done.send(ended))));
     }
     drop(done);
-    // Each owner drops its end with the request, served or not.
     let owed = is_done.iter().filter_map(Result::err).inspect(|error| log::error!("{error}"));
     owed.reduce(|first, _| first).map_or(Ok(()), Err)
 }

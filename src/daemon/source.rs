@@ -17,8 +17,8 @@ use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
 use gaugefs_client::mounts;
 use ti_gauge::chip::{Chip, SealStatus, Tier};
-use ti_gauge::gauge::bursts;
 use ti_gauge::probe::{self, Target};
+use ti_gauge::registers::bursts;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
@@ -30,7 +30,7 @@ pub(crate) struct Opened {
     /// The bus clock, where it is known.
     pub(crate) clock_hz: Option<u32>,
     pub(crate) address: u8,
-    /// What to call it in messages.
+    /// Its name in messages.
     pub(crate) subject: String,
     pub(crate) sim: Option<Sim>,
     pub(crate) lock: Option<Lock>,
@@ -38,9 +38,9 @@ pub(crate) struct Opened {
     pub(crate) journal_key: Option<String>,
     /// The node of its adapter.
     pub(crate) node: Option<PathBuf>,
-    /// Nothing has shown yet that what is at the address reads like a gauge.
+    /// The device at the address has not been seen to read like a gauge yet.
     pub(crate) unverified: bool,
-    /// Why it cannot be reached yet.
+    /// The reason why the gauge cannot be reached yet.
     pub(crate) missing: Option<Error>,
 }
 

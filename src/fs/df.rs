@@ -9,10 +9,11 @@ use super::supply::Supply;
 use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Attempt, Done, Request};
-use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
+use crate::owner::{Attempt, Done, operations as op};
+use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
@@ -165,31 +166,35 @@ impl Operations for Of<'_, DfItem> {
                 let why = Cause::NotPermitted("keys are never read".into());
                 done(Err(Error::new(supply.subclass(at).name, why)));
             }
-            DfItem::Parameter(at, row) => handle.submit(Request::Read(
+            DfItem::Parameter(at, row) => handle.ask(
+                &op::READ,
                 vec![at.into()],
                 Box::new(move |read| done(read.map(|read| supply.parameter_text(at, row, &read[0])))),
-            )),
-            DfItem::Raw(at) => handle.submit(Request::Read(
+            ),
+            DfItem::Raw(at) => handle.ask(
+                &op::READ,
                 vec![at.into()],
                 Box::new(move |read| done(read.map(|read| read[0].to_vec()))),
-            )),
+            ),
             DfItem::Index => {
                 let rows = supply.chip().subclasses.iter().enumerate();
                 let readable = rows.filter(|(_, row)| row.kind != Kind::Security).map(|(at, _)| at);
-                handle.submit(Request::Read(
+                handle.ask(
+                    &op::READ,
                     readable.collect(),
                     Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
-                ));
+                );
             }
             DfItem::Transaction => {
                 let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
                 let staged = staged.changes(supply.chip());
-                handle.submit(Request::Read(
+                handle.ask(
+                    &op::READ,
                     supply.unread(&staged),
                     Box::new(move |read| {
                         done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))
                     }),
-                ));
+                );
             }
             _ => done(Err(super::no_value())),
         }
@@ -210,8 +215,11 @@ impl Operations for Of<'_, DfItem> {
                     None => Change::parse((subclass, parameter), data, handle.allows_unproven())
                         .map_err(Error::from),
                 };
-                let attempt = Attempt::Write(vec![Place::of((subclass, parameter))]);
-                supply.submit(attempt, change, done, |change, done| Request::WriteAll(vec![change], done));
+                let attempt = || Attempt::Write(vec![Place::of((subclass, parameter))]);
+                match change {
+                    Ok(change) => handle.ask(&op::WRITE, vec![change], done),
+                    Err(error) => handle.refuse(attempt(), error, done),
+                }
             }
             DfItem::Transaction => {
                 // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
@@ -222,7 +230,7 @@ impl Operations for Of<'_, DfItem> {
                     return supply.stage(data, done);
                 }
                 let (supply, data) = (Arc::clone(supply), data.to_vec());
-                handle.submit(Request::Read(unread, Box::new(move |_| supply.stage(&data, done))));
+                handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(&data, done)));
             }
             _ => done(Err(super::not_writable())),
         }
@@ -290,12 +298,12 @@ impl Supply {
         };
         let staged = self.transaction.write(&rules, self.moment(), data);
         if staged.is_ok() && !self.transaction.is_spoiled() {
-            handle.succeeded(&Attempt::Stage);
+            handle.succeeded(&Attempt::STAGE);
         }
         match staged {
             Ok(None) => done(Ok(())),
-            Ok(Some(changes)) => handle.submit(Request::WriteAll(changes, done)),
-            Err(error) => self.refuse(Attempt::Stage, error, done),
+            Ok(Some(changes)) => handle.ask(&op::WRITE, changes, done),
+            Err(error) => handle.refuse(Attempt::STAGE, error, done),
         }
     }
 
@@ -337,7 +345,7 @@ impl Supply {
                 }
                 Some((subclass, parameter)) => {
                     let old = kept.map_or("-".into(), |kept| column(value_text(subclass, parameter, &kept)));
-                    let new = text::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                    let new = notation::render(parameter.kind, &codec::decode(parameter.kind, bytes));
                     format!("{}: {old} -> {new}\n", parameter.name)
                 }
             };
@@ -377,17 +385,6 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
-/// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
-/// what was written, which may be a secret in the wrong place.
-pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
-    // A path that no file has may be the name of a parameter in another spelling.
-    let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
-        Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
-        None => "no such parameter; df/index lists them all".into(),
-    };
-    Error::host("", Errno::ENOENT, why)
-}
-
 /// Name of a parameter's file on parts with a flat address space.
 fn address(parameter: &Parameter) -> String {
     format!("0x{:04x}", parameter.offset)
@@ -396,7 +393,7 @@ fn address(parameter: &Parameter) -> String {
 fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
     let at = usize::from(parameter.offset - subclass.start());
     let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
-    text::render(parameter.kind, &value)
+    notation::render(parameter.kind, &value)
 }
 
 /// A value where `-` means that there is none. Only a string can be a `-` itself.
@@ -406,7 +403,7 @@ fn column(text: String) -> String {
 
 /// Smallest and largest value as a source prints them, and the default of a part with that DM_CODE; keys show none of them.
 fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
-    let show = |value: i64| text::render(parameter.kind, &Value::Int(value));
+    let show = |value: i64| notation::render(parameter.kind, &Value::Int(value));
     match &parameter.range {
         _ if subclass.kind == Kind::Security => [None, None, None],
         // The limits of a type are none that a source gives.
@@ -418,7 +415,7 @@ fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [
             [Some(min.to_string()), Some(max.to_string()), default.map(|value| value.to_string())]
         }
         Range::Text { default } => {
-            let show = |text: &str| text::render(parameter.kind, &Value::Text(text.into()));
+            let show = |text: &str| notation::render(parameter.kind, &Value::Text(text.into()));
             [None, None, default.map(show)]
         }
     }
@@ -439,6 +436,7 @@ fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ti_gauge::chip::Chip;
 
     #[test]
     fn the_default_is_that_of_the_flavour() {
@@ -454,7 +452,7 @@ mod tests {
     fn an_unknown_parameter_is_reported_with_the_nearest_one() {
         let says = |chip: &str, place: &str| {
             let chip = Chip::by_name(chip).expect("it has a table");
-            let error = unknown(chip, place);
+            let error = transaction::unknown(chip, place);
             assert_eq!(error.errno(), Errno::ENOENT, "{place}");
             error.to_string()
         };

@@ -4,45 +4,38 @@
 //! chip's table or another list, in a folder of its own or beside the other files.
 
 use std::fmt::Display;
-use std::time::Duration;
 
 use jiff::Timestamp;
 
 use super::attribute::Kind;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
-use crate::error::{Cause, Error, Result};
-use crate::owner::{Answers, Attempt, Done, Request, Seal};
+use crate::owner::{Answers, Done, Operation, Spoken, operations as op};
 use crate::report;
 use ti_gauge::authentication;
-use ti_gauge::calibration::Job;
-use ti_gauge::chip::{Bit, Chip, Effect, Register, Role, Tier, snake_case};
-use ti_gauge::dataflash::Decision;
-use ti_gauge::keys;
-use ti_gauge::text;
+use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
 
 /// One file.
 struct File {
     name: &'static str,
     mode: Mode,
     show: Show,
-    write: Option<Write>,
+    /// What is done with what is written to it.
+    operation: Option<&'static dyn Spoken>,
 }
 
 /// The whole text of a file; `None` while there is no such file. The text of a file that is only written is
 /// empty.
 type Show = fn(&Supply) -> Option<String>;
-/// Takes what is written to a file, and calls `Done` with the outcome.
-type Write = fn(&Supply, &[u8], Done<()>);
-
-impl File {
-    const fn written(self, write: Write) -> Self {
-        Self { write: Some(write), ..self }
-    }
-}
 
 const fn file(name: &'static str, mode: Mode, show: Show) -> File {
-    File { name, mode, show, write: None }
+    File { name, mode, show, operation: None }
+}
+
+/// The file of an operation.
+const fn asks<A: Send>(operation: &'static Operation<A>, mode: Mode, show: Show) -> File {
+    assert!(operation.has_file());
+    File { operation: Some(operation), ..file(operation.name, mode, show) }
 }
 
 static FILES: &[File] = &[
@@ -52,39 +45,24 @@ static FILES: &[File] = &[
     file("hardware_version", Mode::Public, |gauge| word(identified(gauge)?.hardware_version)),
     file("chem_id", Mode::Public, |gauge| word(identified(gauge)?.chem_id?)),
     file("itpor", Mode::Public, itpor),
-    file("seal", Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str())))
-        .written(|gauge, data, done| gauge.submit(Attempt::Seal, seal(data), done, Request::Seal)),
-    file("control", Mode::ReadWrite, answered).written(|gauge, data, done| {
-        gauge.submit(Attempt::Control, subcommand(gauge.chip(), data), done, Request::Control);
-    }),
-    file("keys", Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)).written(change_key),
-    file("authenticate", Mode::ReadWrite, digest).written(|gauge, data, done| {
-        let challenge = authentication::from_hex(data);
-        gauge.submit(Attempt::Authenticate, challenge, done, Request::Authenticate)
-    }),
+    asks(&op::SEAL, Mode::ReadWrite, |gauge| identified(gauge).and(line(gauge.published().seal.as_str()))),
+    asks(&op::CONTROL, Mode::ReadWrite, answered),
+    asks(&op::KEYS, Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)),
+    asks(&op::AUTHENTICATE, Mode::ReadWrite, digest),
     file("auth_order", Mode::Public, auth_order),
     file("owed", Mode::Public, owed),
-    file("settle", Mode::ReadWrite, settling)
-        .written(|gauge, data, done| gauge.submit(Attempt::Settle, decision(data), done, Request::Settle)),
-    file("calibrate", Mode::Write, |gauge| can_calibrate(gauge).then(String::new)).written(
-        |gauge, data, done| gauge.submit(Attempt::Calibrate, job(gauge, data), done, Request::Calibrate),
-    ),
+    asks(&op::SETTLE, Mode::ReadWrite, settling),
+    asks(&op::CALIBRATE, Mode::Write, |gauge| can_calibrate(gauge).then(String::new)),
     file("calibration", Mode::Read, |gauge| {
         can_calibrate(gauge).then(|| gauge.published().calibration.to_string())
     }),
-    file("report", Mode::ReadWrite, report)
-        .written(|gauge, _, done| gauge.handle.submit(Request::Report(done))),
+    asks(&op::REPORT, Mode::ReadWrite, report),
     file("voltage_scale", Mode::Public, |gauge| scale(gauge, Kind::Voltage)),
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
-    file("poll_interval", Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())).written(
-        |gauge, data, done| {
-            gauge.submit(Attempt::Interval, interval(data), done, Request::Interval);
-        },
-    ),
-    file("refresh", Mode::Write, |_| empty())
-        .written(|gauge, _, done| gauge.handle.submit(Request::Refresh(done))),
+    asks(&op::POLL_INTERVAL, Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())),
+    asks(&op::REFRESH, Mode::Write, |_| empty()),
     file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
     file("last_error", Mode::Public, last_error),
 ];
@@ -209,8 +187,8 @@ impl Operations for Of<'_, GaugeItem> {
     }
 
     fn write(&self, data: &[u8], done: Done<()>) {
-        match self.file().and_then(|file| file.write) {
-            Some(write) => write(self.supply, data, done),
+        match self.file().and_then(|file| file.operation) {
+            Some(operation) => self.supply.ask(operation, data, done),
             None => done(Err(not_writable())),
         }
     }
@@ -352,126 +330,6 @@ fn statistic(gauge: &Supply, at: u16) -> Option<String> {
     line(gauge.handle.statistics().get(usize::from(at))?.1)
 }
 
-/// A blank write does nothing: `gaugefs keys` sends one to overwrite the key in the daemon's buffer.
-fn change_key(gauge: &Supply, data: &[u8], done: Done<()>) {
-    if data.trim_ascii().is_empty() {
-        done(Ok(()));
-    } else {
-        gauge.submit(Attempt::Key, keys::KeyChange::parse(data), done, Request::ChangeKey);
-    }
-}
-
-fn text(data: &[u8]) -> &str {
-    std::str::from_utf8(data).unwrap_or_default().trim()
-}
-
-fn seal(data: &[u8]) -> Result<Seal> {
-    let seals = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
-    let found = seals.into_iter().find(|seal| seal.as_str().eq_ignore_ascii_case(text(data)));
-    let why = "not a state of the seal; write sealed, unsealed or full-access";
-    found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
-}
-
-/// `show`, or what somebody has decided about an interrupted write, with the serial number of the pack if it is meant
-/// for another one.
-fn decision(data: &[u8]) -> Result<Option<Decision>> {
-    let usage = "not a decision; write show, undo, finish or discard; undo and finish may be followed by the pack's \
-                 serial number";
-    let bad = || Error::new("settle", Cause::Invalid(usage.into()));
-    let words = text(data).to_ascii_lowercase();
-    let mut words = words.split_ascii_whitespace();
-    let (word, number) = (words.next().unwrap_or_default(), words.next());
-    let pack = match number.map(|number| (number, number.strip_prefix("0x"))) {
-        None => None,
-        Some((_, Some(digits))) => Some(u16::from_str_radix(digits, 16).map_err(|_| bad())?),
-        Some((digits, None)) => Some(digits.parse().map_err(|_| bad())?),
-    };
-    match (word, pack, words.next()) {
-        ("show", None, None) => Ok(None),
-        ("undo", pack, None) => Ok(Some(Decision::Undo(pack))),
-        ("finish", pack, None) => Ok(Some(Decision::Finish(pack))),
-        ("discard", None, None) => Ok(Some(Decision::Discard)),
-        _ => Err(bad()),
-    }
-}
-
-/// What is to be calibrated. What a meter shows is divided by the scales, because registers and data flash are in the
-/// gauge's own steps.
-fn job(gauge: &Supply, data: &[u8]) -> Result<Job> {
-    let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \
-                 or leave";
-    let bad = || Error::new("calibrate", Cause::Invalid(usage.into()));
-    let number = |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(bad);
-    let step = |word: &str, kind: Kind| -> Result<f64> {
-        let snapshot = gauge.fresh();
-        let scale = gauge.reading(snapshot.as_deref()).scale(kind).filter(|scale| *scale > 0.0);
-        let why = "the scale of the gauge is not known yet; wait for a poll";
-        let scale = scale.ok_or_else(|| Error::new("calibrate", Cause::NotNow(why.into())))?;
-        Ok(number(word)? / scale)
-    };
-    let words: Vec<&str> = text(data).split_whitespace().collect();
-    Ok(match words[..] {
-        ["board-offset"] => Job::BoardOffset,
-        ["cc-offset"] => Job::CcOffset,
-        ["voltage", actual] => Job::Voltage(step(actual, Kind::Voltage)?),
-        ["current", actual] => Job::Current(step(actual, Kind::Current)?),
-        ["temperature", actual] => Job::Temperature(number(actual)?),
-        ["leave"] => Job::Leave,
-        ["bringup", cells, divider, ref voltage @ ..] if voltage.len() < 2 => Job::BringUp {
-            cells: cells.parse().map_err(|_| bad())?,
-            divider: divider.parse().map_err(|_| bad())?,
-            voltage_mv: voltage.first().map(|voltage| step(voltage, Kind::Voltage)).transpose()?,
-        },
-        _ => return Err(bad()),
-    })
-}
-
-fn subcommand(chip: &Chip, data: &[u8]) -> Result<u16> {
-    let word = text(data);
-    let code = text::unsigned(word);
-    let mut all = chip.subcommands.iter();
-    let found = all.find(|one| Some(one.code) == code || one.name.eq_ignore_ascii_case(word));
-    let is_allowed = |effect| matches!(effect, Effect::Answers | Effect::Safe);
-    match found {
-        Some(found) if is_allowed(found.effect) => Ok(found.code),
-        found => {
-            let allowed = chip.subcommands.iter().filter(|one| is_allowed(one.effect));
-            let allowed: Vec<_> = allowed.map(|one| one.name).collect();
-            // An unknown word is not repeated: it may be half of a key.
-            let what = found.map_or("unknown subcommand".into(), |found| match found.effect {
-                Effect::Never => format!("{} may ruin or lock a gauge and is never sent", found.name),
-                _ => format!("{} is not allowed here", found.name),
-            });
-            // A name that other tools use for it is told as well.
-            let means = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(word));
-            let instead = match found.map(|found| found.code) {
-                Some(code) if code == chip.security.seal => "; write sealed to gauge/seal",
-                None if means(&["seal", "sealed"]) => "; write sealed to gauge/seal",
-                None if means(&["unseal", "unsealed"]) => "; write unsealed to gauge/seal",
-                _ if means(&["reset", "soft_reset"]) || found.is_some_and(|found| found.name == "RESET") => {
-                    "; gaugefs resets the gauge itself after a write that needs it"
-                }
-                _ => "",
-            };
-            let why = format!("{what}{instead}; allowed are {}", allowed.join(" "));
-            Err(Error::new("control", Cause::Invalid(why)))
-        }
-    }
-}
-
-/// An error does not repeat the text, which may be a key.
-fn interval(data: &[u8]) -> Result<Duration> {
-    let seconds: f64 = text(data).parse().map_err(|_| {
-        let why = "not a number of seconds; write 0.5 to 3600";
-        Error::new("poll_interval", Cause::Invalid(why.into()))
-    })?;
-    if !(0.5..=3600.0).contains(&seconds) {
-        let why = "the number of seconds is outside 0.5 to 3600";
-        return Err(Error::new("poll_interval", Cause::OutOfRange(why.into())));
-    }
-    Ok(Duration::from_secs_f64(seconds))
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
@@ -523,7 +381,7 @@ mod tests {
                 Mode::Public | Mode::Read => false,
                 Mode::ReadWrite | Mode::Write | Mode::OwnerWrite => true,
             };
-            assert_eq!(file.write.is_some(), may_be_written, "gauge/{}", file.name);
+            assert_eq!(file.operation.is_some(), may_be_written, "gauge/{}", file.name);
         }
     }
 }

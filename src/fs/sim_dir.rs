@@ -74,7 +74,7 @@ impl Operations for Of<'_, SimItem> {
                 done(Ok(()));
             }
             // The knob is named as the file that it is.
-            Err(error) => self.supply.refuse(attempt, error.about(format!("sim/{name}")), done),
+            Err(error) => self.supply.handle.refuse(attempt, error.about(format!("sim/{name}")), done),
         }
     }
 }

@@ -3,14 +3,13 @@
 
 use std::sync::Arc;
 
-use super::attribute::{self, Attribute, Reading};
+use super::attribute::{self, Attribute, Kind, Reading};
 use super::transaction::Transaction;
 use super::{
     Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
     SimItem, find,
 };
-use crate::error::{Error, Result};
-use crate::owner::{Attempt, Done, Handle, Published, Request, Snapshot};
+use crate::owner::{Context, Done, Handle, Published, Snapshot, Spoken};
 use ti_gauge::chip::Chip;
 
 /// A mounted gauge, with what the tree keeps about it.
@@ -59,25 +58,16 @@ impl Supply {
         Reading::new(&self.handle, snapshot, &self.scales)
     }
 
-    /// Queues a request with the value that was written, unless the value is invalid.
-    pub(super) fn submit<T, E: Into<Error>>(
-        &self,
-        attempt: Attempt,
-        value: Result<T, E>,
-        done: Done<()>,
-        request: impl FnOnce(T, Done<()>) -> Request,
-    ) {
-        match value {
-            Ok(value) => self.handle.submit(request(value, done)),
-            Err(error) => self.refuse(attempt, error.into(), done),
-        }
-    }
-
-    /// Refuses what was written without asking the gauge. The log and `gauge/last_error` say why, as after any
-    /// request that fails.
-    pub(super) fn refuse(&self, attempt: Attempt, error: Error, done: Done<()>) {
-        self.handle.report(attempt, &error);
-        done(Err(error));
+    /// Asks for what was written to the file of an operation.
+    pub(super) fn ask(&self, operation: &'static dyn Spoken, text: &[u8], done: Done<()>) {
+        let snapshot = self.fresh();
+        let reading = self.reading(snapshot.as_deref());
+        let context = Context {
+            chip: self.chip(),
+            voltage_scale: reading.scale(Kind::Voltage),
+            current_scale: reading.scale(Kind::Current),
+        };
+        operation.ask(&self.handle, &context, text, done);
     }
 }
 

@@ -370,7 +370,7 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
         Unnamed::Unknown if !place.contains('/') && rules.chip.nearest(place).is_none() => invalid(
             "write begin, SUBCLASS/OFFSET VALUE, CLASS/NAME VALUE, commit or abort; this is none of them",
         ),
-        Unnamed::Unknown => super::df::unknown(rules.chip, place),
+        Unnamed::Unknown => unknown(rules.chip, place),
     })?;
     let change = Change::parse((subclass, parameter), value.as_bytes(), rules.allow_unproven)?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
@@ -389,6 +389,17 @@ pub(super) fn busy() -> Error {
 
 fn invalid(why: &str) -> Error {
     Error::new("", Cause::Invalid(why.to_string()))
+}
+
+/// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
+/// what was written, which may be a secret in the wrong place.
+pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
+    // A path that no file has may be the name of a parameter in another spelling.
+    let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
+        Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
+        None => "no such parameter; df/index lists them all".into(),
+    };
+    Error::host("", Errno::ENOENT, why)
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ use fuser::{
 
 use super::inodes::{Inode, Inodes, Now, Sharing, Shown, Value};
 use super::notify::Announcer;
-use super::{Options, Table, lock};
+use super::{Options, Table, lock, present};
 use crate::error::{Error, Result};
 use crate::fs::{Fs, Node, Shape};
 
@@ -244,11 +244,6 @@ impl Drop for Writing {
         let why = "the gauge has been given up during a write; mount it again to find out what it holds";
         self.answer(Err(Error::host("", nix::errno::Errno::ENOTRECOVERABLE, why)));
     }
-}
-
-/// The value that a file has now.
-pub(super) fn present(fs: &Fs, node: Node) -> Value {
-    Value::of(fs.content(node)).unwrap_or(Value::Gone)
 }
 
 fn errno(error: &Error) -> Errno {

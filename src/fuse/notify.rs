@@ -26,9 +26,8 @@ use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
-use super::adapter::present;
 use super::inodes::{Now, Value};
-use super::{Table, host, lock};
+use super::{Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use crate::owner::Signal;
@@ -79,10 +78,12 @@ impl Announcer {
         self.names.get().is_some()
     }
 
-    /// Starts the thread. It ends when the session has ended.
+    /// Starts the thread, before the first request is answered. It ends when the session has ended.
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
-        let mut announcing =
-            Announcing { fs, table, notifier, announcer: self.clone(), folders: HashMap::new() };
+        // The kernel knows no mode of this folder until its first GETATTR is answered, and drops an answer that a
+        // notification overtakes: ordinary users are then refused. So none is sent unless the listing has changed since.
+        let folders = HashMap::from([(Node::Root, names(&fs, Node::Root))]);
+        let mut announcing = Announcing { fs, table, notifier, announcer: self.clone(), folders };
         let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
         let started = builder.spawn(move || announcing.run());
         started.map(drop).map_err(|error| host("a thread", &error))
@@ -219,8 +220,7 @@ impl Announcing {
                 self.folders.remove(&folder);
                 continue;
             };
-            let names: Vec<String> = self.fs.list(folder).into_iter().map(|(name, _)| name).collect();
-            let before = self.folders.insert(folder, names);
+            let before = self.folders.insert(folder, names(&self.fs, folder));
             // The first time there is nothing to compare with: the listing may have changed since the kernel
             // asked for it.
             if before.is_none() || before.as_ref() != self.folders.get(&folder) {
@@ -231,6 +231,11 @@ impl Announcing {
             }
         }
     }
+}
+
+/// The names in a folder.
+fn names(fs: &Fs, folder: Node) -> Vec<String> {
+    fs.list(folder).into_iter().map(|(name, _)| name).collect()
 }
 
 /// Makes the kernel look up every name again before it uses it.

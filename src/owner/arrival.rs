@@ -178,7 +178,7 @@ impl Owner {
                     Outcome::Unchanged => "configuration is as saved",
                 };
                 log::info!("{}: {done}", self.shared.name());
-                self.shared.succeeded(&Attempt::Restore);
+                self.shared.succeeded(&Attempt::RESTORE);
                 self.loss = Loss::Settled;
                 self.schedule.hurry();
             }
@@ -198,8 +198,8 @@ impl Owner {
         let line = error.to_string();
         match &self.loss {
             // In the log only once.
-            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::Restore, &error),
-            _ => self.shared.report(Attempt::Restore, &error),
+            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::RESTORE, &error),
+            _ => self.shared.report(Attempt::RESTORE, &error),
         }
         self.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
         let interval = self.shared.published().interval;
@@ -252,7 +252,7 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Seal, Startup};
+    use super::super::{Seal, Startup, operations as op};
     use super::*;
     use gauge_bus::Bus as _;
     use gauge_bus::clock::Clock as _;
@@ -319,7 +319,7 @@ mod tests {
             for _ in 0..12 {
                 rig.poll_after(INTERVAL);
             }
-            rig.ask(super::super::Request::Refresh).expect("it answers");
+            rig.ask(&op::REFRESH, ()).expect("it answers");
             for _ in 0..3 {
                 rig.sim.set("power", "off").expect("a knob");
                 rig.poll_after(INTERVAL);
@@ -329,10 +329,9 @@ mod tests {
             rig.poll_after(INTERVAL);
             rig.poll_after(INTERVAL);
             assert!(rig.handle.published().snapshot.is_some(), "{}: back", chip.name);
-            let refused =
-                rig.ask(|done| super::super::Request::Control(0x0001, done)).expect_err("no Control()");
+            let refused = rig.ask(&op::CONTROL, 0x0001).expect_err("no Control()");
             assert!(matches!(refused.cause(), Cause::NotPermitted(_)), "{refused}");
-            let refused = rig.ask(|done| super::super::Request::Seal(Seal::Unsealed, done));
+            let refused = rig.ask(&op::SEAL, Seal::Unsealed);
             assert!(matches!(refused.expect_err("no seal").cause(), Cause::NotPermitted(_)));
             let written = rig.sim.log().into_iter().map(|record| record.write.len()).max();
             assert_eq!(written, Some(1), "{}: register pointers only", chip.name);
@@ -346,9 +345,9 @@ mod tests {
             rig.owner.open().expect("it answers");
             assert_eq!(rig.handle.published().answers.firmware_version, version, "{chip}");
             rig.sim.set("firmware", "0x0201").expect("a knob");
-            rig.ask(Request::Refresh).expect("it answers");
+            rig.ask(&op::REFRESH, ()).expect("it answers");
             assert_eq!(rig.handle.published().answers.firmware_version, 0x0201, "{chip}");
-            rig.ask(|done| Request::Control(0x0002, done)).expect("it answers");
+            rig.ask(&op::CONTROL, 0x0002).expect("it answers");
             assert_eq!(rig.handle.published().control, Some((0x0002, 0x0201)), "{chip}");
         }
     }
@@ -373,7 +372,7 @@ mod tests {
 
     fn capacity(rig: &mut Rig) -> u16 {
         let index = rig.index(82);
-        let read = rig.ask(|done| super::super::Request::Read(vec![index], done)).expect("it is read");
+        let read = rig.ask(&op::READ, vec![index]).expect("it is read");
         u16::from_be_bytes([read[0][10], read[0][11]])
     }
 
@@ -452,7 +451,7 @@ mod tests {
 
     fn terminate(rig: &mut Rig) -> u16 {
         let index = rig.index(TERMINATE.0);
-        let read = rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        let read = rig.ask(&op::READ, vec![index]).expect("the default key");
         u16::from_be_bytes([read[0][TERMINATE.1], read[0][TERMINATE.1 + 1]])
     }
 
@@ -464,7 +463,7 @@ mod tests {
     fn write(rig: &mut Rig, value: i64) -> Result<()> {
         let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
         let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
-        rig.ask(|done| Request::WriteAll(vec![change], done))
+        rig.ask(&op::WRITE, vec![change])
     }
 
     /// Sends words to Control(), as another program would.
@@ -499,7 +498,7 @@ mod tests {
             assert_eq!(transfers_of_a_poll(&mut open), transfers_of_a_poll(&mut sealed), "no poll is dearer");
         }
         // What a refresh forgets is read again.
-        open.ask(Request::Refresh).expect("it answers");
+        open.ask(&op::REFRESH, ()).expect("it answers");
         assert!(!open.owner.shared.unread_places().is_empty());
         open.poll_after(INTERVAL);
         assert!(open.owner.shared.unread_places().is_empty());
@@ -523,7 +522,7 @@ mod tests {
         for (open, exchanged) in [(false, false), (false, true), (true, false), (true, true)] {
             let mut rig = Rig::open();
             if open {
-                rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
+                rig.ask(&op::SEAL, Seal::Unsealed).expect("the default key");
             }
             assert_eq!(terminate(&mut rig), 3000);
             has_arrived(&mut rig);
@@ -531,7 +530,7 @@ mod tests {
                 exchange(&rig);
             }
             rig.sim.keep_log(true);
-            rig.ask(Request::Refresh).expect("it answers");
+            rig.ask(&op::REFRESH, ()).expect("it answers");
             let asked = rig.sim.log().iter().filter(|record| record.write == [0x00, 0x01, 0x00]).count();
             assert!(asked >= 1, "it is asked what it is");
             assert_eq!(
@@ -612,7 +611,7 @@ mod tests {
         has_arrived(&mut rig);
         rig.sim.set_flash(48, 11, &1234_u16.to_be_bytes());
         lose_power(&rig);
-        rig.ask(Request::Refresh).expect("it answers");
+        rig.ask(&op::REFRESH, ()).expect("it answers");
         rig.clock.sleep(Duration::from_secs(1));
         rig.owner.poll_on_time();
         assert!(has_arrived(&mut rig));
@@ -625,13 +624,13 @@ mod tests {
         for (offset, value) in [("11", 2200), ("6", 3), ("4", 7)] {
             let row = chip.row("48", offset).expect("a parameter of the table");
             let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
-            rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+            rig.ask(&op::WRITE, vec![change]).expect("the default key");
             has_arrived(&mut rig);
             for _ in 0..3 {
                 rig.clock.sleep(INTERVAL);
                 rig.owner.poll_on_time();
             }
-            rig.ask(Request::Refresh).expect("it answers");
+            rig.ask(&op::REFRESH, ()).expect("it answers");
             assert!(!has_arrived(&mut rig), "48/{offset}");
         }
     }

@@ -12,47 +12,42 @@ pub enum Attempt {
     Read(Vec<usize>),
     /// To write to these places.
     Write(Vec<Place>),
-    /// To stage lines of `df/transaction`.
-    Stage,
-    /// To change the seal state.
-    Seal,
-    /// To send a subcommand.
-    Control,
-    /// To change a key.
-    Key,
-    /// To have a challenge answered.
-    Authenticate,
-    /// To change the time between polls.
-    Interval,
-    /// To write the configuration of `--restore`.
-    Restore,
-    /// To settle an interrupted write.
-    Settle,
-    /// To calibrate it.
-    Calibrate,
-    /// To make a report.
-    Report,
+    /// To carry out an operation of that name.
+    Operation(&'static str, Importance),
     /// To turn a knob of a simulated gauge.
     Knob(&'static str),
     /// Something that no later success shows to be over.
     Other,
 }
 
+/// How important a failure is. While something is owed, it is not replaced by a less important one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Importance {
+    /// Something was not read.
+    Reading,
+    /// Something was not changed.
+    Change,
+    /// An interrupted write is not settled.
+    Owed,
+}
+
 impl Attempt {
-    /// While something is owed, a failure is not replaced by one of less importance.
-    pub(super) fn importance(&self) -> u8 {
+    /// To settle an interrupted write.
+    pub(crate) const SETTLE: Self = Self::Operation("settle", Importance::Owed);
+    /// To stage lines of `df/transaction`.
+    pub(crate) const STAGE: Self = Self::Operation("stage", Importance::Change);
+    /// To write the configuration of `--restore`.
+    pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
+    /// To calibrate it.
+    pub(super) const CALIBRATE: Self = Self::Operation("calibrate", Importance::Change);
+    /// To make a report.
+    pub(super) const REPORT: Self = Self::Operation("report", Importance::Reading);
+
+    pub(super) fn importance(&self) -> Importance {
         match self {
-            Attempt::Settle => 2,
-            Attempt::Write(_)
-            | Attempt::Stage
-            | Attempt::Seal
-            | Attempt::Control
-            | Attempt::Key
-            | Attempt::Authenticate
-            | Attempt::Interval
-            | Attempt::Restore
-            | Attempt::Calibrate => 1,
-            Attempt::Poll | Attempt::Read(_) | Attempt::Report | Attempt::Knob(_) | Attempt::Other => 0,
+            Attempt::Operation(_, importance) => *importance,
+            Attempt::Write(_) => Importance::Change,
+            Attempt::Poll | Attempt::Read(_) | Attempt::Knob(_) | Attempt::Other => Importance::Reading,
         }
     }
 
@@ -80,6 +75,6 @@ mod tests {
         assert!(Attempt::Read(vec![1, 2]).includes(&Attempt::Read(vec![2])));
         assert!(!Attempt::Read(vec![1]).includes(&Attempt::Read(vec![1, 2])));
         assert!(Attempt::Poll.includes(&Attempt::Poll) && !Attempt::Poll.includes(&Attempt::Read(vec![])));
-        assert!(!Attempt::Other.includes(&Attempt::Other) && !Attempt::Seal.includes(&Attempt::Key));
+        assert!(!Attempt::Other.includes(&Attempt::Other) && !Attempt::SETTLE.includes(&Attempt::STAGE));
     }
 }

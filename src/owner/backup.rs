@@ -248,7 +248,7 @@ mod tests {
     use nix::errno::Errno;
 
     use super::super::rig::Rig;
-    use super::super::{Request, Settings, Startup};
+    use super::super::{Settings, Startup, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::value::Value;
@@ -317,7 +317,7 @@ mod tests {
         let row = chip.row("80", "53").expect("Cell Terminate Voltage");
         let value = Value::Int(text.parse().expect("a number"));
         let change = Change::of_value(row, &value, false).expect("it fits");
-        rig.ask(|done| Request::WriteAll(vec![change], done))
+        rig.ask(&op::WRITE, vec![change])
     }
 
     fn with_backup(folder: &Path) -> Rig {

@@ -1,23 +1,22 @@
 //! Calibration in the owner's thread, which does not poll meanwhile.
 
-use std::time::Duration;
-
+use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::calibration::{self, Job};
 
 impl Owner {
     /// Carries out a calibration. Its steps are published before they are done.
-    pub(super) fn calibrate(&mut self, job: &Job, waited: Duration) -> Result<()> {
+    pub(super) fn calibrate(&mut self, job: Job, asked: Asked) -> Result<()> {
         let begun = self.gauge.clock.now();
         self.shared.publish(|published| published.calibration = "".into());
         if self.dataflash.owed().is_some() {
             self.pay();
         }
-        if *job != Job::Leave && self.dataflash.owed().is_none() {
-            self.back_up(&[], waited)?;
+        if job != Job::Leave && self.dataflash.owed().is_none() {
+            self.back_up(&[], asked.waited)?;
         }
-        let waited = waited + self.gauge.clock.now().saturating_sub(begun);
+        let waited = asked.waited + self.gauge.clock.now().saturating_sub(begun);
         let shared = self.shared.clone();
         let mut tell = |text: &str| {
             log::info!("{}calibration: {text}", shared.prefix);
@@ -25,7 +24,7 @@ impl Owner {
                 published.calibration = format!("{}{text}\n", published.calibration).into();
             });
         };
-        let outcome = calibration::run(&mut self.dataflash, &mut self.gauge, job, waited, &mut tell);
+        let outcome = calibration::run(&mut self.dataflash, &mut self.gauge, &job, waited, &mut tell);
         if let Ok(reached) = &outcome {
             tell(reached);
         }
@@ -45,20 +44,21 @@ impl Owner {
         let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
                    voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
         self.shared
-            .report(Attempt::Calibrate, &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())));
+            .report(Attempt::CALIBRATE, &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Startup};
+    use super::super::{Startup, operations};
     use super::*;
     use gauge_bus::Bus;
     use gauge_bus::clock::Clock;
+    use std::time::Duration;
 
     fn calibrate(rig: &mut Rig, job: Job) -> Result<()> {
-        rig.ask(|done| Request::Calibrate(job, done))
+        rig.ask(&operations::CALIBRATE, job)
     }
 
     #[test]

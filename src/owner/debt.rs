@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
+use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::dataflash::Decision;
@@ -76,7 +77,7 @@ impl Owner {
                 self.after_settling();
                 if data {
                     let error = Error::new(self.gauge.chip.name, Cause::RolledBack(message));
-                    self.shared.record(Attempt::Settle, &error);
+                    self.shared.record(Attempt::SETTLE, &error);
                 }
             }
             Ok(None) => {}
@@ -89,6 +90,7 @@ impl Owner {
     /// Pays what is owed for the last time, because gaugefs ends. An error says what remains, which is then also in the
     /// log; the next start finds it in the journal.
     pub(super) fn end(&mut self) -> Result<()> {
+        self.has_ended = true;
         for attempt in 0..LAST {
             let is_owed = self.dataflash.owed().is_some_and(|owed| !owed.needs_decision);
             if is_owed && attempt > 0 {
@@ -109,28 +111,28 @@ impl Owner {
             Ok(Some(found)) => {
                 self.forget_dataflash();
                 self.shared
-                    .report(Attempt::Settle, &Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
+                    .report(Attempt::SETTLE, &Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
             }
             Ok(None) => {}
-            Err(error) => self.shared.report(Attempt::Settle, &error.into()),
+            Err(error) => self.shared.report(Attempt::SETTLE, &error.into()),
         }
         self.note_debt();
     }
 
     /// Shows what is known of an interrupted write, or settles it as somebody has decided.
-    pub(super) fn settle_as_decided(&mut self, decision: Option<Decision>, waited: Duration) -> Result<()> {
+    pub(super) fn settle_as_decided(&mut self, decision: Option<Decision>, asked: Asked) -> Result<()> {
         if decision.is_none() && self.dataflash.owed().is_some_and(|owed| !owed.needs_decision) {
             self.pay();
         }
         let outcome = match decision {
-            None => self.dataflash.examine(&mut self.gauge, waited),
-            Some(decision) => self.dataflash.decide(&mut self.gauge, decision, waited),
+            None => self.dataflash.examine(&mut self.gauge, asked.waited),
+            Some(decision) => self.dataflash.decide(&mut self.gauge, decision, asked.waited),
         };
         if decision.is_some() {
             self.after_settling();
         }
         self.note_debt();
-        let told = self.logged(Attempt::Settle, outcome)?;
+        let told = outcome?;
         if decision.is_some() {
             log::warn!("{}: {told}", self.shared.name());
         }
@@ -148,7 +150,7 @@ impl Owner {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Startup};
+    use super::super::{Startup, operations as op};
     use super::*;
     use gauge_bus::clock::Clock;
     use ti_gauge::dataflash::Change;
@@ -159,7 +161,7 @@ mod tests {
         let subclass = &rig.handle.chip().subclasses[rig.index(80)];
         let parameter = subclass.parameter(53).expect("a parameter of the table");
         let change = Change::of_value((subclass, parameter), &Value::Int(3100), false).expect("it fits");
-        rig.ask(|done| Request::WriteAll(vec![change], done))
+        rig.ask(&op::WRITE, vec![change])
     }
 
     /// A gauge that falls silent for a minute when it is to be sealed after a write.
@@ -210,11 +212,11 @@ mod tests {
     #[test]
     fn regression_an_owner_that_ended_sent_no_seal_and_said_nothing() {
         let mut rig = left_open();
-        let error = rig.ask(Request::End).expect_err("it is silent for a minute");
+        let error = rig.ask(&op::END, ()).expect_err("it is silent for a minute");
         assert!(error.to_string().contains("still owed"), "{error}");
         assert_eq!(rig.sim.get("seal").as_deref(), Some("unsealed"));
         rig.clock.sleep(Duration::from_secs(60));
-        rig.ask(Request::End).expect("it answers");
+        rig.ask(&op::END, ()).expect("it answers");
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
         assert_eq!(*rig.handle.published().owed, *"");
     }
@@ -237,7 +239,7 @@ mod tests {
         let mut rig = left_open();
         rig.sim.keep_log(true);
         for code in [0x0021, 0x0008] {
-            let error = rig.ask(|done| Request::Control(code, done)).expect_err("it is silent");
+            let error = rig.ask(&op::CONTROL, code).expect_err("it is silent");
             assert_eq!(error.errno(), nix::errno::Errno::EBUSY, "{error}");
             assert!(error.to_string().contains("no subcommand is sent"), "{error}");
         }
@@ -248,7 +250,7 @@ mod tests {
         assert!(!sent(&rig, 0x0021) && !sent(&rig, 0x0008));
         // It is paid first, if that is possible.
         rig.clock.sleep(Duration::from_secs(60));
-        rig.ask(|done| Request::Control(0x0008, done)).expect("it answers");
+        rig.ask(&op::CONTROL, 0x0008).expect("it answers");
         assert!(sent(&rig, 0x0008) && rig.handle.published().owed.is_empty());
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
     }

@@ -5,10 +5,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
-use nix::errno::Errno;
-
-use super::{Done, Handle, Owner, Request, Settings, Startup};
-use crate::error::{Error, Result};
+use super::operation::Request;
+use super::{Attempt, Handle, Operation, Owner, Settings, Startup};
+use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
 use ti_gauge::chip::Chip;
@@ -40,25 +39,29 @@ impl Direct {
         self.owner.first_poll()
     }
 
-    /// Carries out a request.
-    pub(crate) fn ask<T: Send + 'static>(&mut self, request: impl FnOnce(Done<T>) -> Request) -> Result<T> {
-        self.ask_late(Duration::ZERO, request)
+    /// Carries out an operation.
+    pub(crate) fn ask<A: Send, T: Send + 'static>(
+        &mut self,
+        operation: &'static Operation<A, T>,
+        argument: A,
+    ) -> Result<T> {
+        self.ask_late(Duration::ZERO, operation, argument)
     }
 
-    /// Carries out a request that was made that long ago.
-    pub(in crate::owner) fn ask_late<T: Send + 'static>(
+    /// Carries out an operation that was asked for that long ago.
+    pub(in crate::owner) fn ask_late<A: Send, T: Send + 'static>(
         &mut self,
         delay: Duration,
-        request: impl FnOnce(Done<T>) -> Request,
+        operation: &'static Operation<A, T>,
+        argument: A,
     ) -> Result<T> {
         let (done, outcome) = mpsc::channel();
-        self.handle.submit(request(Box::new(move |answer| drop(done.send(answer)))));
+        self.handle.ask(operation, argument, Box::new(move |answer| drop(done.send(answer))));
         self.owner.gauge.clock.sleep(delay);
         if let Ok((submitted, request)) = self.requests.try_recv() {
-            self.owner.answer(submitted, request);
+            self.owner.carry_out(submitted, request);
         }
-        let unanswered = || Error::host(self.owner.shared.name(), Errno::EIO, "the request was dropped");
-        outcome.try_recv().unwrap_or_else(|_| Err(unanswered()))
+        outcome.try_recv().unwrap_or_else(|_| unreachable!("a request that is dropped answers"))
     }
 
     /// Makes sure that no row of it is erased, by the table and by its own backups.
@@ -92,7 +95,7 @@ impl Direct {
             let Some(due) = due else { return Some(owed) };
             clock.sleep(due.saturating_sub(clock.now()));
             // A panic has thrown away what was known of the gauge, and its journal is still there.
-            if self.owner.survive(super::Attempt::Settle, Owner::pay).is_err() {
+            if self.owner.survive(Attempt::SETTLE, Owner::pay).is_err() {
                 return Some(owed);
             }
         }

@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::{Attempt, Origin, Report, Request, Settings};
-use crate::error::Error;
+use super::operation::Request;
+use super::{Attempt, Done, Operation, Origin, Report, Settings};
+use crate::error::{Error, Result};
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
@@ -430,11 +431,30 @@ impl Handle {
         self.shared.succeeded(attempt);
     }
 
-    /// Queues a request. Its `Done` is called with the outcome, of a write within 30 s; if the owner has
-    /// ended, the request is dropped, and its `Done` with it.
-    pub fn submit(&self, request: Request) {
-        // The dropped `Done` is how the caller learns that the owner has ended.
+    /// Refuses something without asking the gauge. The log and `gauge/last_error` say why, as after any request that
+    /// fails.
+    pub fn refuse<T>(&self, attempt: Attempt, error: Error, done: Done<T>) {
+        self.report(attempt, &error);
+        done(Err(error));
+    }
+
+    /// Asks for an operation. `done` is called with the outcome, of a write within 30 s; if the owner has ended, at
+    /// once.
+    pub fn ask<A: Send, T>(&self, operation: &'static Operation<A, T>, argument: A, done: Done<T>) {
+        let request = Request::new(operation, argument, self.shared.name(), done);
+        // What cannot be sent is dropped, and answers.
         let _ = self.queue.send((self.shared.clock.now(), request));
+    }
+
+    /// Asks for an operation, and waits for its outcome.
+    pub fn wait_for<A: Send, T: Send + 'static>(
+        &self,
+        operation: &'static Operation<A, T>,
+        argument: A,
+    ) -> Result<T> {
+        let (done, outcome) = mpsc::channel();
+        self.ask(operation, argument, Box::new(move |answer| drop(done.send(answer))));
+        outcome.recv().unwrap_or_else(|_| unreachable!("a request that is dropped answers"))
     }
 }
 
@@ -468,7 +488,7 @@ impl Signal {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Request;
+    use super::super::operations as op;
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
     use crate::error::Cause;
@@ -504,7 +524,7 @@ mod tests {
     fn a_request_changes_the_status_in_a_new_snapshot() {
         let mut rig = Rig::open();
         let before = rig.handle.published();
-        rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
+        rig.ask(&op::SEAL, Seal::Unsealed).expect("the default key");
         let after = rig.handle.published();
         assert_eq!((before.seal, after.seal), (Seal::Sealed, Seal::Unsealed));
         let status = |published: &Published| published.snapshot.as_ref().expect("a poll").control_status;
@@ -517,12 +537,12 @@ mod tests {
         let mut rig = Rig::open();
         // Data holds learned values, Discharge does not.
         let (learned, configured) = (rig.index(82), rig.index(80));
-        rig.ask(|done| Request::Read(vec![learned, configured], done)).expect("the default key");
+        rig.ask(&op::READ, vec![learned, configured]).expect("the default key");
         assert!(rig.handle.kept(learned).is_some() && rig.handle.kept(configured).is_some());
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert!(rig.handle.kept(learned).is_none() && rig.handle.kept(configured).is_some());
-        rig.ask(Request::Refresh).expect("it answers");
+        rig.ask(&op::REFRESH, ()).expect("it answers");
         assert!(rig.handle.kept(configured).is_none());
     }
 
@@ -533,7 +553,7 @@ mod tests {
         rig.handle.take_changed();
         assert!(!rig.handle.take_changed());
         rig.handle
-            .report(Attempt::Control, &Error::new("control", Cause::Invalid("no such subcommand".into())));
+            .report(Attempt::CALIBRATE, &Error::new("control", Cause::Invalid("no such subcommand".into())));
         assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
         assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);
         assert!(rig.handle.take_changed());

@@ -298,7 +298,7 @@ mod tests {
     use nix::errno::Errno;
 
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Settings, Startup};
+    use super::super::{Settings, Startup, operations as op};
     use super::*;
     use gauge_bus::Bus;
     use gauge_bus::clock::Clock;
@@ -388,12 +388,12 @@ mod tests {
         rig.owner.poll_on_time();
         let published = rig.handle.published();
         assert!(published.snapshot.is_none() && published.last_error.contains("/dev/i2c-7 hangs"));
-        let error = rig.ask(|done| Request::Control(0x0002, done)).expect_err("it hangs");
+        let error = rig.ask(&op::CONTROL, 0x0002).expect_err("it hangs");
         assert_eq!(error.errno(), Errno::ETIMEDOUT, "{error}");
         assert!(error.to_string().contains("/dev/i2c-7 hangs"), "{error}");
         returned.store(true, Ordering::SeqCst);
         rig.owner.poll_on_time();
-        rig.ask(|done| Request::Control(0x0002, done)).expect("it answers");
+        rig.ask(&op::CONTROL, 0x0002).expect("it answers");
     }
 
     /// The transfer still takes effect when it returns.
@@ -425,7 +425,7 @@ mod tests {
     fn write(rig: &mut Rig, value: i64) -> Result<()> {
         let row = rig.handle.chip().row("80", "53").expect("a parameter of the table");
         let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
-        rig.ask(|done| Request::WriteAll(vec![change], done))
+        rig.ask(&op::WRITE, vec![change])
     }
 
     #[test]
@@ -453,7 +453,7 @@ mod tests {
                 let now = rig.clock.now();
                 if refresh {
                     rig.clock.sleep(Duration::from_millis(10));
-                    rig.ask(super::super::Request::Refresh).expect("it answers");
+                    rig.ask(&op::REFRESH, ()).expect("it answers");
                 } else {
                     rig.clock.sleep(rig.owner.schedule.due(SHORTEST).saturating_sub(now));
                     rig.owner.poll_on_time();

@@ -140,7 +140,7 @@ impl Owner {
             events,
         };
         self.shared.publish(|published| published.report = Some(Arc::new(report)));
-        self.shared.succeeded(&Attempt::Report);
+        self.shared.succeeded(&Attempt::REPORT);
         Ok(())
     }
 
@@ -209,7 +209,7 @@ fn deciding(chip: &'static Chip) -> Vec<Row> {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Request, Settings, Startup};
+    use super::super::{Settings, Startup, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::calibration::Job;
@@ -221,7 +221,7 @@ mod tests {
         let mut rig = Rig::open();
         rig.sim.set("voltage_mv", "11000").expect("a knob");
         let flash = rig.sim.flash();
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         let voltage = rig.handle.chip().register_at(0x08).expect("Voltage()");
         assert!(report.snapshot.value(voltage).is_some_and(|mv| (10_900..11_100).contains(&mv)));
@@ -231,18 +231,18 @@ mod tests {
 
         // A gauge that does not answer has no report, not even the one before.
         rig.sim.set("power", "off").expect("a knob");
-        rig.ask(Request::Report).expect_err("it is gone");
+        rig.ask(&op::REPORT, ()).expect_err("it is gone");
         assert!(rig.handle.published().report.is_none());
         rig.sim.set("power", "on").expect("a knob");
         rig.clock.sleep(INTERVAL);
-        rig.ask(Request::Report).expect("it is back");
+        rig.ask(&op::REPORT, ()).expect("it is back");
         assert!(rig.gauge_records_nothing());
     }
 
     #[test]
     fn a_report_has_what_writes_and_calibrations_since_the_mount_have_shown() {
         let mut rig = Rig::open();
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         assert_eq!((report.times.commits, report.times.reset_seals), Default::default());
         // The simulated gauge shows a commit after that time and that of its words; the engine looks after 100 ms.
@@ -251,10 +251,10 @@ mod tests {
             rig.sim.set("commit_busy", busy).expect("a knob");
             let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
             let change = Change::of_value(row, &Value::Int(value), false).expect("two bytes");
-            rig.ask(|done| Request::WriteAll(vec![change], done)).expect("written");
+            rig.ask(&op::WRITE, vec![change]).expect("written");
         }
-        rig.ask(|done| Request::Calibrate(Job::BoardOffset, done)).expect("calibrated");
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::CALIBRATE, Job::BoardOffset).expect("calibrated");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         let times = &report.times;
         let (commits, seals) = (times.commits, times.reset_seals);
@@ -273,7 +273,7 @@ mod tests {
         let mut rig =
             Rig::of("bq34z100-g1", Settings { keys, key_file, ..Settings::default() }, Startup::default());
         rig.start().expect("it answers");
-        rig.ask(Request::Report).expect("it answers");
+        rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
         let why = report.data_flash.as_ref().expect_err("it is sealed");
         assert_eq!(why, "the gauge is sealed and no key opens it");

@@ -23,7 +23,7 @@ use super::{Bench, Slot, Station, serial};
 use crate::chemistry;
 use crate::config::{Date, Seen, Unsettled};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, Request, Seal, Settings, Startup};
+use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
 
 /// How often a pack that was just connected is tried, and the time between.
 const TRIES: usize = 4;
@@ -187,7 +187,7 @@ impl Task<'_> {
             );
             return Err(Error::new("journal", Cause::Busy(what)));
         }
-        self.gauge.ask(|done| Request::Settle(Some(Decision::Discard), done))?;
+        self.gauge.ask(&op::SETTLE, Some(Decision::Discard))?;
         self.keep_journals();
         Ok(())
     }
@@ -211,7 +211,7 @@ impl Task<'_> {
             let old = self.bench.keys.secret(name).or_else(|| self.gauge.default_key(name));
             let (Some(old), Some(new)) = (old, new.secret(name)) else { return Err(unknown()) };
             let change = KeyChange { name, old, new };
-            self.gauge.ask(|done| Request::ChangeKey(change, done))?;
+            self.gauge.ask(&op::KEYS, change)?;
         }
         Ok(())
     }
@@ -266,7 +266,7 @@ impl Task<'_> {
             let gauge = &mut self.gauge;
             let told = "set same-chemistry = true in the station's file";
             chemistry::check("chemistry", flash.chip, sum, (&id, told), |code| {
-                gauge.ask(|done| Request::Control(code, done))?;
+                gauge.ask(&op::CONTROL, code)?;
                 let answer = gauge.handle.published().control.filter(|(asked, _)| *asked == code);
                 answer.map(|(_, answer)| answer).ok_or_else(|| refuse("chemistry", "no answer".into()))
             })?;
@@ -408,7 +408,7 @@ impl Task<'_> {
     fn import(&mut self, asked: &Image, now: &Flash) -> Result<Flash> {
         let changes: Vec<Change> = target::changes(asked, now, self.bench.allow_unproven())?;
         if !changes.is_empty() {
-            self.gauge.ask(|done| Request::WriteAll(changes, done))?;
+            self.gauge.ask(&op::WRITE, changes)?;
         }
         let flash = self.look()?;
         target::check(asked, &flash, &[])?;
@@ -440,7 +440,7 @@ impl Task<'_> {
 
     /// Carries out a calibration, and records what it has reached.
     fn measure(&mut self, job: Job) -> Result<()> {
-        let outcome = self.gauge.ask(|done| Request::Calibrate(job, done));
+        let outcome = self.gauge.ask(&op::CALIBRATE, job);
         let told = self.gauge.handle.published().calibration.clone();
         self.entry.calibration.extend(told.lines().next_back().map(String::from));
         outcome
@@ -453,7 +453,7 @@ impl Task<'_> {
         let (end, mut told) = (clock.now() + LOAD_PATIENCE, false);
         let tolerance = (wanted.abs() * LOAD_TOLERANCE).max(NO_LOAD_MA);
         loop {
-            self.gauge.ask(Request::Refresh)?;
+            self.gauge.ask(&op::REFRESH, ())?;
             let register = self.chip().register(Role::CurrentNow);
             let published = self.gauge.handle.published();
             let now = register.and_then(|register| published.snapshot.as_ref()?.value(register));
@@ -494,7 +494,7 @@ impl Task<'_> {
                 refuse("keys", format!("the present {} key is not known; add it to key-file", name.as_str()))
             })?;
             let change = KeyChange { name, old, new: key };
-            self.gauge.ask(|done| Request::ChangeKey(change, done))?;
+            self.gauge.ask(&op::KEYS, change)?;
         }
         Ok(())
     }
@@ -504,10 +504,10 @@ impl Task<'_> {
         match name {
             Name::Unseal => Ok(true),
             // A station may have been stopped between the two.
-            Name::FullAccess => match self.gauge.ask(|done| Request::Seal(Seal::FullAccess, done)) {
+            Name::FullAccess => match self.gauge.ask(&op::SEAL, Seal::FullAccess) {
                 Ok(()) => Ok(true),
                 Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
-                    self.gauge.ask(|done| Request::Seal(Seal::Sealed, done)).map(|()| false)
+                    self.gauge.ask(&op::SEAL, Seal::Sealed).map(|()| false)
                 }
                 Err(error) => Err(error),
             },
@@ -523,7 +523,7 @@ impl Task<'_> {
         if !self.station.seals() {
             return Ok(());
         }
-        self.gauge.ask(|done| Request::Seal(Seal::Sealed, done))
+        self.gauge.ask(&op::SEAL, Seal::Sealed)
     }
 
     /// Nothing is left to do, and the pack is sealed.

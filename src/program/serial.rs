@@ -14,6 +14,7 @@ use super::record::Record;
 use crate::config::{SerialFrom, StationOptions};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
+use ti_gauge::notation;
 
 /// Where lines are typed or scanned. `None` at their end.
 pub(crate) trait Scanner: Send {
@@ -70,7 +71,7 @@ pub(super) fn row(chip: &'static Chip, station: &StationOptions) -> Result<Optio
 
 /// A serial number as it is shown and compared.
 pub(super) fn shown(row: Row, value: &Value) -> String {
-    text::render(row.1.kind, value)
+    notation::render(row.1.kind, value)
 }
 
 impl Serials {
@@ -87,7 +88,8 @@ impl Serials {
                 let most = row.1.kind.bounds().map_or(i64::MAX, |(_, most)| most);
                 let last = station.last_serial.unwrap_or(most);
                 for (key, number) in [("first-serial", first), ("last-serial", last.min(most))] {
-                    text::parse(row.1, number.to_string().as_bytes()).map_err(|error| error.within(key))?;
+                    notation::parse(row.1, number.to_string().as_bytes())
+                        .map_err(|error| error.within(key))?;
                 }
                 Ok(Self::Counter { first, last: last.min(most) })
             }
@@ -117,7 +119,7 @@ impl Serials {
             };
             let why = match line.trim() {
                 "" => "the line is empty".into(),
-                line => match text::parse(row.1, line.as_bytes()) {
+                line => match notation::parse(row.1, line.as_bytes()) {
                     Ok(value) => match refused(&value) {
                         None => return Ok(Some(value)),
                         Some(why) => why,
@@ -139,7 +141,7 @@ impl Serials {
             Self::None | Self::Input(_) => Ok(None),
             Self::Counter { first, last } => {
                 let given =
-                    record.given().filter_map(|text| match text::parse_stored(row.1, text.as_bytes()) {
+                    record.given().filter_map(|text| match notation::parse_stored(row.1, text.as_bytes()) {
                         Ok(Value::Int(number)) if (*first..=*last).contains(&number) => Some(number),
                         _ => None,
                     });
@@ -171,7 +173,7 @@ fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
             continue;
         }
         let at = |error: Error| error.within(&format!("{name}: line {number}"));
-        let value = text::parse(row.1, line.as_bytes()).map_err(|error| at(error.into()))?;
+        let value = notation::parse(row.1, line.as_bytes()).map_err(|error| at(error.into()))?;
         if let Some(first) = lines.insert(shown(row, &value), number) {
             let why = format!("the serial number is also in line {first}; remove one of the two");
             return Err(at(Error::new("", Cause::Invalid(why))));

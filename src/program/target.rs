@@ -11,7 +11,8 @@ use ti_gauge::text;
 
 use super::record::Changed;
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, Request, readable};
+use crate::owner::{Direct, operations as op, readable};
+use ti_gauge::notation;
 
 /// The place of a parameter: subclass and offset.
 pub(super) type Place = (u8, u16);
@@ -27,10 +28,10 @@ pub(super) struct Flash {
 impl Flash {
     /// Reads it anew.
     pub(super) fn read(gauge: &mut Direct) -> Result<Self> {
-        gauge.ask(Request::Refresh)?;
+        gauge.ask(&op::REFRESH, ())?;
         let chip = gauge.handle.chip();
         let wanted = readable(chip);
-        let read = gauge.ask(|done| Request::Read(wanted.clone(), done))?;
+        let read = gauge.ask(&op::READ, wanted.clone())?;
         let firmware = gauge.handle.published().answers.firmware_version;
         Ok(Self { chip, firmware, rows: wanted.into_iter().zip(read).collect() })
     }
@@ -55,7 +56,7 @@ impl Flash {
     /// The text of a parameter.
     pub(super) fn text(&self, row: Row) -> Option<String> {
         let bytes = self.bytes(row)?;
-        Some(text::render(row.1.kind, &codec::decode(row.1.kind, bytes)))
+        Some(notation::render(row.1.kind, &codec::decode(row.1.kind, bytes)))
     }
 
     /// The number that a parameter holds, where it holds one.

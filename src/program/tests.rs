@@ -23,7 +23,8 @@ use super::target::Flash;
 use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
 use crate::config::{StationOptions, StationSetup};
 use crate::error::Result;
-use crate::owner::{Direct, Request, Seal, Settings, Startup};
+use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
+use ti_gauge::notation;
 
 /// A station's folder, which is removed at the end.
 struct Folder(PathBuf);
@@ -92,7 +93,7 @@ fn golden() -> String {
     for (place, text) in OTHERS {
         let (id, offset) = place.split_once('/').expect("a place");
         let Some(row) = chip.row(id, offset) else { continue };
-        if let Ok(value) = text::parse(row.1, text.as_bytes()) {
+        if let Ok(value) = notation::parse(row.1, text.as_bytes()) {
             image.set(row.0, row.1, value);
         }
     }
@@ -950,7 +951,7 @@ fn regression_a_pack_with_an_erased_row_passed() {
             torn.set("tear", "erased").and_then(|()| torn.set("fault", "torn-commit 5")).expect("knobs");
             let row = torn_row();
             let change = Change::of_value(row, &Value::Int(3100), false).expect("it fits");
-            gauge.ask(|done| Request::WriteAll(vec![change], done)).expect_err("it is torn");
+            gauge.ask(&op::WRITE, vec![change]).expect_err("it is torn");
             torn.set("power", "on").expect("a knob");
         } else {
             torn.set_flash(80, 32, &[0xff; 32]);
@@ -1016,7 +1017,7 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
         let sim = new_pack(&clock, 1, None);
         clock.sleep(Duration::from_secs(3));
         let mut gauge = opened(&sim, &clock, Settings::default());
-        gauge.ask(|done| Request::Seal(seal, done)).expect("the default keys");
+        gauge.ask(&op::SEAL, seal).expect("the default keys");
         let before = sim.flash();
         let said = line.run(&clock, [(sim.clone(), "none".into())]);
         assert!(said[number].starts_with("PASS"), "{said:?}");
@@ -1068,7 +1069,7 @@ fn keys_of_which_one_was_changed_before_are_completed() {
     let new = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
     let settings = Settings { keys: new, ..Settings::default() };
     let mut gauge = opened(&sim, &clock, settings);
-    gauge.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("both keys are new");
+    gauge.ask(&op::SEAL, Seal::FullAccess).expect("both keys are new");
 
     // Nobody knows the key that another pack has.
     let line = Line::start(folder.plan(&format!("{lines}\nname = 'other'")), &[], None).expect("a record");
@@ -1077,7 +1078,7 @@ fn keys_of_which_one_was_changed_before_are_completed() {
     let mut gauge = opened(&other, &clock, Settings::default());
     let change = b"full-access ffff ffff 1234 5678";
     let change = ti_gauge::keys::KeyChange::parse(change).expect("two keys");
-    gauge.ask(|done| Request::ChangeKey(change, done)).expect("the default keys");
+    gauge.ask(&op::KEYS, change).expect("the default keys");
     let said = line.run(&clock, [(other, "none".into())]);
     assert!(said[0].starts_with("FAIL") && said[0].contains("full-access key"), "{said:?}");
 }
@@ -1220,7 +1221,7 @@ fn regression_a_pack_without_its_keys_stays_without() {
     let opens = |sim: &Sim| {
         let keys = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
         let mut gauge = opened(sim, &clock, Settings { keys, ..Settings::default() });
-        gauge.ask(|done| Request::Seal(Seal::FullAccess, done)).is_ok()
+        gauge.ask(&op::SEAL, Seal::FullAccess).is_ok()
     };
     let erased = new_pack(&clock, 1, None);
     erased.set_flash(112, 0, &[0xff; 8]);

@@ -5,118 +5,25 @@
 
 use std::fmt::Write as _;
 use std::fs::{self, Permissions};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
-use crate::ends::Connections;
-use crate::scratch;
+use crate::room::{
+    CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown,
+    stop, within,
+};
 
 #[cfg(feature = "screen")]
 mod acting;
 #[cfg(feature = "screen")]
 mod calibrating;
 mod watching;
-
-pub(crate) const CHIP: &str = "bq34z100-g1";
-
-/// The result of a run.
-pub(crate) struct Ran {
-    pub(crate) code: Option<i32>,
-    pub(crate) out: String,
-    pub(crate) err: String,
-    /// The lines of standard error that say which gauge it is.
-    pub(crate) gauges: Vec<String>,
-}
-
-pub(crate) fn command(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
-    command
-        .args(arguments)
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .env("COLUMNS", "100")
-        .env_remove("RUST_LOG")
-        .stdin(Stdio::null());
-    command
-}
-
-pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
-    run(command(arguments))
-}
-
-/// gaugefs as the user nobody runs it, which takes root: a copy, because the checkout may be in a home that only its owner
-/// may enter.
-pub(crate) fn as_nobody(folder: &Folder, arguments: &[&str]) -> Command {
-    use std::os::unix::process::CommandExt;
-    let program = folder.file("gaugefs");
-    if !Path::new(&program).exists() {
-        fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that any user may run");
-    }
-    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o755)).expect("its mode");
-    let mut command = Command::new(program);
-    command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
-    command
-}
-
-pub(crate) fn run(mut command: Command) -> Ran {
-    Ran::of(command.output().expect("gaugefs runs"))
-}
-
-impl Ran {
-    pub(crate) fn of(output: Output) -> Self {
-        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
-        let (mut code, out, mut err) = (output.status.code(), text(output.stdout), text(output.stderr));
-        // The mount namespace of another test has the mounts of this one, too.
-        if code == Some(3) && err.contains("unmounted here") && err.contains("in the mount namespace of") {
-            (code, err) = (Some(0), String::new());
-        }
-        let (gauges, err): (Vec<&str>, Vec<&str>) =
-            err.split_inclusive('\n').partition(|line| line.starts_with("gaugefs: gauge "));
-        Self { code, out, err: err.concat(), gauges: gauges.into_iter().map(str::to_string).collect() }
-    }
-
-    #[track_caller]
-    pub(crate) fn done(self) -> String {
-        assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
-        assert_eq!(self.err, "");
-        self.out
-    }
-
-    /// What a comparison prints that has found a difference.
-    #[track_caller]
-    pub(crate) fn differs(self) -> String {
-        assert_eq!((self.code, self.err.as_str()), (Some(1), ""), "{}", self.out);
-        self.out
-    }
-
-    /// Checks for exit code 1 and one line that begins with `gaugefs: ` and contains all of `words`.
-    #[track_caller]
-    pub(crate) fn failed(self, words: &[&str]) {
-        self.failed_with(1, words);
-    }
-
-    /// The same for exit code 2: the question could not be answered.
-    #[track_caller]
-    pub(crate) fn troubled(self, words: &[&str]) {
-        self.failed_with(2, words);
-    }
-
-    #[track_caller]
-    fn failed_with(self, code: i32, words: &[&str]) {
-        assert_eq!(self.code, Some(code), "{}{}", self.out, self.err);
-        assert_eq!(self.out, "");
-        assert_eq!(self.err.lines().count(), 1, "{}", self.err);
-        assert!(self.err.starts_with("gaugefs: "), "{}", self.err);
-        for word in words {
-            assert!(self.err.contains(word), "`{word}` is not in: {}", self.err);
-        }
-    }
-}
 
 /// Compares the output and exit codes of command lines with a file of `golden/`.
 #[track_caller]
@@ -127,21 +34,6 @@ fn golden(name: &str, lines: &[&str]) {
         writeln!(now, "$ gaugefs {line}\n{out}{err}=> {}\n", code.expect("it exits")).expect("a string");
     }
     same_as_golden(name, &now);
-}
-
-/// Compares a text with a file of `golden/`.
-#[track_caller]
-pub(crate) fn same_as_golden(name: &str, now: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/golden").join(name);
-    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
-        fs::write(&path, now).expect("the golden file");
-    }
-    let then = fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        now == then,
-        "{}: the output differs; if that is intended, GAUGEFS_GOLDEN=write cargo test\n{now}",
-        path.display()
-    );
 }
 
 #[test]
@@ -996,123 +888,6 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
     assert!(!is_journal("second"));
 }
 
-/// A temporary folder. Dropping it unmounts what is mounted in it.
-pub(crate) struct Folder(pub(crate) PathBuf);
-
-impl Folder {
-    pub(crate) fn new() -> Self {
-        Self(scratch::folder_named(" with spaces"))
-    }
-
-    pub(crate) fn file(&self, name: &str) -> String {
-        self.0.join(name).to_str().expect("a path in UTF-8").to_string()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let mut left = Vec::new();
-        for name in ["m", "n"].map(|name| self.file(name)) {
-            // Whoever looks at all mounts, as `gaugefs doctor` of another test does, uses this one for a moment.
-            let (is_there, start) = (|| gaugefs_client::mounts::is_gaugefs(Path::new(&name)), Instant::now());
-            while gaugefs(&["umount", &name]).code == Some(0)
-                || is_there() && start.elapsed() < Duration::from_secs(30)
-            {}
-            left.extend(is_there().then_some(name));
-        }
-        scratch::remove(&self.0);
-        assert!(left.is_empty() || std::thread::panicking(), "{left:?} was still mounted: what used it?");
-    }
-}
-
-/// Whether this machine can mount FUSE.
-pub(crate) fn can_mount() -> bool {
-    let can = fs::File::options().read(true).write(true).open("/dev/fuse").is_ok();
-    if !can {
-        eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount command ran");
-    }
-    can
-}
-
-#[track_caller]
-pub(crate) fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
-    let start = Instant::now();
-    while !is_so() {
-        assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
-
-/// Stops a daemon while it has no request: whoever waits for the answer to one that a daemon has taken cannot be ended,
-/// not even by SIGKILL. Without root, where the kernel's list of connections is not mounted, that is left to chance.
-pub(crate) fn stop(daemon: u32, at: &str) {
-    let pid = Pid::from_raw(daemon as i32);
-    let device = fs::metadata(at).expect("a mount").dev();
-    let connections = Connections::mount().ok();
-    let connections = connections.as_ref().map_or(Path::new("/sys/fs/fuse/connections"), |own| &own.0);
-    let waiting = connections.join(nix::sys::stat::minor(device).to_string()).join("waiting");
-    for _ in 0..1000 {
-        kill(pid, Signal::SIGSTOP).expect("it runs");
-        within(Duration::from_secs(60), "stopped", || is_stopped(daemon));
-        if fs::read_to_string(&waiting).map_or(true, |count| count.trim() == "0") {
-            return;
-        }
-        kill(pid, Signal::SIGCONT).expect("it runs");
-        std::thread::sleep(Duration::from_millis(3));
-    }
-    panic!("{at}: the daemon is never without a request");
-}
-
-/// Whether each thread of a process is stopped.
-fn is_stopped(process: u32) -> bool {
-    let Ok(threads) = fs::read_dir(format!("/proc/{process}/task")) else { return true };
-    threads.flatten().all(|thread| {
-        let status = fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
-        status.rsplit(") ").next().is_some_and(|rest| rest.starts_with(['T', 'Z', 'X']) || rest.is_empty())
-    })
-}
-
-/// A mount in the foreground, killed when the test ends.
-pub(crate) struct Foreground(pub(crate) Child);
-
-impl Foreground {
-    pub(crate) fn new(mountpoint: &str, more: &[&str]) -> Self {
-        let arguments = [&["mount", "-f", "--sim", CHIP, mountpoint], more].concat();
-        let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
-        let present = Path::new(mountpoint).join("BAT0/present");
-        within(Duration::from_secs(60), "mounted", || present.exists());
-        Self(child)
-    }
-
-    pub(crate) fn send(&self, signal: Signal) {
-        kill(Pid::from_raw(self.0.id() as i32), signal).expect("it runs");
-    }
-
-    #[track_caller]
-    fn ends(&mut self) -> Option<i32> {
-        let start = Instant::now();
-        loop {
-            if let Some(status) = self.0.try_wait().expect("a child") {
-                return status.code();
-            }
-            assert!(start.elapsed() < Duration::from_secs(60), "it does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-impl Drop for Foreground {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-pub(crate) fn read(mountpoint: &str, name: &str) -> String {
-    let path = Path::new(mountpoint).join(name);
-    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())).trim().to_string()
-}
-
 #[test]
 fn mount_makes_the_folder_and_returns_when_the_gauge_can_be_read() {
     if !can_mount() {
@@ -1439,25 +1214,6 @@ fn the_byte_order_is_chosen_with_the_mount() {
     gaugefs(&["umount", &at]).done();
 }
 
-/// Every file of a gauge's folder that does not depend on this test's own accesses.
-pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
-    let mut files = Vec::new();
-    for folder in [".", "gauge", "gauge/registers"] {
-        for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
-            let entry = entry.expect("an entry");
-            let name = entry.file_name().into_string().expect("a name");
-            if entry.file_type().expect("a kind").is_file() && !own.contains(&name.as_str()) {
-                // A value that is not known yet is listed, but cannot be read.
-                let text = fs::read_to_string(entry.path()).unwrap_or_default();
-                files.push((format!("{folder}/{name}"), text));
-            }
-        }
-    }
-    files.sort();
-    files
-}
-
 #[test]
 fn a_recorded_gauge_can_be_mounted() {
     if !can_mount() {
@@ -1637,7 +1393,7 @@ fn without_space_for_the_journal_nothing_is_written() {
 
 #[test]
 fn rescue_checks_its_file_before_anything_else() {
-    let file = crate::scratch::folder().join(format!("rescue-{}.df.fs", std::process::id()));
+    let file = crate::room::folder().join(format!("rescue-{}.df.fs", std::process::id()));
     let path = file.to_str().expect("a path in UTF-8");
     let rescue = ["rescue", path, "--bus", "/dev/i2c-none", "--chip", "bq34z100-g1", "--yes"];
     // Data flash alone: its first command erases one page of the firmware.

@@ -9,7 +9,7 @@ use gaugefs_client::{Decision, Gauge, follow, within};
 use nix::errno::Errno;
 use nix::sys::signal::Signal;
 
-use crate::cli::{CHIP, Folder, Foreground, can_mount, gaugefs, read};
+use crate::room::{CHIP, Folder, Foreground, can_mount, gaugefs, read};
 use crate::terminate_voltage;
 
 const NAME: &str = "Cell Terminate Voltage";

@@ -13,11 +13,11 @@ use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim, SimBus};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::owner::{self, Handle, Request, Settings, Signal, Startup};
+use gaugefs::owner::{self, Handle, Settings, Signal, Startup, operations as op};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 
-use super::cli::{self, CHIP, Folder, can_mount, command, gaugefs, read, within};
+use super::room::{self, CHIP, Folder, can_mount, command, gaugefs, read, within};
 
 const LONG: Duration = Duration::from_secs(60);
 
@@ -378,7 +378,7 @@ struct Tree(PathBuf, #[expect(dead_code, reason = "it is unmounted when it is dr
 
 impl Tree {
     fn new(name: &str, entries: Vec<MountedGauge>, signal: Arc<Signal>) -> Self {
-        let folder = crate::scratch::folder_named(&format!("-{name}"));
+        let folder = crate::room::folder_named(&format!("-{name}"));
         let access = Access {
             uid: nix::unistd::geteuid().as_raw(),
             gid: nix::unistd::getegid().as_raw(),
@@ -519,7 +519,7 @@ fn a_gauge_that_comes_later_is_verified_first() {
         OpenOptions::new().write(true).open(path("gauge/control")).expect("it opens").write(b"FW_VERSION");
     assert_eq!(refused.map_err(errno), Err(Errno::ENODEV));
     assert!(fs::write(path("gauge/refresh"), "1").is_err());
-    handle.submit(Request::Look);
+    handle.ask(&op::LOOK, (), Box::new(drop));
     assert_eq!(cat("present"), "0\n");
     assert_eq!(written.load(Ordering::SeqCst), 0);
 
@@ -541,7 +541,7 @@ fn relative_paths_are_those_of_the_callers_folder() {
     let run = |arguments: &str| {
         let mut command = command(&arguments.split(' ').collect::<Vec<_>>());
         command.current_dir(&folder.0);
-        cli::run(command).done();
+        room::run(command).done();
     };
     let mount = format!(
         "mount --sim {CHIP} --sim-state state --key-file keys --trace trace --log log --state-dir journal m"

@@ -9,7 +9,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::{Value, json};
 
-use super::cli::command;
+use super::room::command;
 
 /// A system that is a folder.
 struct System(PathBuf);
@@ -17,7 +17,7 @@ struct System(PathBuf);
 impl System {
     /// A system without problems: a user in the group i2c, one bus, FUSE, nothing mounted.
     fn new() -> Self {
-        let system = Self(crate::scratch::folder_named(" with spaces"));
+        let system = Self(crate::room::folder_named(" with spaces"));
         system.write("proc/sys/kernel/osrelease", "6.1.0-25-amd64\n");
         system.write(
             "proc/self/status",
@@ -324,7 +324,7 @@ fn mounts_that_hang_or_are_dead_are_found() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no dead mount was checked");
         return;
     }
-    let place = crate::scratch::folder();
+    let place = crate::room::folder();
     let at = place.to_str().expect("a path in UTF-8");
     let doctor =
         || String::from_utf8(command(&["doctor"]).output().expect("gaugefs runs").stdout).expect("text");
@@ -337,7 +337,7 @@ fn mounts_that_hang_or_are_dead_are_found() {
     }
     let alive = doctor();
     let pid = Pid::from_raw(daemon.id() as i32);
-    crate::cli::stop(daemon.id(), at);
+    crate::room::stop(daemon.id(), at);
     let hung = doctor();
     kill(pid, Signal::SIGCONT).expect("it runs");
     daemon.kill().expect("it runs");

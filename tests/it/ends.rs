@@ -14,51 +14,20 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
-use nix::mount::{MntFlags, MsFlags, mount, umount2};
+use nix::mount::{MntFlags, umount2};
 use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::minor;
 use nix::unistd::{Pid, geteuid};
 
-use super::cli::{CHIP, command, gaugefs};
-use crate::scratch;
+use super::room::{CHIP, command, gaugefs};
+use crate::rig::Random;
+use crate::room;
+use crate::room::Connections;
 
 /// Limit for everything that must not hang. Long, because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How many daemons are ended at the same time.
 const ABREAST: u64 = 8;
-
-/// The kernel's list of FUSE connections, where each can be aborted.
-pub(crate) struct Connections(pub(crate) PathBuf);
-
-impl Connections {
-    /// Mounts it in a folder of its own, which needs root.
-    pub(crate) fn mount() -> nix::Result<Self> {
-        let folder = Self(scratch::folder());
-        let kind = Some("fusectl");
-        mount(kind, &folder.0, kind, MsFlags::empty(), None::<&str>)?;
-        Ok(folder)
-    }
-}
-
-impl Drop for Connections {
-    fn drop(&mut self) {
-        let _ = umount2(&self.0, MntFlags::MNT_DETACH);
-        let _ = fs::remove_dir(&self.0);
-    }
-}
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (mixed ^ (mixed >> 31)) % limit
-    }
-}
 
 /// A daemon with a simulated gauge whose flash is in a file.
 struct Daemon {
@@ -70,7 +39,7 @@ struct Daemon {
 
 impl Daemon {
     fn start(name: &str, connections: &Connections) -> Self {
-        let folder = scratch::folder_named(&format!("-{name}"));
+        let folder = room::folder_named(&format!("-{name}"));
         let mut mount = Self::mount(&folder);
         let process = mount.arg("--foreground").stderr(File::create(folder.join("log")).expect("a log"));
         let mut daemon =

@@ -4,11 +4,11 @@
 use gaugefs::error::Error;
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Parameter, Range};
-use ti_gauge::text;
+use ti_gauge::notation;
 use ti_gauge::value::{Type, Value};
 
 fn refused(parameter: &Parameter, text: &str) -> Option<Errno> {
-    text::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())
+    notation::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())
 }
 
 /// The texts that a parameter must accept, and those that must be refused with an errno.
@@ -83,9 +83,9 @@ fn hexadecimal(parameter: &Parameter, at: &str) {
         if max < 0 || text.len() > 90 {
             continue;
         }
-        let value = text::parse(parameter, text.as_bytes());
+        let value = notation::parse(parameter, text.as_bytes());
         assert_eq!(value, Ok(Value::Int(max)), "{at}: {text}");
-        let rendered = text::render(parameter.kind, &Value::Int(max));
-        assert_eq!(text::parse(parameter, rendered.as_bytes()), Ok(Value::Int(max)), "{at}: {rendered}");
+        let rendered = notation::render(parameter.kind, &Value::Int(max));
+        assert_eq!(notation::parse(parameter, rendered.as_bytes()), Ok(Value::Int(max)), "{at}: {rendered}");
     }
 }

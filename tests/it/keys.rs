@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
-use crate::cli::{Folder, Ran, can_mount, command, gaugefs, read, within};
+use crate::room::{Folder, Ran, can_mount, command, gaugefs, read, within};
 
 const CHIP: &str = "bq34z100-g1";
 const SEALS: [&str; 2] = ["8d3e b7c5", "6fa1 92d4"];

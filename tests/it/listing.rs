@@ -7,7 +7,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::cli::{CHIP, Folder, can_mount, command, gaugefs, within};
+use crate::room::{CHIP, Folder, can_mount, command, gaugefs, within};
 
 /// The lines of `gaugefs list --json` about what is in a folder: other tests have mounts as well.
 fn listed(folder: &Folder) -> Vec<Value> {
@@ -53,7 +53,7 @@ fn every_mounted_gauge_is_listed_even_beside_a_stopped_daemon() {
     );
 
     let pid = Pid::from_raw(daemon.id() as i32);
-    crate::cli::stop(daemon.id(), &other);
+    crate::room::stop(daemon.id(), &other);
     let start = Instant::now();
     let stopped = gaugefs(&["list"]);
     assert!(start.elapsed() < Duration::from_secs(60), "it hangs");

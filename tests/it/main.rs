@@ -6,6 +6,7 @@ mod cli;
 mod client;
 mod config;
 mod doctor;
+mod documents;
 mod ends;
 mod input;
 mod keys;
@@ -28,8 +29,8 @@ mod report;
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
 mod romimage;
+mod room;
 mod roundtrip;
-mod scratch;
 mod semantics;
 mod service;
 mod setting;

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::cli::{command, gaugefs};
+use super::room::{command, gaugefs};
 
 fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
@@ -46,7 +46,7 @@ struct Scratch(PathBuf);
 
 impl Scratch {
     fn new(name: &str, text: &str) -> Self {
-        let path = crate::scratch::folder().join(name);
+        let path = crate::room::folder().join(name);
         fs::write(&path, text).expect("a temporary file");
         Self(path)
     }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
-use super::cli::{CHIP, Folder, can_mount, command, gaugefs, run, same_as_golden, within};
+use super::room::{CHIP, Folder, can_mount, command, gaugefs, run, same_as_golden, within};
 
 /// The files of the folder: name and text.
 const FILES: &[(&str, &str)] = &[

@@ -6,7 +6,6 @@
 //! Without root there is one user only.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ffi::c_void;
 use std::fmt::Write as _;
 use std::fs;
 use std::os::fd::OwnedFd;
@@ -27,9 +26,9 @@ use ti_gauge::chip::{Chip, Effect, Kind, Range, kebab_case};
 use ti_gauge::dataflash::Limits;
 use ti_gauge::value::Type;
 
-use crate::cli::{Folder, can_mount};
-use crate::mount::SimKnobs;
-use crate::semantics::{TEXT, table};
+use crate::room::{Folder, can_mount};
+use crate::room::{SimKnobs, mapped};
+use crate::room::{TEXT, table};
 
 const CHIP: &str = "bq34z100-g1";
 /// Most files that are open at a time.
@@ -287,24 +286,6 @@ fn of_io(errno: rustix::io::Errno) -> Errno {
     Errno::from_raw(errno.raw_os_error())
 }
 
-/// The bytes of a file as a private mapping shows them; the kernel copies them, because touching a page that cannot be
-/// read would end the test with SIGBUS.
-pub(crate) fn mapped(fd: &OwnedFd, pipe: &(OwnedFd, OwnedFd)) -> rustix::io::Result<Vec<u8>> {
-    use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
-    const LENGTH: usize = 4096;
-    #[allow(unsafe_code, reason = "a mapping of its own, read by the kernel only and unmapped here")]
-    let copied = unsafe {
-        let at: *mut c_void = mmap(std::ptr::null_mut(), LENGTH, ProtFlags::READ, MapFlags::PRIVATE, fd, 0)?;
-        let copied = rustix::io::write(&pipe.1, std::slice::from_raw_parts(at.cast::<u8>(), LENGTH));
-        munmap(at, LENGTH)?;
-        copied?
-    };
-    let mut bytes = vec![0; copied];
-    let count = rustix::io::read(&pipe.0, &mut bytes[..])?;
-    bytes.truncate(count);
-    Ok(bytes)
-}
-
 impl Model {
     fn new(seed: u64) -> Option<Self> {
         if !can_mount() {
@@ -400,7 +381,7 @@ impl Model {
         );
         let answers =
             chip.subcommands.iter().filter(|one| matches!(one.effect, Effect::Answers | Effect::Safe));
-        let documented = table("## Errnos");
+        let documented = table(TEXT, "## Errnos");
         let documented = documented.iter().flat_map(|row| row[0].split(", "));
         let all: BTreeMap<String, Errno> =
             (1..200).map(Errno::from_raw).map(|errno| (format!("{errno:?}"), errno)).collect();

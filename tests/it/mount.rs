@@ -10,154 +10,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use gauge_bus::clock::RealClock;
 use gauge_bus::{Bus, BusError};
-use gauge_sim::{Options, Sim};
-use gaugefs::error::Result;
-use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
-use gaugefs::fuse::{self, Mounted};
-use gaugefs::owner::{self, Handle, Settings, Signal};
+use gauge_sim::Sim;
+use gaugefs::fuse::{self};
+use gaugefs::owner::Settings;
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
-use ti_gauge::dataflash::Change;
 use ti_gauge::image::Image;
 use ti_gauge::keys::Keys;
 
-/// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
-pub(crate) struct SimKnobs {
-    pub(crate) sim: Sim,
-    pub(crate) defect: Arc<AtomicBool>,
-}
-
-impl Knobs for SimKnobs {
-    fn list(&self) -> Vec<(&'static str, bool)> {
-        self.sim.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
-    }
-
-    fn get(&self, name: &str) -> Option<String> {
-        assert!(!self.defect.load(Ordering::SeqCst), "as the test wants it");
-        self.sim.get(name)
-    }
-
-    fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.sim.set(name, text).map_err(gaugefs::daemon::of_sim)
-    }
-}
-
-/// One simulated gauge, mounted.
-pub(crate) struct Mount {
-    folder: PathBuf,
-    sim: Sim,
-    handle: Handle,
-    defect: Arc<AtomicBool>,
-    _mounted: Mounted,
-}
-
-impl Drop for Mount {
-    fn drop(&mut self) {
-        // The test may have left files open, but the mount must be removed in any case.
-        let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
-        let _ = fs::remove_dir(&self.folder);
-    }
-}
-
-impl Mount {
-    /// `None` if this machine cannot mount FUSE.
-    fn new(chip: &str, interval: Duration, keys: Keys) -> Option<Self> {
-        Self::with(chip, interval, keys, |_| {}, Vec::new(), |sim| Box::new(sim.bus()))
-    }
-
-    /// A mount whose simulated gauge is prepared first, with a configuration to restore, behind a given bus.
-    pub(crate) fn with(
-        chip: &str,
-        interval: Duration,
-        keys: Keys,
-        prepare: impl FnOnce(&Sim),
-        restore: Vec<Change>,
-        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
-    ) -> Option<Self> {
-        Self::of(
-            chip,
-            Settings { keys, interval, restore, ..Settings::default() },
-            prepare,
-            bus,
-            fuse::Options::default(),
-        )
-    }
-
-    fn of(
-        chip: &str,
-        settings: Settings,
-        prepare: impl FnOnce(&Sim),
-        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
-        options: fuse::Options,
-    ) -> Option<Self> {
-        if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
-            eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
-            return None;
-        }
-        let folder = crate::scratch::folder();
-        let clock = Arc::new(RealClock::new());
-        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
-        prepare(&sim);
-        std::thread::sleep(Duration::from_millis(1300));
-        let (signal, defect) = (Arc::new(Signal::default()), Arc::new(AtomicBool::new(false)));
-        let table = Chip::by_name(chip).expect("a chip of the tables");
-        let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
-        let entry = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: defect.clone() })),
-        };
-        let access = Access {
-            uid: nix::unistd::geteuid().as_raw(),
-            gid: nix::unistd::getegid().as_raw(),
-            group: false,
-        };
-        let tree = Arc::new(Fs::new(vec![entry], access));
-        let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
-        // The second poll, half a second later, reads the registers that no attribute needs.
-        until("the second poll", || statistic(&handle, "polls") >= 2);
-        Some(Self { folder, sim, handle, defect, _mounted: mounted })
-    }
-
-    pub(crate) fn path(&self, name: &str) -> PathBuf {
-        self.folder.join("BAT0").join(name)
-    }
-
-    fn cat(&self, name: &str) -> String {
-        let text = fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
-        text.trim_end_matches('\n').to_string()
-    }
-
-    /// Whether a file is there and has this text. One whose value is not known just now is not there.
-    fn shows(&self, name: &str, text: &str) -> bool {
-        fs::read_to_string(self.path(name)).is_ok_and(|found| found.trim_end_matches('\n') == text)
-    }
-
-    /// Does what `echo text > name` does.
-    pub(crate) fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
-        let mut file = OpenOptions::new().write(true).truncate(true).open(self.path(name)).map_err(errno)?;
-        file.write_all(format!("{text}\n").as_bytes()).map_err(errno)
-    }
-
-    fn transfers(&self) -> u64 {
-        statistic(&self.handle, "transfers")
-    }
-}
-
-fn statistic(handle: &Handle, wanted: &str) -> u64 {
-    handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
-}
-
-pub(crate) fn errno(error: std::io::Error) -> Errno {
-    Errno::from_raw(error.raw_os_error().unwrap_or_default())
-}
-
-pub(crate) fn quiet(chip: &str) -> Option<Mount> {
-    Mount::new(chip, Duration::from_secs(3600), Keys::default())
-}
+use crate::room::{Mount, errno, quiet, statistic};
 
 /// Waits for the effect of a poll and a notification. The limit is long because the machine may be busy.
 fn until(what: &str, mut holds: impl FnMut() -> bool) {

@@ -7,7 +7,7 @@ use std::fs;
 use std::os::unix::fs::{PermissionsExt, chown};
 use std::process::Command;
 
-use super::cli::{Folder, can_mount, gaugefs};
+use super::room::{Folder, can_mount, gaugefs};
 
 /// What the scripts below begin with. `user` is in the groups 65534 and 1, `other` in 1 only.
 const BEFORE: &str = r#"

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::cli::{CHIP, Ran, command, gaugefs};
+use super::room::{CHIP, Ran, command, gaugefs};
 
 /// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 5 s, and
 /// the machine may be busy.
@@ -19,7 +19,7 @@ struct Folder(PathBuf);
 
 impl Folder {
     fn new() -> Self {
-        Self(crate::scratch::folder())
+        Self(crate::room::folder())
     }
 
     fn file(&self, name: &str) -> String {
@@ -29,7 +29,7 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        crate::scratch::remove(&self.0);
+        crate::room::remove(&self.0);
     }
 }
 
@@ -115,7 +115,7 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     let folder = Folder::new();
     let Some(mut stopped) = Daemon::start(folder.file("stopped")) else { return };
     let (at, other) = (stopped.at.clone(), folder.file("other"));
-    crate::cli::stop(stopped.child.id(), &stopped.at);
+    crate::room::stop(stopped.child.id(), &stopped.at);
     within(LIMIT, command(&["mount", "--sim", CHIP, &other])).done();
     within(LIMIT, command(&["umount", &other])).done();
     within(LIMIT, command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
@@ -151,7 +151,7 @@ fn detach_removes_dead_mounts_beside_a_stopped_one() {
         eprintln!("SKIPPED: without root nothing was detached");
         return;
     }
-    crate::cli::stop(stopped.child.id(), &stopped.at);
+    crate::room::stop(stopped.child.id(), &stopped.at);
     dead.child.kill().and_then(|()| dead.child.wait()).expect("it ends");
     // In a mount namespace of its own, because it removes the dead mounts of other tests too.
     let mut detach = Command::new("unshare");

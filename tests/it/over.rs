@@ -28,7 +28,7 @@ impl Drop for Tree {
 
 impl Tree {
     fn new() -> Self {
-        let tree = Self(crate::scratch::folder());
+        let tree = Self(crate::room::folder());
         fs::create_dir_all(tree.supplies()).expect("a temporary folder");
         tree
     }
@@ -122,6 +122,28 @@ fn the_kernels_supplies_stay_visible_and_unchanged() {
     assert_eq!(fs::read_to_string(link.join("capacity")).expect("a file"), "81\n");
     assert_eq!(fs::read_to_string(tree.supplies().join("BAT1/present")).expect("a file"), "1\n");
     assert_eq!(fs::remove_file(&link).expect_err("not from here").kind(), ErrorKind::PermissionDenied);
+}
+
+/// fusermount3 mounts a folder without a mode. The kernel then has none before its first GETATTR is answered, and drops an
+/// answer that a notification overtakes. Root may read a folder without a mode, so this is tried as somebody else.
+#[test]
+fn regression_the_first_look_of_an_ordinary_user_was_refused() {
+    use std::os::unix::process::CommandExt;
+    if !nix::unistd::geteuid().is_root() {
+        // Then the test below has looked as an ordinary user.
+        return;
+    }
+    let tree = Tree::new();
+    let program = tree.0.join("tests");
+    let own = std::env::current_exe().expect("the test's own program");
+    fs::copy(own, &program).expect("a copy that any user may run");
+    let mut command = Command::new(program);
+    command.args(["--exact", "--nocapture", "over::the_kernels_supplies_stay_visible_and_unchanged"]);
+    let output = command.uid(65534).gid(65534).current_dir("/").output().expect("it runs");
+    let text =
+        [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
+    eprint!("{text}");
+    assert!(output.status.success() && text.contains("1 passed"));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::cli::{CHIP, Folder, can_mount, within};
+use crate::room::{CHIP, Folder, can_mount, within};
 
 const TEXT: &str = include_str!("../../docs/PRODUCTION.md");
 

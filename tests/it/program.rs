@@ -10,7 +10,7 @@ use std::time::Duration;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Image;
 
-use crate::cli::{CHIP, Folder, command, gaugefs, within};
+use crate::room::{CHIP, Folder, command, gaugefs, within};
 
 /// An image of two values, and a station of two benches.
 fn station(folder: &Folder, lines: &str) -> [String; 2] {

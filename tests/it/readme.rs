@@ -7,37 +7,20 @@
 //! | commands | `every_command_is_in_the_default_build` |
 //! | exit codes | `exit_codes_are_those_of_the_commands` |
 //! | the table "How good is it", and the transfers of "Compared with others" | `benches/run`, which fails if a promise is broken; `each_figure_has_a_measurement` |
-//! | `--cells 7 --divider 33000 --voltage-now 26985` | `cli::calibrating` |
-//! | `--actual -2000` | `cli::calibrating` |
+//! | `--cells 7 --divider 33000 --voltage-now 26985` | `room::calibrating` |
+//! | `--actual -2000` | `room::calibrating` |
 //! | what `--check` prints of the example | `config::the_example_mounts_as_it_is_shipped` |
-//! | 3000 -> 3100 mV of diff and import | `cli::diff_shows_what_a_gauge_has_changed` |
+//! | 3000 -> 3100 mV of diff and import | `room::diff_shows_what_a_gauge_has_changed` |
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-use super::cli::{Folder, can_mount, gaugefs};
-
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
-
-fn readme() -> String {
-    fs::read_to_string(root().join("README.md")).expect("the README")
-}
-
-/// The cells of the rows of a section's tables.
-fn rows(section: &str) -> Vec<Vec<String>> {
-    let text = readme();
-    let after = text.split_once(&format!("\n## {section}\n")).expect("the section").1;
-    let section = after.split("\n## ").next().expect("its text");
-    let rows = section.lines().filter_map(|line| line.strip_prefix("| ")?.strip_suffix('|'));
-    rows.map(|row| row.split('|').map(|cell| cell.trim().to_string()).collect()).collect()
-}
+use super::room::{Folder, can_mount, gaugefs, readme, root, rows};
 
 fn first_number(text: &str) -> Option<usize> {
     let digits = text.trim_start_matches(|letter: char| !letter.is_ascii_digit());
@@ -178,8 +161,9 @@ fn each_figure_has_a_measurement() {
 fn examples_for_root_say_sudo() {
     let help = fs::read_to_string(root().join("tests/it/golden/help")).expect("the help texts");
     let page = gaugefs(&["man"]).done().replace("\\-", "-");
-    let docs = ["README.md", "docs/MONITORS.md", "docs/SEMANTICS.md", "docs/PACKAGING.md"]
-        .map(|path| fs::read_to_string(root().join(path)).expect(path));
+    let docs =
+        ["README.md", "docs/MONITORS.md", "docs/MOUNTING.md", "docs/SEMANTICS.md", "docs/PACKAGING.md"]
+            .map(|path| fs::read_to_string(root().join(path)).expect(path));
     let mut seen = 0;
     for line in docs.iter().chain([&help, &page]).flat_map(|text| text.lines()).map(str::trim) {
         let command = line.trim_start_matches("$ ");

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 
-use crate::model::mapped;
-use crate::mount::{Mount, errno, quiet};
+use crate::room::mapped;
+use crate::room::{Mount, errno, quiet};
 
 /// For this long each file is written and read.
 const TIME: Duration = Duration::from_millis(200);

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use crate::cli::{CHIP, Folder, as_nobody, can_mount, command, gaugefs, read, run, shown, within};
+use crate::room::{CHIP, Folder, as_nobody, can_mount, command, gaugefs, read, run, shown, within};
 
 /// Words of keys and serial numbers, as a person writes them and as they are on the bus.
 fn lacks(text: &str, words: &[&str]) {

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use crate::cli::{Folder, can_mount, gaugefs, read};
+use crate::room::{Folder, can_mount, gaugefs, read};
 
 /// A part, its firmware, and where its image has the subclasses, by id. Not taken from the tables.
 type Part = (&'static str, u16, &'static [(u8, usize, usize)], usize);

@@ -7,7 +7,7 @@ use ti_gauge::chip::{CHIPS, Chip, Range, Signature};
 use ti_gauge::image::{Entry, Format, Image};
 use ti_gauge::value::Value;
 
-use crate::cli::{Folder, Ran, can_mount, gaugefs};
+use crate::room::{Folder, Ran, can_mount, gaugefs};
 
 /// The format, and which end of its range every value has that may have it.
 const TURNS: [(&str, End); 3] = [("flashstream", End::Most), ("gg.csv", End::Least), ("toml", End::Most)];

@@ -1,5 +1,5 @@
-//! Holds docs/SEMANTICS.md to what a mount does: every file of the tree has a row there and every row a file,
-//! attributes have the value that their row describes, and each errno of the table occurs when the table says.
+//! Holds docs/SEMANTICS.md and docs/ATTRIBUTES.md to what a mount does: every file of the tree has a row there and every
+//! row a file, attributes have the value that their row describes, and each errno of the table occurs when the table says.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,18 +11,10 @@ use std::time::{Duration, Instant};
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, snake_case};
 
-use crate::cli::{Folder, can_mount, gaugefs, within};
 use crate::rig::Rig;
+use crate::room::{Folder, TEXT, can_mount, gaugefs, table, within};
 
-pub(crate) const TEXT: &str = include_str!("../../docs/SEMANTICS.md");
-
-/// The cells of each row of the table below a heading.
-pub(crate) fn table(heading: &str) -> Vec<Vec<&'static str>> {
-    let section = TEXT.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
-    let rows =
-        section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
-    rows.skip(2).map(|row| row.trim_matches('|').split('|').map(str::trim).collect()).collect()
-}
+const ATTRIBUTES: &str = include_str!("../../docs/ATTRIBUTES.md");
 
 /// The parts of a cell that are in backticks.
 fn quoted(cell: &str) -> impl Iterator<Item = &str> {
@@ -68,11 +60,12 @@ impl Mount {
         within(Duration::from_secs(60), what, || holds(self));
     }
 
-    /// Names and modes of the files in a folder of the gauge.
+    /// Names and modes of the files in a folder of the gauge. A poll may have removed some since they were listed.
     fn list(&self, name: &str) -> BTreeMap<String, u32> {
         let entries = fs::read_dir(self.path(name)).expect("a folder").map(|entry| entry.expect("an entry"));
-        let mode = |path: PathBuf| fs::symlink_metadata(path).expect("there").permissions().mode() & 0o777;
-        entries.map(|entry| (entry.file_name().to_string_lossy().into_owned(), mode(entry.path()))).collect()
+        let mode = |path: PathBuf| Some(fs::symlink_metadata(path).ok()?.permissions().mode() & 0o777);
+        let named = |entry: &fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        entries.filter_map(|entry| Some((named(&entry), mode(entry.path())?))).collect()
     }
 }
 
@@ -108,8 +101,9 @@ fn describe_pack(mount: &Mount, chip: &Chip) {
 
 #[test]
 fn semantics_of_the_tree() {
-    let attributes: BTreeSet<_> = table("## Attributes").iter().flat_map(|row| quoted(row[0])).collect();
-    let rows = table("## gauge/");
+    let attributes: BTreeSet<_> =
+        table(ATTRIBUTES, "## The files").iter().flat_map(|row| quoted(row[0])).collect();
+    let rows = table(TEXT, "## gauge/");
     let gauge: BTreeMap<_, _> = rows
         .iter()
         .flat_map(|row| quoted(row[0]).map(|name| (name, (!row[1].is_empty(), !row[2].is_empty()))))
@@ -167,7 +161,7 @@ fn semantics_of_the_attributes() {
     for chip in CHIPS {
         let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "3600"]) else { return };
         let mut compared = 0;
-        for row in table("## Attributes") {
+        for row in table(ATTRIBUTES, "## The files") {
             let registers: Vec<_> =
                 row[1].split([' ', ',']).filter_map(|word| word.strip_suffix("()").map(snake_case)).collect();
             for (file, register) in quoted(row[0]).zip(&registers) {
@@ -221,7 +215,7 @@ fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
 
 #[test]
 fn semantics_of_the_errnos() {
-    let rows = table("## Errnos");
+    let rows = table(TEXT, "## Errnos");
     let documented: BTreeSet<_> = rows.iter().flat_map(|row| row[0].split(", ")).collect();
     let mut occurred = BTreeMap::new();
     let mut occurs = |what: &'static str, outcome: Result<(), Errno>| {

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::cli::{CHIP, command, gaugefs};
-use crate::scratch;
+use super::room::{CHIP, command, gaugefs};
+use crate::room;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -30,7 +30,7 @@ impl Service {
             eprintln!("SKIPPED: without root and /dev/fuse nothing was attached to a service");
             return None;
         }
-        let folder = scratch::folder_named(&format!("-{name}"));
+        let folder = room::folder_named(&format!("-{name}"));
         let systemd = UnixDatagram::bind(folder.join("notify")).expect("a socket");
         systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
         let place = folder.join("tree");
@@ -73,7 +73,7 @@ impl Drop for Service {
         let _ = self.daemon.kill();
         let _ = self.daemon.wait();
         gaugefs(&["umount", path(&self.place())]);
-        scratch::remove(&self.folder);
+        room::remove(&self.folder);
     }
 }
 
@@ -152,7 +152,7 @@ fn only_a_service_can_be_attached_to() {
 /// What a unit runs before its daemon: systemd's copy of a key file does not show who may read the original.
 #[test]
 fn the_key_file_of_a_service_is_refused_if_others_may_read_it() {
-    let folder = scratch::folder();
+    let folder = room::folder();
     let keys = folder.join("i2c-1.keys");
     let check = || gaugefs(&["check-keys", path(&keys)]);
     assert_eq!(check().done(), "", "a service needs no keys");
@@ -182,7 +182,7 @@ fn messages_about_keys_name_the_file_of_the_service() {
         eprintln!("SKIPPED: /dev/fuse cannot be opened; no service had keys");
         return;
     }
-    let folder = scratch::folder();
+    let folder = room::folder();
     let at = folder.join("m");
     let mount = |keys: &str| {
         fs::write(folder.join("gaugefs-keys"), keys).expect("a credential");

@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use serde_json::Value;
 
-use crate::cli::{CHIP, Folder, Ran, can_mount, command, gaugefs, read, run, within};
+use crate::room::{CHIP, Folder, Ran, can_mount, command, gaugefs, read, run, within};
 
 const NAME: &str = "it-cfg/cell-terminate-voltage";
 
@@ -235,6 +235,14 @@ fn several_gauges_are_each_done_for_themselves() {
     assert_eq!((&change["old"], &change["new"]), (&"3100".into(), &"3200".into()));
     assert_eq!((&second["outcome"], &second["exit_code"]), (&"failed".into(), &1.into()));
     assert!(second["error"].as_str().expect("a text").contains("no such parameter"));
+    assert_eq!(second["error_details"]["errno"], "ENOENT");
+    assert_eq!(first["error_details"], Value::Null);
+
+    let ran = gaugefs(&["set", "--json", &one, &format!("{NAME}=9V")]);
+    let details = &json(&ran.out)[0]["error_details"];
+    let fact = |name: &str| details[name].as_str().unwrap_or_default();
+    assert_eq!((fact("errno"), fact("cause"), fact("place")), ("ERANGE", "out-of-range", "80/53"));
+    assert_eq!((fact("least"), fact("greatest")), ("1000", "3700"));
     let ran = gaugefs(&["get", "--json", &one, NAME]).done();
     let value = &json(&ran)[0]["values"][0];
     assert_eq!(

@@ -10,7 +10,7 @@ use gauge_sim::{FAULTS, Knob, Options, Sim};
 use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Scheme};
 
-use crate::cli::{CHIP, Folder, can_mount, gaugefs, read};
+use crate::room::{CHIP, Folder, can_mount, gaugefs, read};
 
 const TEXT: &str = include_str!("../../docs/SIMULATOR.md");
 

@@ -1,22 +1,22 @@
 //! A pack that is exchanged for another while it is mounted.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
-use gaugefs::owner::{self, Request, Settings};
+use gaugefs::owner::{self, Settings, operations as op};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::keys::Keys;
 use ti_gauge::value::Value;
 
-use crate::cli::{Folder, gaugefs};
-use crate::mount::Mount;
 use crate::rig::Rig;
+use crate::room::Mount;
+use crate::room::{Folder, gaugefs};
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
 
@@ -48,21 +48,12 @@ fn a_swapped_pack_is_detected() {
     let subclass = &chip.subclasses[index(80)];
     let parameter = subclass.parameter(53).expect("a row");
     let serial = || {
-        let (done, is_done) = mpsc::channel();
-        let done = Box::new(move |read| done.send(read).expect("somebody waits"));
-        handle.submit(Request::Read(vec![index(48)], done));
-        let read: Vec<Arc<[u8]>> = is_done.recv().expect("an answer").expect("it is read");
+        let read = handle.wait_for(&op::READ, vec![index(48)]).expect("it is read");
         u16::from_be_bytes([read[0][4], read[0][5]])
     };
-    let run =
-        |request: &dyn Fn(owner::Done<()>) -> Request| -> std::result::Result<(), gaugefs::error::Error> {
-            let (done, is_done) = mpsc::channel();
-            handle.submit(request(Box::new(move |outcome| done.send(outcome).expect("somebody waits"))));
-            is_done.recv().expect("an answer")
-        };
     let write = |value: i64| {
         let change = Change::of_value((subclass, parameter), &Value::Int(value), false).expect("it fits");
-        run(&move |done| Request::WriteAll(vec![change.clone()], done))
+        handle.wait_for(&op::WRITE, vec![change])
     };
     assert_eq!(serial(), 1);
     let before = (first.flash(), other.sim.flash());
@@ -73,7 +64,7 @@ fn a_swapped_pack_is_detected() {
     assert!((first.flash(), other.sim.flash()) == before);
     assert!(handle.published().last_error.contains("another pack"), "{}", handle.published().last_error);
     assert_eq!(serial(), 7, "what was kept is dropped");
-    run(&Request::Refresh).expect("it answers");
+    handle.wait_for(&op::REFRESH, ()).expect("it answers");
     write(3100).expect("it is known now");
     assert!(first.flash() == before.0);
     assert!(other.sim.flash() != before.1);
@@ -82,7 +73,7 @@ fn a_swapped_pack_is_detected() {
     at.store(0, Ordering::SeqCst);
     clock.sleep(interval);
     // Any request makes the owner thread poll now.
-    run(&|done| Request::Interval(interval, done)).expect("it is set");
+    handle.wait_for(&op::POLL_INTERVAL, interval).expect("it is set");
     let tries = (0..1000).find(|_| {
         std::thread::sleep(Duration::from_millis(10));
         serial() == 1

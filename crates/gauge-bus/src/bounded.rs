@@ -1,4 +1,4 @@
-//! A [`Bus`] that is waited for a limited time only.
+//! A [`Bus`] that gives up waiting for a transfer after a limited time.
 //!
 //! A transfer is a system call, and the driver of an adapter may hang in it for good; no signal ends such a call. So
 //! each bus has a thread of its own for its transfers, and whoever has asked for one can give up waiting. Until the
@@ -14,7 +14,7 @@ use std::time::Duration;
 use crate::clock::Clock;
 use crate::{Bus, BusError};
 
-/// How long a transfer is waited for. The kernel's adapters give up after at most 5 s, most of them after 1 s.
+/// Longest wait for a transfer. The kernel's adapters give up after at most 5 s, most of them after 1 s.
 pub const PATIENCE: Duration = Duration::from_secs(8);
 /// Longest wait beyond the time at which the caller starts no further transfers.
 const GRACE: Duration = Duration::from_millis(1500);
@@ -26,14 +26,14 @@ fn hung() -> MutexGuard<'static, BTreeSet<u64>> {
     HUNG.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What the thread is asked to do.
+/// A task for the thread.
 enum Job {
     Transfer { write: Vec<u8>, read: usize },
     Claim,
     Release,
 }
 
-/// The outcome of a job, and the bytes that were read; or what the job has panicked with.
+/// The outcome of a job, and the bytes that were read; or the panic of the job.
 type Outcome = thread::Result<(Result<(), BusError>, Vec<u8>)>;
 
 /// A bus, the thread that transfers on it, and the time that it may take.

@@ -1,4 +1,4 @@
-//! Why a bus could not be opened, or a recording could not be read.
+//! The error of opening a bus or reading a recording.
 
 use std::{fmt, io};
 
@@ -31,7 +31,7 @@ pub struct Error {
     pub subject: String,
     /// Its kind.
     pub kind: ErrorKind,
-    /// What happened and what to do.
+    /// The failure and its remedy, for the user.
     pub text: String,
 }
 

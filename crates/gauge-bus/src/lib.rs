@@ -2,10 +2,10 @@
 //!
 //! A [`Bus`] addresses one target with a 7-bit address. It is implemented by a real adapter ([`linux`]), a
 //! recorded gauge ([`replay`]), any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), and
-//! a recorder around another bus ([`trace`]) or one that gives up on a driver that hangs ([`bounded`]). The layers above measure time and wait with [`clock`], so that
-//! tests need not wait.
+//! a recorder around another bus ([`trace`]), or a bus that gives up on a driver that hangs ([`bounded`]). The layers
+//! above measure time and wait with [`clock`], so that tests need not wait.
 //!
-//! All that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. The
+//! The only thing that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. The
 //! exception is [`replay`], which has to know which writes select the answer to a read.
 //!
 //! ```
@@ -50,7 +50,7 @@ pub use error::{Error, ErrorKind};
 /// The address of all supported gauges; it cannot be changed.
 pub const GAUGE_ADDRESS: u8 = 0x55;
 
-/// Why a transfer failed, in the words of the kernel's I2C fault codes.
+/// The cause of a failed transfer, in the terms of the kernel's I2C fault codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusError {
     /// The address or a byte after it was not acknowledged.
@@ -75,7 +75,7 @@ pub enum BusError {
     Other(i32),
 }
 
-/// What an adapter answers after a disturbed transfer, besides the errors with a name of their own. The kernel's
+/// The errnos of a disturbed transfer, other than those that have a variant of `BusError`. The kernel's
 /// `Documentation/i2c/fault-codes.rst` leaves adapters much choice.
 const DISTURBED: [Errno; 7] = [
     // i2c-gpio: a byte after the address was not acknowledged. Adapters behind USB: any failure.

@@ -6,7 +6,7 @@
 //! until its last user has closed it. When the adapter is back, the next transfer opens it again. A driver that
 //! hangs is given up after a while ([`bounded`](crate::bounded)).
 //!
-//! All `unsafe` code of this crate is here; it calls what the crate `i2cdev` has no function for.
+//! All `unsafe` code of this crate is here; it makes calls for which the crate `i2cdev` has no function.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -139,7 +139,7 @@ pub struct LinuxBus {
     name: String,
 }
 
-/// What the thread that waits for the kernel needs to know of a device.
+/// A device, as the thread that waits for the kernel needs it.
 struct Target {
     adapter: Adapter,
     address: u8,
@@ -333,7 +333,7 @@ fn errno(error: &LinuxI2CError) -> Errno {
     }
 }
 
-/// What the kernel answers to a transfer (`Documentation/i2c/fault-codes.rst`).
+/// Converts the errno of a transfer (`Documentation/i2c/fault-codes.rst`).
 fn transfer_error(errno: Errno) -> BusError {
     match errno {
         Errno::ENXIO | Errno::EREMOTEIO => BusError::NoAck,
@@ -345,7 +345,7 @@ fn transfer_error(errno: Errno) -> BusError {
     }
 }
 
-/// What the kernel answers to the claim of an address.
+/// Converts the errno of claiming an address.
 fn claim_error(errno: Errno) -> BusError {
     match errno {
         Errno::EBUSY => BusError::Busy,
@@ -353,7 +353,7 @@ fn claim_error(errno: Errno) -> BusError {
     }
 }
 
-/// Why an adapter could not be opened or its address could not be claimed, with the remedy.
+/// The error, with the remedy, if an adapter cannot be opened or its address cannot be claimed.
 fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
     match errno {
         Errno::EBUSY => busy(adapter, address, adapter.driver(address).as_ref()),
@@ -426,7 +426,7 @@ fn missing(path: &Path, adapters: &[(u64, String)]) -> String {
     }
 }
 
-/// The node that somebody means who gives `1` or `i2c-1`, below whatever folder.
+/// The node that was probably meant by `1` or `i2c-1`, in whatever folder but `/dev`.
 fn meant(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     let number: u64 = name.strip_prefix("i2c-").unwrap_or(name).parse().ok()?;

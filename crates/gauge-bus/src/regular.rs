@@ -2,9 +2,9 @@
 //! write, and those that it is told to read.
 //!
 //! Where another user can create files in the same folder, such as `/tmp`, the name may already be a symbolic
-//! link to some other file, or a FIFO, whose open waits for the other end. What gaugefs keeps or writes is neither. What
-//! it reads is a regular file of a length that makes sense, also inside a mount: whoever has mounted it may have made
-//! its files as they like. `clippy.toml` allows no other way to read a whole file.
+//! link to some other file, or a FIFO, whose open waits for the other end. gaugefs keeps and writes no such
+//! files. It reads only regular files of a sensible length, also inside a mount, whose files may be whatever its owner
+//! likes. `clippy.toml` allows no other way to read a whole file.
 
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io::{self, BufRead, ErrorKind, Read, Write};
@@ -16,7 +16,7 @@ use rustix::fs::{CWD, OFlags, RenameFlags, fcntl_setfl, major, minor, renameat_w
 use rustix::io::Errno;
 use rustix::process::geteuid;
 
-/// What the system itself keeps, in `/proc`, `/sys` and the tables of `/etc`, is at most so long.
+/// Largest size of a file that the system keeps: in `/proc`, `/sys`, and the tables of `/etc`.
 pub const SYSTEM: u64 = 16 << 20;
 
 /// Opens a regular file. The last component of the path is not followed if it is a symbolic link, and the call
@@ -34,14 +34,14 @@ pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
     if file.metadata()?.is_file() { Ok(file) } else { Err(irregular()) }
 }
 
-/// Reads a regular file of at most `limit` bytes. Symbolic links are followed. What is not a regular file is not even
-/// opened, except for a pipe that this process has inherited, such as a shell's `<(command)`.
+/// Reads a regular file of at most `limit` bytes. Symbolic links are followed. Anything else is not even
+/// opened, except a pipe that this process has inherited, such as a shell's `<(command)`.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let inherited = ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|place| path.starts_with(place));
     read_file(follow(File::options().read(true), path, inherited)?, limit)
 }
 
-/// Opens a regular file to read or to write what is there, as [`read`] does: symbolic links are followed.
+/// Opens an existing regular file to read or write, as [`read`] does: symbolic links are followed.
 pub fn open_linked(options: &OpenOptions, path: &Path) -> io::Result<File> {
     follow(options, path, false)
 }
@@ -72,7 +72,7 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     text(read(path, limit)?)
 }
 
-/// Reads to the end of what has at most `limit` bytes.
+/// Reads a source to its end, which must come within `limit` bytes.
 #[expect(clippy::disallowed_methods, reason = "here is the limit")]
 pub fn read_from(from: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
@@ -80,7 +80,8 @@ pub fn read_from(from: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
 }
 
-/// The lines of what may have no end, each of at most `limit` bytes. A longer one is an error, and so is what is no text.
+/// The lines of a source that may have no end, each of at most `limit` bytes. A longer line is an error, and so is one
+/// that is not text.
 pub fn lines(mut from: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
     std::iter::from_fn(move || {
         let mut line = Vec::new();
@@ -105,19 +106,19 @@ fn too_long(limit: u64) -> io::Error {
     io::Error::new(ErrorKind::FileTooLarge, format!("it is longer than {most}; is it the right one?"))
 }
 
-/// Bytes that have to be a text.
+/// Converts bytes to text. Other bytes are an error.
 pub fn text(bytes: Vec<u8>) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|_| io::Error::new(ErrorKind::InvalidData, "it is not a text in UTF-8"))
 }
 
-/// What becomes of a file that is there, and who may read the new one.
+/// How to treat an existing file, and who may read the new one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Replace {
     /// It is replaced. The new one has its mode and, as far as this process may give that, its owner and group.
     Kept,
     /// It is replaced. Only its owner may read the new one.
     Private,
-    /// It remains, and that is an error.
+    /// It remains, and the call fails.
     Never,
 }
 
@@ -125,7 +126,7 @@ pub enum Replace {
 /// ends, and the new one is on disk when the call returns. It is written under a temporary name in the same folder, so
 /// that folder must be writable.
 ///
-/// A symbolic link is refused. What takes text and keeps none, such as `/dev/null`, a terminal, or a pipe with a reader,
+/// A symbolic link is refused. A target that takes text and keeps none (`/dev/null`, a terminal, a pipe with a reader)
 /// is written to. Every other device is refused: it may be a disk or a bus.
 pub fn replace(path: &Path, bytes: &[u8], how: Replace) -> io::Result<()> {
     let old = match target(path)? {
@@ -154,7 +155,8 @@ pub fn replace(path: &Path, bytes: &[u8], how: Replace) -> io::Result<()> {
     }
 }
 
-/// Opens a file to add to it, which is created if it is missing. What [`replace`] would write to is opened, too.
+/// Opens a file to add to it, which is created if it is missing. Targets that keep no text are opened as for
+/// [`replace`].
 pub fn append(path: &Path) -> io::Result<File> {
     match target(path)? {
         Target::Stream(stream) => Ok(stream),
@@ -198,11 +200,11 @@ fn may_create(path: &Path) -> io::Result<()> {
     Ok(accessat(CWD, folder, Access::WRITE_OK | Access::EXEC_OK, AtFlags::EACCESS)?)
 }
 
-/// What is at the path of a file to write.
+/// The object at the path of a file to write.
 enum Target {
     New,
     File(Metadata),
-    /// It takes text and keeps none.
+    /// A target that takes text and keeps none.
     Stream(File),
 }
 

@@ -183,7 +183,8 @@ impl Written {
         }
     }
 
-    /// What was selected, which a gauge shows where it was written.
+    /// The value last written to a register that selects a block, which a gauge shows there; `None` for other
+    /// registers.
     fn selected(&self, register: u8) -> Option<u8> {
         self.selection.get(usize::from(register.checked_sub(SELECTION)?)).copied()
     }

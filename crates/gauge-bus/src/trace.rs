@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::regular::{self, Replace};
 use crate::{Bus, BusError};
 
-/// What a recording keeps of one transfer.
+/// The record of one transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A transfer.
@@ -49,7 +49,7 @@ impl Event {
 const FORM: &str = "; Below each transfer: seconds since the start, and the result.\n";
 
 /// The text of a trace: which gauge it is of, as for [`Trace::new`], then lines about it, which [`replay`] skips, and
-/// what was recorded of the gauge at that address.
+/// the recorded transfers of the gauge at that address.
 ///
 /// [`replay`]: crate::replay
 pub fn text(head: &str, about: &[String], address: u8, events: &[Event]) -> String {

@@ -1,5 +1,5 @@
-//! What the board and the specimen do to what a gauge measures: errors that a calibration finds, and noise that it does
-//! not. Without a knob that says otherwise there are none: the calibration in flash fits the board.
+//! The errors of the board and the specimen: offsets and gains, which a calibration finds, and noise, which it does
+//! not. Unless a knob sets one, there are no errors: the calibration in flash fits the board.
 
 use super::random::Random;
 

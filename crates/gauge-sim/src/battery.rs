@@ -1,5 +1,5 @@
-//! The pack itself: charge, open-circuit voltage, resistance and temperature. What a gauge makes of it is a
-//! [`Model`](super::model::Model).
+//! The pack itself: charge, open-circuit voltage, resistance and temperature. A [`Model`](super::model::Model) is the
+//! gauge's view of it.
 
 /// Open-circuit voltage of a lithium-ion cell in mV, by state of charge in percent.
 const CURVE: &[(f64, f64)] = &[
@@ -56,11 +56,11 @@ pub(super) struct Battery {
     pub(super) load_ma: f64,
     /// Ambient temperature in degrees.
     pub(super) ambient: f64,
-    /// How much warmer the pack is, in kelvins.
+    /// Temperature of the pack above ambient, in kelvins.
     rise: f64,
     /// How far the voltage of a cell is still above its open-circuit voltage without a current, in mV.
     offset_mv: f64,
-    /// What a gauge is made to measure instead of the pack's voltage.
+    /// A voltage that the gauge measures instead of the pack's.
     pub(super) forced_mv: Option<u16>,
     curve: &'static [(f64, f64)],
     ohms: f64,
@@ -108,12 +108,12 @@ impl Battery {
         self.charge_mah = self.capacity_mah * percent / 100.0;
     }
 
-    /// Of the cells, in degrees.
+    /// Temperature of the cells, in degrees Celsius.
     pub(super) fn temperature(&self) -> f64 {
         self.ambient + self.rise
     }
 
-    /// Of one cell, in ohms.
+    /// Resistance of one cell, in ohms.
     pub(super) fn resistance(&self) -> f64 {
         let cold = ((25.0 - self.temperature()) * 0.02).clamp(-0.5, 1.5);
         let empty = (10.0 - self.percent()).max(0.0) * 0.1;
@@ -121,7 +121,7 @@ impl Battery {
     }
 
     /// Current into the pack, in mA. A load draws its current while there is charge. A charger delivers its
-    /// current until the cells have its voltage, and then what that voltage still drives.
+    /// current until the cells have its voltage, and then the current that this voltage still drives.
     pub(super) fn current_ma(&self) -> f64 {
         if self.load_ma > 0.0 {
             return if self.charge_mah > SHUT { -self.load_ma } else { 0.0 };
@@ -178,7 +178,7 @@ impl Battery {
         area / 100.0 * self.capacity_mah / 1000.0 * self.cells
     }
 
-    /// Of one cell, in mV, at a state of charge.
+    /// Open-circuit voltage of one cell at a state of charge, in mV.
     pub(super) fn open_circuit(&self, percent: f64) -> f64 {
         for pair in self.curve.windows(2) {
             let ((from, low), (to, high)) = (pair[0], pair[1]);

@@ -4,7 +4,7 @@
 //! their descriptions, [`BlockPart`].
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
-//! after every reset, and it ignores silently what it refuses.
+//! after every reset, and it ignores refused commands silently.
 
 use std::mem;
 use std::time::Duration;
@@ -12,19 +12,21 @@ use std::time::Duration;
 use sha1::{Digest, Sha1};
 
 use super::analog::{BOARD_COUNTS, CC_COUNTS};
-use super::device::{Device, Gauge};
+use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::error::{Error, Kind, Result};
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
 use super::knob;
+use super::model::{Host, Place};
 use super::model::{Kept, Model, Registers, bits};
-use super::part::{Action, BlockPart, Flag, Host, Part, Place, Scale, Status};
+use super::options::Options;
+use super::part::{Action, BlockPart, Flag, Part, Scale, Status};
+use super::rom::ROM_ADDRESS;
 use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
-use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
 
 /// The class of the keys.
@@ -65,7 +67,7 @@ struct Ram {
     window: Window,
     /// The low byte of a word, until the high byte is written.
     low: u8,
-    /// What Control() reads.
+    /// The value that Control() reads.
     answer: u16,
     previous: u16,
     /// Bits of CONTROL_STATUS that subcommands have set.
@@ -510,7 +512,7 @@ impl Block {
         }
     }
 
-    /// What the boot loader does to the rest of the gauge.
+    /// Applies an effect of the boot loader to the rest of the gauge.
     fn affect(&mut self, device: &mut Device, effect: Option<Effect>) {
         match effect {
             Some(Effect::Data(parts)) => {

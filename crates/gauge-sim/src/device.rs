@@ -2,23 +2,24 @@
 //! timing, the battery's clock, and the knobs that all gauges have. Everything else is the part's scheme.
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: it does not answer while
-//! it starts, and what it does not store it acknowledges all the same.
+//! it starts, and it acknowledges also what it does not store.
 
 use std::borrow::Cow;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use super::envelope::{Busy, DRAWN, Envelope, Lost, NackAs};
+use super::envelope::{DRAWN, Envelope, Lost, NackAs};
 use super::error::Result;
 use super::fault::{Commit, Plan};
 use super::flash::{BLOCK, Flash, Store};
 use super::knob::{self, Dial, Knob, Of};
 use super::model::Kept;
+use super::model::Model;
+use super::options::Options;
 use super::part::{Part, Scheme};
-use super::register;
 use super::seal::{Level, Seal};
+use super::timing::Busy;
 use super::timing::Timing;
 use super::watchdog::Watchdog;
-use super::wire::{Options, Wire};
 
 enum Power {
     On,
@@ -26,7 +27,7 @@ enum Power {
     Off(Option<Duration>),
 }
 
-/// What is being programmed.
+/// A commit that is being programmed.
 struct Pending {
     old: Kept,
     started: Duration,
@@ -65,7 +66,7 @@ pub(super) struct Device {
     watchdog: Watchdog,
     /// Flash is programmed until then.
     busy_until: Duration,
-    /// What is being programmed, the latest last.
+    /// Commits that are being programmed, the latest last.
     pending: Vec<Pending>,
     /// Commits that were acknowledged and not stored.
     dropped: u64,
@@ -137,7 +138,7 @@ impl Device {
         self.quiet >= timing.key_quiet.max(full_access).max(refused)
     }
 
-    /// Whether the gauge does not get, or does not take, a command.
+    /// Whether the gauge loses or ignores a command.
     pub(super) fn loses(&mut self, lost: Lost) -> bool {
         self.plan.loses(lost) || self.envelope.loses(lost)
     }
@@ -313,7 +314,7 @@ impl Device {
         Kept { area: kept.area, offset: block * BLOCK, bytes }
     }
 
-    /// Leaves of a commit what a loss of power leaves of it. This is decided nowhere else.
+    /// Applies a loss of power to a commit. Nothing else decides what is left of it.
     fn tear(&mut self, old: &Kept, words: usize) {
         self.envelope.tear(&mut self.flash, old, words);
         self.save();
@@ -376,6 +377,50 @@ impl Device {
         wire.reset(self);
         wire.model().restart(&self.flash);
     }
+}
+
+/// The scheme by which a part is accessed: its registers, its buffer and its subcommands. Power, flash,
+/// timing and time itself are the [`Device`]'s, which is passed to every method that needs it.
+pub(super) trait Wire: Send {
+    /// The address that is answered now, if any.
+    fn address(&self, flash: &Flash) -> Option<u8>;
+    /// How much longer the clock is held at an address, because the gauge has to wake up.
+    fn wake(&mut self, _device: &Device) -> Duration {
+        Duration::ZERO
+    }
+    /// Whether the command byte `register` is acknowledged.
+    fn has(&self, register: u8) -> bool;
+    /// Whether a message that began at a lower register may continue with `register`.
+    fn extends(&self, register: u8) -> bool;
+    /// Takes a data byte. Returns whether it is acknowledged.
+    fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool;
+    /// The byte at `register`.
+    fn read(&mut self, device: &Device, register: u8) -> u8;
+    /// STOP.
+    fn stop(&mut self) {}
+    /// The printed firmware and hardware versions.
+    fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
+    /// Whether the gauge gauges, so that it may rewrite its own values.
+    fn gauges(&self) -> bool;
+
+    /// Builds all RAM anew, after a reset or when power has come.
+    fn reset(&mut self, device: &mut Device);
+    /// Lets time pass. `settle` asks for a measurement at once.
+    fn run(&mut self, device: &mut Device, settle: bool);
+    /// Measures again, because a knob was turned.
+    fn refresh(&mut self);
+    fn model(&mut self) -> &mut dyn Model;
+    fn level(&self) -> Level;
+    /// Makes the board fit the calibration: Voltage() shows the pack's voltage as long as that does not change.
+    fn fit_board(&mut self, flash: &Flash);
+    /// Whether the voltage allows flash to be programmed.
+    fn gate(&self, flash: &Flash) -> bool;
+
+    /// The text of the `mode` knob while the gauge is on and not starting.
+    fn mode(&self, flash: &Flash) -> &'static str;
+    /// The text of a knob of this scheme; `None` if it has no such knob.
+    fn knob(&self, device: &Device, name: &str) -> Option<String>;
+    fn set_knob(&mut self, device: &mut Device, name: &str, text: &str) -> Result<()>;
 }
 
 /// A simulated gauge: a device, and the scheme by which it is accessed.
@@ -513,13 +558,13 @@ impl Gauge {
             | (Of::Gauge, Scheme::Block(_) | Scheme::Mac(_))
             | (Of::Block, Scheme::Block(_))
             | (Of::Mac, Scheme::Mac(_)) => true,
-            (Of::Gauge, Scheme::Registers(_)) => register::KNOBS.contains(&knob.name),
+            (Of::Gauge, Scheme::Registers(_)) => knob::OF_REGISTERS.contains(&knob.name),
             (Of::Volts, Scheme::Registers(part)) => part.in_volts,
             (Of::Block | Of::Mac | Of::Volts, _) => false,
         }
     }
 
-    /// What a knob shows.
+    /// The text that a knob shows; `None` if there is no knob of that name.
     pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);

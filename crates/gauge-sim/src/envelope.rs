@@ -1,4 +1,4 @@
-//! What one real gauge may do that the friendly one does not. Each behaviour is a knob, off at first; a seed draws one
+//! Unfriendly behaviour that a real gauge may have. Each behaviour is a knob, off at first; a seed draws one
 //! gauge from the whole envelope, within the ranges that manuals, drivers and owners report.
 
 use std::time::Duration;
@@ -8,28 +8,17 @@ use super::knob::{Choice, Dial};
 use super::model::Kept;
 use super::part::{Part, Scheme};
 use super::random::Random;
-use super::timing::Timing;
+use super::timing::{Busy, Timing};
 use gauge_bus::BusError;
 
-/// What a gauge does while it is busy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Busy {
-    /// It does not acknowledge its address.
-    Nack,
-    /// It holds the clock.
-    Stretch,
-    /// It answers as it did before.
-    Old,
-}
-
-/// What is read of a block that is not loaded yet, in either case with the checksum that belongs to it.
+/// The content that a block shows before it is loaded, in either case with the checksum that belongs to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Early {
     Previous,
     Blank,
 }
 
-/// What a loss of power leaves of a row that is being programmed.
+/// The state of a row if power is lost while it is programmed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tear {
     /// A new beginning, the rest as before.
@@ -44,7 +33,7 @@ pub(super) enum Tear {
     Neighbour,
 }
 
-/// What the predictions are until the first measurement.
+/// The predictions before the first measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum First {
     Old,
@@ -69,11 +58,6 @@ impl NackAs {
             NackAs::Eagain => BusError::ArbitrationLost,
         }
     }
-}
-
-impl Choice for Busy {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
 }
 
 impl Choice for Early {
@@ -103,7 +87,7 @@ impl Choice for NackAs {
     ];
 }
 
-/// A command that the gauge does not get, or does not take.
+/// A command that the gauge loses or ignores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lost {
     Reset,
@@ -311,7 +295,7 @@ impl Envelope {
         any
     }
 
-    /// What the gauge answers to FW_VERSION or HW_VERSION, if that is not what is printed.
+    /// The answer to FW_VERSION or HW_VERSION, if it differs from the printed one.
     pub(super) fn version(&self, subcommand: u16) -> Option<u16> {
         match subcommand {
             0x0002 => self.firmware,
@@ -320,12 +304,13 @@ impl Envelope {
         }
     }
 
-    /// What a register that is not measured yet reads as.
+    /// The value of a register that has not been measured yet.
     pub(super) fn nonsense(&self, register: u8) -> u8 {
         Random::of(self.seed, u16::MAX, register.into()).roll(256) as u8
     }
 
-    /// What a loss of power leaves in `flash` of a commit of which `words` words are programmed. `old` is what was there.
+    /// Leaves `flash` as a loss of power does after `words` words of a commit are programmed. `old` is the content
+    /// before.
     pub(super) fn tear(&self, flash: &mut Flash, old: &Kept, words: usize) {
         let (count, end) = (old.bytes.len().min(2 * words), old.offset + old.bytes.len());
         let rows = old.offset / BLOCK * BLOCK..end.next_multiple_of(BLOCK);

@@ -1,14 +1,14 @@
-//! What the simulator refuses, and what the host refuses the simulator.
+//! The errors of the simulator: requests that it refuses, and failures of its files on the host.
 
 use std::{fmt, io};
 
 /// A `Result` whose error is [`Error`].
 pub(super) type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// The kind of a failure: what a caller decides by.
+/// The kind of a failure, by which a caller decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// The text is not understood, or there is no such thing.
+    /// The text is not understood, or names something that does not exist.
     Invalid,
     /// A number outside its range.
     OutOfRange,
@@ -23,9 +23,9 @@ pub enum Kind {
 pub struct Error {
     /// The knob, file or part that it is about.
     pub subject: String,
-    /// What kind of failure it is.
+    /// The kind of failure.
     pub kind: Kind,
-    /// What happened and what to do.
+    /// The failure and its remedy, for the user.
     pub text: String,
 }
 

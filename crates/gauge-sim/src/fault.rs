@@ -8,7 +8,7 @@ use super::error::{Error, Kind, Result};
 use super::random::Random;
 use gauge_bus::{Bus, BusError};
 
-/// What goes wrong with a transfer on the bus.
+/// A fault of a transfer on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Transfer {
     /// The address, or the given byte after the register, is not acknowledged. The bytes before it have
@@ -30,7 +30,7 @@ pub(super) enum Transfer {
     Stretch(u64),
 }
 
-/// What goes wrong with a commit of flash.
+/// A fault of a commit to flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Commit {
     /// It is acknowledged and not stored.
@@ -85,7 +85,7 @@ pub struct FaultWord {
     pub name: &'static str,
     /// The numbers that follow it.
     pub numbers: &'static str,
-    /// What goes wrong.
+    /// Describes the fault.
     pub help: &'static str,
 }
 
@@ -273,7 +273,8 @@ impl Armed {
     }
 }
 
-/// Why a part of a plan is refused. It is not repeated: it may be a key that somebody typed into the wrong file.
+/// The error for a refused part of a plan. It does not repeat the text, which may be a key that somebody typed into the
+/// wrong file.
 fn bad(part: &str) -> Error {
     let name = part.split_whitespace().next().unwrap_or_default();
     let why = match FAULTS.iter().find(|word| word.name == name) {

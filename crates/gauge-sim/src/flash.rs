@@ -168,7 +168,7 @@ impl Flash {
 pub(super) struct Store {
     path: Option<PathBuf>,
     chip: &'static str,
-    /// Why the last attempt to save failed.
+    /// The error of the last attempt to save, if it failed.
     pub(super) failure: Option<String>,
 }
 
@@ -177,7 +177,7 @@ impl Store {
         Self { path, chip, failure: None }
     }
 
-    /// Fills `flash` from the file. Returns `false` if there is none yet.
+    /// Fills `flash` from the file. Returns `false` if there is no file yet.
     pub(super) fn load(&self, flash: &mut Flash) -> Result<bool> {
         let Some(path) = &self.path else { return Ok(false) };
         let file = match regular::open(OpenOptions::new().read(true), path) {

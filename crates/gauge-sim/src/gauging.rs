@@ -9,7 +9,7 @@ use super::battery::Battery;
 use super::flash::Flash;
 use super::learning::{LEARNED, Learning, Lesson, Ocv, QMAX_AND_RA, settled};
 use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, lasting, signed, whole};
-use super::part::{Host, Place};
+use super::model::{Host, Place};
 
 /// Rest after which an open-circuit voltage is taken.
 const OCV_S: f64 = 1800.0;
@@ -35,7 +35,7 @@ pub(super) const UT: u32 = 0x0002_0000;
 const FIRSTDOD: u16 = 0x2000;
 const DODEOC: u16 = 0x0400;
 
-/// Where a part has its parameters and registers of gauging.
+/// The places of the parameters and registers that a part uses for gauging.
 #[derive(Debug)]
 pub(super) struct Map {
     /// Reads its thresholds.
@@ -44,15 +44,15 @@ pub(super) struct Map {
     pub(super) registers: &'static [(u8, usize, Quantity)],
     /// Conditions and the bits of Flags() that show them.
     pub(super) flags: &'static [(u32, u16)],
-    /// Where the cycle count is stored.
+    /// The place of the cycle count.
     pub(super) cycles: Option<Place>,
     /// The classes of the lifetime data and of their count of samples.
     pub(super) lifetime: Option<(u16, u16)>,
-    /// Where Impedance Track stores what it learns: Qmax, the cycle count at that time, and Update Status.
+    /// The places of the values that Impedance Track learns: Qmax, the cycle count at that time, and Update Status.
     pub(super) learned: Option<[Place; 3]>,
 }
 
-/// What a register can show.
+/// A quantity that a register can show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
     AtRate,
@@ -66,7 +66,7 @@ pub(super) enum Quantity {
     ChargeVoltage,
     ConstantPowerTimeToEmpty,
     Current,
-    /// What the host multiplies currents and charges by.
+    /// The factor by which the host multiplies currents and charges.
     CurrentScale,
     CycleCount,
     DesignCapacity,
@@ -135,7 +135,7 @@ pub(super) struct Settings {
     pub(super) jeita: Option<[f64; 4]>,
     /// mWh in one step of an energy.
     pub(super) energy_scale: f64,
-    /// What the host multiplies voltages, currents and energies by, as registers show it.
+    /// The factors by which the host multiplies voltages, currents and energies, as registers show them.
     pub(super) scales: [u8; 3],
     pub(super) soc1: (u16, u16),
     pub(super) socf: (u16, u16),
@@ -228,7 +228,7 @@ pub(super) struct Gauging {
 /// Everything that a reset clears.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Ram {
-    /// What the host has written to AtRate() and, if the part allows it, to Temperature().
+    /// The values that the host has written to AtRate() and, if the part allows it, to Temperature().
     at_rate_ma: i16,
     host_temperature: Option<u16>,
     /// Error of the coulomb counter.
@@ -564,7 +564,7 @@ impl Gauging {
         true
     }
 
-    /// What a sensor makes of the temperature before its offset is added, in 0.1 K.
+    /// The reading of the temperature sensor before its offset is added, in 0.1 K.
     fn sensed(&self) -> f64 {
         self.battery.temperature() * 10.0 + FREEZING + self.analog.temperature
     }

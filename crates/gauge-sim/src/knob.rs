@@ -4,19 +4,35 @@ use std::time::Duration;
 
 use super::error::{Error, Kind, Result};
 
+/// The knobs that have an effect on it.
+pub(super) const OF_REGISTERS: &[&str] = &[
+    "load_ma",
+    "temperature",
+    "speed",
+    "clock",
+    "soc",
+    "voltage_mv",
+    "power",
+    "mode",
+    "first_ms",
+    "single_byte",
+    "bus_free_us",
+    "watchdog",
+];
+
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Knob {
     /// Name of the file.
     pub name: &'static str,
-    /// What it shows or does.
+    /// Describes what the knob shows or does.
     pub help: &'static str,
     /// Whether it can be written.
     pub writable: bool,
     pub(super) of: Of,
 }
 
-/// What has a knob.
+/// The gauges that have a knob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     Bus,

@@ -1,5 +1,5 @@
-//! What Impedance Track has found out since the last reset: the conditions under which it learns Qmax at rest
-//! and Ra in a discharge. They are those of SLUA450, of chapter 12 of SLUUBW5A, and, for the current of a
+//! The learning state of Impedance Track since the last reset. The conditions under which it learns Qmax at rest and Ra
+//! in a discharge are those of SLUA450, of chapter 12 of SLUUBW5A, and, for the current of a
 //! discharge, of TI's answer to owners whose Update Status stays at 05 (E2E 1263623).
 
 /// Slope of a cell's voltage below which it is an open-circuit voltage, in mV/s.
@@ -44,7 +44,7 @@ impl Ocv {
     }
 }
 
-/// What an open-circuit voltage has taught the gauge.
+/// The values that the gauge learns from an open-circuit voltage.
 pub(super) struct Lesson {
     pub(super) qmax_mah: f64,
     /// The new bits of Update Status.

@@ -13,8 +13,8 @@
 //! friendly: quick, and the same every time. Two knobs are never drawn: `single_byte`, because the simulated bus runs at
 //! 100 kHz, and `endurance`.
 //!
-//! What it is not: it knows no tables of parameters, no names and no units, so that a wrong table of `ti-gauge` cannot
-//! agree with a wrong simulator by being the same text. It is no model of a chemistry.
+//! It has limits by intention: it knows no tables of parameters, no names and no units, so that a wrong table of
+//! `ti-gauge` cannot agree with a wrong simulator by being the same text. It is no model of a chemistry.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -33,10 +33,10 @@
 //! # Ok::<(), gauge_bus::BusError>(())
 //! ```
 //!
-//! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one of
-//! three schemes: `block` access, `mac`, or `register` for
-//! a gauge without data flash. What a specimen does differently is in its `envelope`. A `part` describes what is particular to one gauge, and a `model` is what it
-//! makes of its `battery`.
+//! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one
+//! of three schemes: `block` access, `mac`, or `register` for a gauge without data flash. The `envelope` has the
+//! behaviour of one specimen, a `part` the differences between the parts, and a `model` the gauge's view of its
+//! `battery`.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -60,6 +60,7 @@ mod knob;
 mod learning;
 mod mac;
 mod model;
+mod options;
 mod part;
 mod parts;
 mod random;
@@ -70,7 +71,6 @@ mod timing;
 mod update;
 mod watchdog;
 mod window;
-mod wire;
 
 use block::Block;
 use device::Gauge;
@@ -80,9 +80,9 @@ use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use fault::{FAULTS, FaultWord};
 pub use knob::Knob;
 use mac::Mac;
+pub use options::Options;
 use part::Scheme;
 use register::Register;
-pub use wire::Options;
 
 /// One bit at 100 kHz.
 const BIT: Duration = Duration::from_micros(10);
@@ -225,7 +225,7 @@ impl Sim {
         knob::KNOBS.iter().copied().filter(|knob| state.gauge.has_knob(knob)).collect()
     }
 
-    /// What a knob shows; `None` if there is none of that name.
+    /// The text that a knob shows; `None` if there is no knob of that name.
     pub fn get(&self, knob: &str) -> Option<String> {
         let mut state = self.lock();
         state.find(knob)?;
@@ -263,8 +263,8 @@ impl Sim {
         }
     }
 
-    /// What the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs with the
-    /// values that they have now.
+    /// The gauge that the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs
+    /// with their present values.
     pub fn envelope(&self) -> String {
         self.lock().gauge.envelope()
     }

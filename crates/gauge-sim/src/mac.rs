@@ -1,41 +1,42 @@
 //! ManufacturerAccessControl: a flash gauge whose subcommands and flat data flash are reached through one
 //! word, a buffer, a sum and a length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to
-//! such a part over the bus. What each part makes of its pack is in its own file. Where data memory is RAM, it is
+//! such a part over the bus. The model of each part's pack is in its own file. Where data memory is RAM, it is
 //! written in FULL ACCESS between ENTER_CFG_UPDATE and one of the ways out (SLUUBD4A 6.1).
 //!
 //! Where the documents leave a choice, the gauge does what is worst for a driver: it is sealed after every
-//! reset, it ignores silently what it refuses, and it echoes a refused word above the previous answer.
+//! reset, it ignores refused commands silently, and it echoes a refused word above the previous answer.
 
 use std::time::Duration;
 
-use super::device::{Device, Gauge};
+use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::error::Result;
 use super::flash::{BLOCK, Flash};
 use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
 use super::knob;
 use super::model::{Kept, MacModel, Model, Registers, Reply};
+use super::options::Options;
 use super::part::{MacMemory, MacPart, Part, Scale};
+use super::rom::ROM_ADDRESS;
 use super::seal::{Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::checksum;
-use super::wire::{Options, ROM_ADDRESS, Wire};
 use gauge_bus::GAUGE_ADDRESS;
 
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).
-/// Where that begins is not known.
+/// No source has the address at which that begins.
 const SHIFTED: u16 = 0x4100;
 /// The subcommand that answers with the seal state among other things.
 const OPERATION_STATUS: u16 = 0x0054;
 /// A word above it that is no subcommand is taken for one of a key.
 const LAST_SUBCOMMAND: u16 = 0x00FF;
-/// What MACDataLen() counts besides the data: the word, the sum and itself.
+/// Bytes that MACDataLen() counts besides the data: the word, the sum and itself.
 const OVERHEAD: usize = 4;
 /// ENTER_CFG_UPDATE, EXIT_CFG_UPDATE_REINIT and EXIT_CFG_UPDATE.
 const ENTER_UPDATE: u16 = 0x0090;
 const EXIT_UPDATE_ANEW: u16 = 0x0091;
 const EXIT_UPDATE: u16 = 0x0092;
-/// What Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
+/// The value that Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
 const ANSWERED_ELSEWHERE: u16 = 0xFFA5;
 
 /// MACData(), MACDataSum() and MACDataLen() as the host reads them.
@@ -133,7 +134,7 @@ struct Ram {
     elsewhere: bool,
     elsewhere_seen: bool,
     update: Mode,
-    /// The boot loader runs. Nothing is known of it but that a loss of power ends it.
+    /// The boot loader runs. All that is known of it is that a loss of power ends it.
     rom: bool,
     /// The registers as they were measured for this message.
     registers: Option<Registers>,

@@ -1,4 +1,4 @@
-//! The measuring half of a gauge: what it makes of its pack. The parts with block access share `gauging`;
+//! The measuring half of a gauge: its view of the pack. The parts with block access share `gauging`;
 //! those with ManufacturerAccessControl() have a model each, in their own files.
 
 use super::battery::Battery;
@@ -18,6 +18,16 @@ pub(super) const NO_TIME: u16 = 0xFFFF;
 /// Duration of an offset measurement.
 const OFFSET_S: f64 = 4.0;
 
+/// A word that the host writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Host {
+    AtRate,
+    Temperature,
+}
+
+/// Class and offset of a value in data flash.
+pub(super) type Place = (u16, usize);
+
 /// Bytes that the gauge itself stores, and their place in flash.
 pub(super) struct Kept {
     pub(super) area: u16,
@@ -31,7 +41,7 @@ impl Kept {
     }
 }
 
-/// What every gauge makes of its pack.
+/// The measurements and predictions that a gauge makes of its pack.
 pub(super) trait Model: Send {
     fn battery(&self) -> &Battery;
     fn battery_mut(&mut self) -> &mut Battery;
@@ -62,7 +72,7 @@ pub(super) trait Model: Send {
     }
     /// Lets time pass that is short compared with everything modelled. Returns what is stored at once.
     fn step(&mut self, seconds: f64) -> Vec<Kept>;
-    /// What is stored once after a run of steps.
+    /// The values that are stored once after a run of steps.
     fn learned(&mut self, _flash: &Flash) -> Vec<Kept> {
         Vec::new()
     }
@@ -74,7 +84,7 @@ pub(super) trait MacModel: Model {
     fn voltage_mv(&self) -> u16;
     fn calibrating(&self) -> bool;
     fn control_status(&self, level: Level) -> u16;
-    /// What can be read at 0x00 to 0x7F. Registers that the host writes are left 0.
+    /// The content of 0x00 to 0x7F. Registers that the host writes are left 0.
     fn registers(&self, level: Level, voltage_mv: u16) -> Registers;
     /// Takes a subcommand; `None` if the part does not take it at this level.
     fn subcommand(&mut self, word: u16, level: Level, flash: &Flash) -> Option<Reply>;
@@ -90,7 +100,7 @@ pub(super) trait MacModel: Model {
     fn seen(&mut self, _register: u8) {}
 }
 
-/// What a subcommand does besides changing the model.
+/// The reply to a subcommand, besides the change of the model.
 pub(super) enum Reply {
     /// Nothing; the buffer stays as it was.
     Done,
@@ -117,7 +127,7 @@ pub(super) struct Calibration {
     pub(super) mode: bool,
     /// AnalogCount() or Cal_Count().
     pub(super) count: u8,
-    /// What has passed of the second that is counted next.
+    /// The part of the current second that has passed.
     part_s: f64,
 }
 

@@ -2,7 +2,7 @@
 
 use super::flash::{Flash, Image};
 use super::gauging::Map;
-use super::model::MacModel;
+use super::model::{Host, MacModel, Place};
 use super::rom::{Firmware, Layout};
 use super::seal::Level;
 use super::timing::Timing;
@@ -19,7 +19,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Whether what a host commits is programmed into flash, and not into RAM.
+    /// Whether a host's commits are programmed into flash, and not into RAM.
     pub(super) fn has_flash(&self) -> bool {
         match self.scheme {
             Scheme::Block(part) => part.data_memory.is_none(),
@@ -75,8 +75,6 @@ pub(super) enum Scheme {
     Registers(&'static RegisterPart),
 }
 
-/// Class and offset of a value in data flash.
-pub(super) type Place = (u16, usize);
 /// A bit of the word there.
 pub(super) type Flag = (u16, usize, u16);
 
@@ -112,7 +110,7 @@ pub(super) struct BlockPart {
     /// Class, offset and bit by which a pin detects the battery, and BAT_INSERT has no effect.
     pub(super) battery_insert: Option<(u16, usize, u8)>,
     pub(super) own: Own,
-    /// Where the boot loader has the classes in data flash, if it is simulated.
+    /// The places of the classes in the boot loader's data flash, if the boot loader is simulated.
     pub(super) rom: Option<Layout>,
 }
 
@@ -153,7 +151,7 @@ pub(super) struct Gate {
     pub(super) cell_divider: Option<u16>,
 }
 
-/// What Voltage() shows of the voltage at the pin. It is proportional to Voltage Divider, the voltage at the
+/// The scale of Voltage(). It is proportional to Voltage Divider, the voltage at the
 /// full scale of the converter, and 5 times as large without the internal divider (SLUSBZ5D 7.3.8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Scale {
@@ -166,8 +164,8 @@ impl Scale {
         u64::from(self.divider) * if self.external { 5 } else { 1 }
     }
 
-    /// What Voltage() shows of a pack that it would show as `voltage_mv` with the scale that fits the board. It
-    /// overflows, and beyond the range of the converter it is 0, as owners read it (E2E 255438).
+    /// The value that Voltage() shows with this scale, if it would be `voltage_mv` with the scale that fits the board.
+    /// It overflows, and beyond the range of the converter it is 0, as owners read it (E2E 255438).
     pub(super) fn shows(self, board: Self, voltage_mv: u16) -> u16 {
         if self == board && self.divider > 0 {
             return voltage_mv;
@@ -178,14 +176,7 @@ impl Scale {
     }
 }
 
-/// A word that the host writes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Host {
-    AtRate,
-    Temperature,
-}
-
-/// What a subcommand does.
+/// The action of a subcommand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     ControlStatus,
@@ -289,6 +280,6 @@ pub(super) struct RegisterPart {
     pub(super) map: Map,
     /// Charges and currents are counted in the voltage of the sense resistor, without sign.
     pub(super) in_volts: bool,
-    /// What DEVICE_TYPE and FW_VERSION answer; `None` for a part without Control().
+    /// The answers to DEVICE_TYPE and FW_VERSION; `None` for a part without Control().
     pub(super) control: Option<(u16, u16)>,
 }

@@ -3,32 +3,16 @@
 
 use std::time::Duration;
 
-use super::device::{Device, Gauge};
+use super::device::{Device, Gauge, Wire};
 use super::error::Result;
 use super::flash::Flash;
 use super::gauging::{Gauging, Quantity};
 use super::knob;
 use super::model::{Model, Registers};
+use super::options::Options;
 use super::part::{Part, RegisterPart};
 use super::seal::Level;
-use super::wire::{Options, Wire};
 use gauge_bus::GAUGE_ADDRESS;
-
-/// The knobs that have an effect on it.
-pub(super) const KNOBS: &[&str] = &[
-    "load_ma",
-    "temperature",
-    "speed",
-    "clock",
-    "soc",
-    "voltage_mv",
-    "power",
-    "mode",
-    "first_ms",
-    "single_byte",
-    "bus_free_us",
-    "watchdog",
-];
 
 /// A charge of 3.57 µVh across 20 mΩ, in mAh, and an energy of 29.2 µV²h across it, in mWh.
 const CHARGE: f64 = 0.1785;

@@ -1,15 +1,18 @@
 //! Instruction flash, and the boot loader that answers in ROM mode.
 //!
-//! No manual describes it. Commands, sums and the mark that makes firmware valid are those of whole files for bq27520-G3
-//! and bq27510 (github.com/pelotoncycle/opensource-quartz, octathorp/Kepler_CM7), which agree with what is public for
-//! bq34z100. Where they leave a choice, the gauge does what is worst for a programmer: what it is doing when power is
-//! lost is left half done, and firmware that is marked as whole and is not whole never answers again. But an erase that
-//! is interrupted has erased the mark: where it has not, no order of rows would help.
+//! No manual describes it. Commands, sums and the mark that makes firmware valid are those of whole files for
+//! bq27520-G3 and bq27510 (github.com/pelotoncycle/opensource-quartz, octathorp/Kepler_CM7), which agree with what is
+//! public for bq34z100. Where they leave a choice, the gauge does what is worst for a programmer: it leaves half done
+//! whatever it is doing when power is lost, and firmware that is marked as whole and is not whole never answers again.
+//! But an erase that is interrupted has erased the mark: where it has not, no order of rows would help.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use super::random::Random;
+
+/// Address at which a gauge in ROM mode answers.
+pub(super) const ROM_ADDRESS: u8 = 0x0B;
 
 /// Rows of instruction flash and of data flash, and their bytes.
 const ROWS: usize = 512;
@@ -22,9 +25,9 @@ pub(super) const DATA: usize = DATA_ROWS * DATA_ROW;
 const MARK: [u8; 3] = [0x54, 0x54, 0x15];
 const MARK_AT: usize = 15;
 const ERASED: [u8; 3] = [0xFF, 0xFF, 0x3F];
-/// Where row 0 has the version, the low byte first.
+/// Offset of the version in row 0, the low byte first.
 const VERSION_AT: usize = 48;
-/// What 0x66 reads: done; the magic word is wrong; the sum is wrong; not done yet, which no source has.
+/// The values of 0x66: done; the magic word is wrong; the sum is wrong; not done yet. No source has the last one.
 const DONE: u8 = 0x00;
 const REFUSED: u8 = 0x02;
 const WRONG_SUM: u8 = 0x04;
@@ -33,7 +36,7 @@ const WORKING: u8 = 0xFF;
 /// A row of instruction flash.
 pub(super) type Row = [u8; ROW];
 
-/// Where data flash of the boot loader has a class: class, index, length.
+/// The place of each class in the boot loader's data flash: class, index, length.
 pub(super) type Layout = &'static [(u16, usize, usize)];
 
 fn erased() -> Row {
@@ -43,14 +46,14 @@ fn erased() -> Row {
 /// Instruction flash, and the bytes of data flash that belong to no class.
 #[derive(Clone, Debug)]
 pub(super) struct Firmware {
-    /// What the part leaves the factory with, and runs.
+    /// The part's own firmware, as it leaves the factory.
     own: Arc<Vec<Row>>,
     pub(super) rows: Arc<Vec<Row>>,
     pub(super) rest: Arc<[u8]>,
 }
 
 impl Firmware {
-    /// Words that stand for firmware of a version: TI's own are TI's.
+    /// Words in place of the firmware of a version; the real one belongs to TI.
     pub(super) fn new(version: u16) -> Self {
         let mut random = Random::new(u64::from(version));
         let mut rows: Vec<Row> = vec![erased(); ROWS];
@@ -87,7 +90,7 @@ impl Firmware {
     }
 }
 
-/// What a command leaves when it is done.
+/// The work of a command, which takes effect when the command is done.
 #[derive(Clone, Debug)]
 enum Work {
     Rows(Vec<(usize, Row)>),
@@ -95,7 +98,7 @@ enum Work {
     Answer(Vec<u8>),
 }
 
-/// What the boot loader asks of the gauge around it.
+/// A request of the boot loader to the rest of the gauge.
 pub(super) enum Effect {
     /// Bytes of data flash, by index.
     Data(Vec<(usize, Vec<u8>)>),
@@ -130,8 +133,8 @@ impl Boot {
         }
     }
 
-    /// Takes a byte. `data` is data flash as it is. What is returned happens at once, and is what a loss of power would
-    /// leave.
+    /// Takes a byte. `data` is data flash as it is. The returned effect happens at once; it is also the state that a
+    /// loss of power would leave.
     pub(super) fn write(
         &mut self,
         firmware: &mut Firmware,
@@ -235,7 +238,7 @@ impl Boot {
         torn
     }
 
-    /// Lets time pass. What a command has come to, if one is done now.
+    /// Lets time pass. Returns the effect of a command, if one is done now.
     pub(super) fn run(&mut self, firmware: &mut Firmware, now: Duration) -> Option<Option<Effect>> {
         let (_, work) = self.working.take_if(|(until, _)| now >= *until)?;
         self.result = DONE;

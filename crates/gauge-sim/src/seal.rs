@@ -5,7 +5,7 @@ use std::time::Duration;
 /// The halves of a key must follow each other within this time.
 const WINDOW: Duration = Duration::from_secs(4);
 
-/// What a host may do.
+/// The access that a host has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Level {
     /// Only standard commands and the manufacturer's block.

@@ -2,7 +2,23 @@
 
 use std::time::Duration;
 
-use super::envelope::Busy;
+use super::knob::Choice;
+
+/// The behaviour of a busy gauge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Busy {
+    /// It does not acknowledge its address.
+    Nack,
+    /// It holds the clock.
+    Stretch,
+    /// It answers as it did before.
+    Old,
+}
+
+impl Choice for Busy {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
+}
 
 /// The timing of one gauge.
 #[derive(Clone, Copy, Debug)]
@@ -11,7 +27,7 @@ pub(super) struct Timing {
     pub(super) power_up: Duration,
     /// From a reset to the first answer.
     pub(super) reset: Duration,
-    /// What the gauge does during a reset. One that answers as before resets at the end of that time.
+    /// The behaviour during a reset. A gauge that answers as before resets at the end of that time.
     pub(super) reset_busy: Busy,
     /// It holds the clock after power has come too, if it does so during a reset. Otherwise it is silent then.
     pub(super) power_up_stretches: bool,
@@ -19,7 +35,7 @@ pub(super) struct Timing {
     pub(super) first_voltage: Duration,
     /// Programming a 16-bit word of flash.
     pub(super) word: Duration,
-    /// What a commit takes before that, to erase the row.
+    /// Time that a commit takes before that, to erase the row.
     pub(super) commit: Duration,
     /// From selecting a block or an address until it can be read.
     pub(super) load: Duration,

@@ -13,7 +13,7 @@ const ALLOWED: u8 = 2;
 /// flag of CONFIG UPDATE may poll fast for a second or two.
 const SURVIVED: u8 = 5;
 
-/// What a gauge has been asked within the present second.
+/// Counts the commands within the present second.
 #[derive(Debug)]
 pub(super) struct Watchdog {
     second: u64,

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::flash::BLOCK;
 
-/// What the window shows.
+/// The content of the window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Source {
     /// Nothing: there is no such block.
@@ -17,10 +17,10 @@ pub(super) enum Source {
     Authentication,
 }
 
-/// What is read before a block is loaded.
+/// The content of the window before a block is loaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Before {
-    /// What was there, with its checksum.
+    /// The block before, with its checksum.
     Same,
     /// Zeros, with their checksum.
     Blank,

@@ -23,6 +23,7 @@ use crate::names;
 use crate::parameter::{self, Transaction};
 use crate::sample::Sample;
 use crate::value::Value;
+use ti_gauge::notation;
 
 /// A file that every mounted gauge has, and no supply of the kernel's.
 pub(crate) const EVERY: &str = "gauge/last_error";
@@ -310,7 +311,7 @@ impl Gauge {
             }
             let read = self.text(&format!("df/by-name/{name}"));
             let text = read.map_err(|error| error.doing(format!("{name} cannot be read")))?;
-            let value = text::parse_stored(parameter, text.as_bytes())?;
+            let value = notation::parse_stored(parameter, text.as_bytes())?;
             image.entries.push(Entry { subclass, parameter, value, line: 0 });
         }
         Ok(image)
@@ -489,7 +490,7 @@ fn read(chip: &'static Chip, firmware: Option<u16>, index: &str) -> ti_gauge::er
             image.left_out.push(LeftOut { text, group: None });
             continue;
         }
-        let value = text::parse_stored(parameter, value.as_bytes())?;
+        let value = notation::parse_stored(parameter, value.as_bytes())?;
         image.entries.push(Entry { subclass, parameter, value, line: 0 });
     }
     if image.entries.is_empty() {

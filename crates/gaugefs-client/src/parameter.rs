@@ -2,12 +2,14 @@
 
 use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
+use ti_gauge::dataflash::Place;
 use ti_gauge::error::Cause;
 use ti_gauge::image::{Changes, Difference, Entry, Image};
 use ti_gauge::unit;
 
 use crate::error::{Error, Result};
 use crate::gauge::Gauge;
+use ti_gauge::notation;
 
 /// Finds a parameter by its name or place; otherwise the error suggests the nearest.
 pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
@@ -45,7 +47,9 @@ impl Wanted {
         if subclass.kind == Kind::Security {
             return refuse(Cause::NotPermitted("keys are changed with `gaugefs keys change`".into()));
         }
-        let value = unit::parse(parameter, value).map_err(|error| error.about(&name))?;
+        let place = Place::of((subclass, parameter)).into();
+        let value = notation::parse_with_unit(parameter, value);
+        let value = value.map_err(|error| error.about(&name).at_place(place))?;
         let entry = Entry { subclass, parameter, value, line: 0 };
         if self.0.entries.iter().any(|other| other.is(&entry)) {
             return refuse(Cause::Invalid("it is given twice; remove one of the two".into()));

@@ -4,6 +4,8 @@ use std::path::Path;
 use std::{fmt, io};
 
 use nix::errno::Errno;
+use serde::Serialize;
+use ti_gauge::dataflash::Place;
 pub use ti_gauge::error::{Cause, Step};
 use ti_gauge::image::Faults;
 use ti_gauge::text;
@@ -97,6 +99,41 @@ impl Error {
     pub fn errno(&self) -> Errno {
         self.errno.unwrap_or_else(|| errno::of(self.cause()))
     }
+
+    /// What a program is told of it.
+    pub fn details(&self) -> Details {
+        let facts = self.inner.facts();
+        let [least, greatest] = facts.limits.clone().map_or([None, None], |limits| limits.map(Some));
+        Details {
+            errno: format!("{:?}", self.errno()),
+            cause: self.cause().name(),
+            step: self.step().map(Step::as_str),
+            register: facts.register.clone(),
+            place: facts.place.map(|place| Place::from(place).to_string()),
+            least,
+            greatest,
+            value: facts.value,
+        }
+    }
+}
+
+/// An error's facts as an object of `--json`. What is not known is left out.
+#[derive(Debug, Serialize)]
+pub struct Details {
+    errno: String,
+    cause: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    step: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    register: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    place: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    least: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    greatest: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    value: Option<i64>,
 }
 
 /// One line without control characters: names of files and processes in it may be anybody's.
@@ -106,7 +143,11 @@ impl fmt::Display for Error {
     }
 }
 
-impl std::error::Error for Error {}
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.inner.source()
+    }
+}
 
 impl From<gaugefs_client::Error> for Error {
     fn from(error: gaugefs_client::Error) -> Self {

@@ -12,7 +12,7 @@ use crate::codec;
 use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, agreed};
-use crate::text;
+use crate::notation;
 use crate::unit;
 use crate::value::Value;
 
@@ -338,7 +338,7 @@ impl Task<'_> {
         let values = self.dataflash.expect_measured(self.gauge, &rows, waited)?;
         let olds: Vec<(Row, Value)> = rows.into_iter().zip(values).collect();
         let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
-        let was = text::render(kind, &olds[0].1);
+        let was = notation::render(kind, &olds[0].1);
         (self.tell)(&format!("the gauge measures {name}, which is {was}; this may take 16 s"));
         let measured = self.measure_offset(offset);
         self.gauge.limit(None);
@@ -353,7 +353,7 @@ impl Task<'_> {
                 })?;
                 return Ok(format!(
                     "{name} {was} -> {}; Current(): {} before, {} after",
-                    text::render(kind, &new),
+                    notation::render(kind, &new),
                     before.show("mA"),
                     after.show("mA")
                 ));
@@ -412,7 +412,7 @@ impl Task<'_> {
     /// Writes old offsets back after a measurement that has failed.
     fn put_back(&mut self, olds: &[(Row, Value)], error: &Error) -> Result<String> {
         let show = |((_, parameter), old): &(Row, Value)| {
-            format!("{} {}", parameter.name, text::render(parameter.kind, old))
+            format!("{} {}", parameter.name, notation::render(parameter.kind, old))
         };
         let was = olds.iter().map(show).collect::<Vec<_>>().join(", ");
         // A measurement that still runs would store its result later.

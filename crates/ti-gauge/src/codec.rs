@@ -5,6 +5,38 @@ use crate::value::{Type, Value};
 /// Bytes in the block-access window.
 pub const WINDOW: usize = 32;
 
+/// A set of positions in a window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Bytes(pub(crate) u32);
+
+impl Bytes {
+    /// Those positions for which `is` holds.
+    pub(crate) fn of(is: impl Fn(usize) -> bool) -> Self {
+        Self((0..WINDOW).filter(|&at| is(at)).fold(0, |set, at| set | 1 << at))
+    }
+
+    pub(crate) fn has(self, at: usize) -> bool {
+        self.0 >> at & 1 != 0
+    }
+
+    /// Its positions, in ascending order.
+    pub(crate) fn iter(self) -> impl Iterator<Item = usize> {
+        (0..WINDOW).filter(move |&at| self.has(at))
+    }
+
+    pub(crate) fn insert(&mut self, at: usize) {
+        self.0 |= 1 << at;
+    }
+
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    pub(crate) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+}
+
 /// BlockDataChecksum(): 255 less the sum of the window's bytes modulo 256 (SLUSBZ5D 7.3.3.1).
 pub fn checksum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))

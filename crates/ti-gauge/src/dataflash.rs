@@ -19,13 +19,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::chip::{Chip, FLAT, Kind, Subclass};
-use crate::codec::WINDOW;
+use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal, Mark, OpenJournal, Plan};
 
 mod anonymous;
-mod assure;
 mod blocks;
 mod calmode;
 mod change;
@@ -33,35 +32,41 @@ mod checks;
 mod erased;
 mod io;
 mod keychange;
+mod keyrow;
 mod measured;
 mod owedseal;
 mod pack;
+mod planned;
 mod preflight;
 mod schemes;
 mod session;
 mod settle;
+mod state;
+mod verdict;
 mod wear;
+mod window;
 
 pub use anonymous::{anonymous, sample, samples};
-use assure::Reference;
-pub(crate) use blocks::Bytes;
-use blocks::{Dirty, Window, blocks, gather, learned, old_bytes};
+use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
-use io::{read_subclass, reload, still_open, store, verify_written};
+use io::{read_subclass, reload, still_open, verify_written};
 use keychange::Unfinished;
 pub(crate) use measured::BEGINS;
 use owedseal::OwedSeal;
 use pack::Known;
 pub use pack::distinguishes;
-pub(crate) use preflight::read_word;
-use preflight::{Found, KnownPack, has_lost_memory};
+use preflight::{Found, KnownPack};
 use schemes::sequence;
-use session::{Left, Session, in_time};
+use session::{Left, Reference, Session, in_time, store};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
+use state::has_lost_memory;
+pub(crate) use state::read_word;
 use wear::Wear;
+use window::learned;
+use window::{Dirty, Window};
 
 /// A place in data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -324,7 +329,9 @@ impl DataFlash {
         self.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
-            [change] => outcome.map_err(|error| error.within(&change.subject())),
+            [change] => {
+                outcome.map_err(|error| error.within(&change.subject()).at_place(change.place().into()))
+            }
             _ => outcome,
         }
     }
@@ -527,7 +534,7 @@ impl DataFlash {
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let neighbours = self.neighbours(gauge, &dirty)?;
-        let plan = settle::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
+        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
         self.note(session, plan)?;
         self.refer(gauge, session);
         // The write may change the serial number.
@@ -708,6 +715,12 @@ impl Place {
     /// Where a parameter is.
     pub fn of((subclass, parameter): Row) -> Self {
         Self { subclass: subclass.id, offset: parameter.offset }
+    }
+}
+
+impl From<Place> for (u8, u16) {
+    fn from(Place { subclass, offset }: Place) -> Self {
+        (subclass, offset)
     }
 }
 

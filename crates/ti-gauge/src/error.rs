@@ -1,9 +1,10 @@
 //! What went wrong, at which step, to which register or parameter, and what to do.
 //!
-//! Every failure is one [`Error`]: one line that a technician can act on, and a [`Cause`] that a program
-//! can match on, to choose an errno or an exit code.
+//! Every failure is one [`Error`]: one line that a technician can act on, a [`Cause`] that a program can match on, to
+//! choose an errno or an exit code, and [`Facts`], so that no program has to read the line.
 
-use std::{fmt, io};
+use std::sync::Arc;
+use std::{error, fmt, io};
 
 use gauge_bus::error::reason;
 use gauge_bus::{BusError, ErrorKind};
@@ -95,23 +96,120 @@ pub enum Cause {
     Io(io::ErrorKind, String),
 }
 
+impl Cause {
+    /// Its name for a program, such as `out-of-range`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Cause::Invalid(_) => "invalid",
+            Cause::OutOfRange(_) => "out-of-range",
+            Cause::NotPermitted(_) => "not-permitted",
+            Cause::Busy(_) => "busy",
+            Cause::NotNow(_) => "not-now",
+            Cause::BadChecksum(_) => "bad-checksum",
+            Cause::Protocol(_) => "protocol",
+            Cause::TimedOut(_) => "timed-out",
+            Cause::RolledBack(_) => "rolled-back",
+            Cause::StateUnknown(_) => "state-unknown",
+            Cause::Gone(_) => "gone",
+            Cause::NoAnswer(_) => "no-answer",
+            Cause::Bus(_) => "bus",
+            Cause::Adapter(..) => "adapter",
+            Cause::Io(..) => "io",
+        }
+    }
+}
+
+/// What an error is about, as far as it is known. Nothing that a user wrote is among it: that may be a key.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Facts {
+    /// The register, as the manual names it.
+    pub register: Option<String>,
+    /// The place in data flash: the id of its subclass, or [`FLAT`](crate::chip::FLAT), and an offset in bytes.
+    pub place: Option<(u8, u16)>,
+    /// The least value and the greatest one that are allowed, in the unit of the register or parameter.
+    pub limits: Option<[String; 2]>,
+    /// What the gauge shows instead, in the same unit.
+    pub value: Option<i64>,
+}
+
 /// One failure: subject, step and cause.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Error {
     subject: String,
     step: Option<Step>,
     cause: Cause,
+    /// `None` if nothing is known. It is behind a pointer because every result has room for an error.
+    more: Option<Box<More>>,
 }
+
+/// What few errors have.
+#[derive(Clone, Debug, Default)]
+struct More {
+    facts: Facts,
+    /// The host's own error.
+    source: Option<Arc<io::Error>>,
+}
+
+/// The host's own error has no equality; cause and text tell it apart.
+impl PartialEq for Error {
+    fn eq(&self, other: &Self) -> bool {
+        let Self { subject, step, cause, more: _ } = self;
+        (subject, step, cause, self.facts()) == (&other.subject, &other.step, &other.cause, other.facts())
+    }
+}
+
+impl Eq for Error {}
 
 impl Error {
     /// An error about `subject`: a register, a parameter, a file or a bus.
     pub fn new(subject: impl Into<String>, cause: Cause) -> Self {
-        Self { subject: subject.into(), step: None, cause }
+        Self { subject: subject.into(), step: None, cause, more: None }
     }
 
     /// The host's error; `what` says what failed.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
-        Self::new(subject, Cause::Io(error.kind(), format!("{what}: {}", reason(error))))
+        // It cannot be copied. Its number can, and its text otherwise.
+        let own = error
+            .raw_os_error()
+            .map_or_else(|| io::Error::new(error.kind(), error.to_string()), io::Error::from_raw_os_error);
+        let cause = Cause::Io(error.kind(), format!("{what}: {}", reason(error)));
+        let mut error = Self::new(subject, cause);
+        error.more().source = Some(Arc::new(own));
+        error
+    }
+
+    /// An error about a register.
+    pub(crate) fn of_register(name: impl Into<String>, cause: Cause) -> Self {
+        let name = name.into();
+        let mut error = Self::new(name.clone(), cause);
+        error.more().facts.register = Some(name);
+        error
+    }
+
+    fn more(&mut self) -> &mut More {
+        self.more.get_or_insert_default()
+    }
+
+    /// Notes where in data flash it is, unless that is known already.
+    #[must_use]
+    pub fn at_place(mut self, place: (u8, u16)) -> Self {
+        self.more().facts.place.get_or_insert(place);
+        self
+    }
+
+    /// Notes which values are allowed.
+    #[must_use]
+    pub(crate) fn allowing(mut self, least: impl ToString, greatest: impl ToString) -> Self {
+        self.more().facts.limits = Some([least.to_string(), greatest.to_string()]);
+        self
+    }
+
+    /// Notes what the gauge shows.
+    #[must_use]
+    pub(crate) fn showing(mut self, value: impl Into<i64>) -> Self {
+        self.more().facts.value = Some(value.into());
+        self
     }
 
     /// Adds the step it happened in, unless one is known already.
@@ -147,6 +245,12 @@ impl Error {
     /// The step that failed, where there is one.
     pub fn step(&self) -> Option<Step> {
         self.step
+    }
+
+    /// What it is about.
+    pub fn facts(&self) -> &Facts {
+        static NOTHING: Facts = Facts { register: None, place: None, limits: None, value: None };
+        self.more.as_ref().map_or(&NOTHING, |more| &more.facts)
     }
 }
 
@@ -184,7 +288,15 @@ impl fmt::Display for Error {
     }
 }
 
-impl std::error::Error for Error {}
+impl error::Error for Error {
+    fn source(&self) -> Option<&(dyn error::Error + 'static)> {
+        match (self.more.as_ref().and_then(|more| more.source.as_ref()), &self.cause) {
+            (Some(host), _) => Some(&**host),
+            (None, Cause::Bus(bus)) => Some(bus),
+            (None, _) => None,
+        }
+    }
+}
 
 impl From<BusError> for Error {
     fn from(bus: BusError) -> Self {
@@ -208,5 +320,17 @@ mod tests {
         assert_eq!(error.clone().within("").to_string(), "Cell Terminate Voltage: x");
         assert_eq!(error.clone().within("line 3").to_string(), "line 3: Cell Terminate Voltage: x");
         assert_eq!(Error::new("", Cause::Invalid("x".into())).within("").to_string(), "x");
+    }
+
+    #[test]
+    fn an_error_has_its_source() {
+        use std::error::Error as _;
+        let bus = Error::new("Voltage()", Cause::Bus(BusError::NoAck));
+        assert_eq!(bus.source().expect("the bus").downcast_ref(), Some(&BusError::NoAck));
+        let full = io::Error::from_raw_os_error(28);
+        let host = Error::io("/tmp/x", "cannot be written", &full);
+        let source = host.source().expect("the host").downcast_ref::<io::Error>().expect("its error");
+        assert_eq!(source.raw_os_error(), Some(28));
+        assert!(Error::new("seal", Cause::Invalid("x".into())).source().is_none());
     }
 }

@@ -13,7 +13,6 @@ pub use crate::chip::Answers;
 use crate::chip::{Chip, Scheme, SealStatus};
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_stack};
-pub use crate::registers::bursts;
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};
@@ -432,14 +431,14 @@ impl Gauge {
     /// Fills `into` with the bytes starting at an address.
     pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
         self.again(|gauge| gauge.transfer(&[code], into))
-            .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)).at(Step::Read))
+            .map_err(|bus| Error::of_register(self.name_of(code), Cause::Bus(bus)).at(Step::Read))
     }
 
     /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
     pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
         self.may_write()?;
         self.again(|gauge| gauge.write_once(code, data))
-            .map_err(|bus| Error::new(self.name_of(code), Cause::Bus(bus)))
+            .map_err(|bus| Error::of_register(self.name_of(code), Cause::Bus(bus)))
     }
 
     /// Writes bytes whose effect must not happen twice.
@@ -717,7 +716,9 @@ impl Gauge {
                     Seal::Unsealed
                 }
             }
-            SealStatus::None => return Err(Error::new("CONTROL_STATUS", Cause::Bus(BusError::ReadOnly))),
+            SealStatus::None => {
+                return Err(Error::of_register("CONTROL_STATUS", Cause::Bus(BusError::ReadOnly)));
+            }
             SealStatus::Field { register, shift } => {
                 let word = match register {
                     None => status,

@@ -13,6 +13,7 @@ use crate::chip::{CHIPS, Chip, FLAT, Kind, Parameter, SIBLINGS, Safe, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
+use crate::notation;
 use crate::text;
 use crate::unit;
 use crate::value::Value;
@@ -20,7 +21,6 @@ use crate::value::Value;
 mod faults;
 pub mod flashstream;
 pub mod ggcsv;
-mod romimage;
 pub mod toml;
 
 pub use faults::{Faults, NAMED, Reading};
@@ -220,18 +220,18 @@ impl Entry {
 
     /// The value as the parameter's file shows it.
     pub fn text(&self) -> String {
-        text::render(self.parameter.kind, &self.value)
+        notation::render(self.parameter.kind, &self.value)
     }
 
     /// The value for people: a date as `2026-11-22`.
     pub fn shown(&self) -> String {
-        unit::show(self.parameter, &self.value)
+        notation::show(self.parameter, &self.value)
     }
 
     /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
     /// other value outside its range is an error, with line and parameter.
     pub fn not_imported(&self, allow_unproven: bool) -> Result<Option<&'static str>> {
-        match text::parse(self.parameter, self.text().as_bytes()) {
+        match notation::parse(self.parameter, self.text().as_bytes()) {
             _ if self.parameter.unproven && !allow_unproven => Ok(Some("its address or range is unproven")),
             Ok(_) => Ok(None),
             Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
@@ -957,7 +957,7 @@ mod tests {
         // What an import writes to `df/transaction`, and a diff shows.
         let shown = entry.text();
         assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{at}");
-        assert_eq!(text::parse(parameter, shown.as_bytes()), Ok(entry.value.clone()), "{shown}: {at}");
+        assert_eq!(notation::parse(parameter, shown.as_bytes()), Ok(entry.value.clone()), "{shown}: {at}");
     }
 
     #[test]

@@ -28,8 +28,7 @@ use std::sync::Arc;
 use sha1::{Digest as _, Sha1};
 
 use crate::chip::{Chip, FLAT};
-use crate::codec::WINDOW;
-use crate::dataflash::Bytes;
+use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Result};
 use crate::gauge::Seal;
 use crate::keys::Name;

@@ -50,6 +50,7 @@ pub mod image;
 pub mod journal;
 pub mod keys;
 pub mod learning;
+pub mod notation;
 pub mod probe;
 pub mod registers;
 pub mod rom;

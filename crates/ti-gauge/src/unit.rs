@@ -1,14 +1,13 @@
-//! Values as people write and read them: numbers with a unit, and dates. What `df` files hold is [`text`]'s: numbers in the
-//! unit of the table.
+//! Units: which ones a number may be written with, and the exact conversion into that of a parameter. How a value is
+//! written is [`crate::notation`]'s.
 //!
 //! A value that is stored is converted exactly or refused, never rounded. One that is only compared or measured against
 //! may be any number.
 
 use crate::chip::Parameter;
 use crate::date;
-use crate::error::{Cause, Error, Result};
-use crate::text;
-use crate::value::{Type, Value};
+use crate::error::Result;
+use crate::value::Type;
 
 /// A number times a unit, exactly: `num / den` of a base unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,14 +73,14 @@ impl Unit {
 }
 
 /// A number at the beginning of a text, and the rest.
-fn split(text: &str) -> (&str, &str) {
+pub(crate) fn split(text: &str) -> (&str, &str) {
     let is_of_number = |letter: char| letter.is_ascii_digit() || ".+-".contains(letter);
     let end = text.find(|letter| !is_of_number(letter)).unwrap_or(text.len());
     (&text[..end], text[end..].trim_start())
 }
 
 /// A decimal number as a fraction.
-fn decimal(text: &str) -> Option<(i128, i128)> {
+pub(crate) fn decimal(text: &str) -> Option<(i128, i128)> {
     let (sign, digits) = match text.strip_prefix('-') {
         Some(digits) => (-1, digits),
         None => (1, text.strip_prefix('+').unwrap_or(text)),
@@ -93,7 +92,7 @@ fn decimal(text: &str) -> Option<(i128, i128)> {
     if is_number { Some((sign * all.parse::<i128>().ok()?, den)) } else { None }
 }
 
-/// The units that [`parse`] accepts for a parameter, in words; empty if there is none.
+/// The units that [`crate::notation::parse_with_unit`] accepts for a parameter, in words; empty if there is none.
 pub fn accepted(parameter: &Parameter) -> String {
     if parameter.is_date() {
         return "a date such as 2026-11-22".into();
@@ -115,39 +114,6 @@ pub fn accepted_for(unit: &str) -> String {
         }
         _ => base,
     }
-}
-
-/// Parses a value for a parameter: as its file accepts it, or with a unit that gives exactly a value that can be stored, or a
-/// date as `2026-11-22`. The error says which units are accepted.
-pub fn parse(parameter: &Parameter, text: &str) -> Result<Value> {
-    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
-    let text = text.trim();
-    let plain = match text::parse(parameter, text.as_bytes()) {
-        Err(error) if matches!(error.cause(), Cause::Invalid(_)) => error,
-        plain => return plain,
-    };
-    if matches!(parameter.kind, Type::S(_)) {
-        return Err(plain);
-    }
-    if parameter.is_date() {
-        let stored = date::parse(text).ok_or_else(|| {
-            invalid("write a day from 1980-01-01 to 2107-12-31, or the stored number".into())
-        })?;
-        return text::parse(parameter, stored.to_string().as_bytes());
-    }
-    let (number, unit) = split(text);
-    let Some((num, den)) = decimal(number).filter(|_| !unit.is_empty()) else {
-        let units = accepted(parameter);
-        if units.is_empty() {
-            return Err(plain);
-        }
-        return Err(invalid(format!(
-            "not a number that can be stored; write a whole number, or one with {units}"
-        )));
-    };
-    let spaced = text[number.len()..].starts_with(' ');
-    let value = convert(parameter, (num, den), unit, spaced).map_err(invalid)?;
-    text::parse(parameter, value.as_bytes())
 }
 
 /// Whether it is a unit, and not only a name such as `hex`.
@@ -216,7 +182,7 @@ pub(crate) fn in_own(parameter: &Parameter, text: &str) -> Option<String> {
 }
 
 /// A number with a unit in the parameter's own unit, or why there is none. `spaced` is whether there is a space between.
-fn convert(
+pub(crate) fn convert(
     parameter: &Parameter,
     (num, den): (i128, i128),
     unit: &str,
@@ -270,16 +236,7 @@ fn digits(kind: Type, num: i128, den: i128) -> Option<String> {
     None
 }
 
-/// The text of a value for people: a date as `2026-11-22`, anything else as [`text::render`] has it. [`parse`] accepts it.
-pub fn show(parameter: &Parameter, value: &Value) -> String {
-    let date = match value {
-        Value::Int(stored) if parameter.is_date() => date::text(*stored),
-        _ => None,
-    };
-    date.unwrap_or_else(|| text::render(parameter.kind, value))
-}
-
-/// The unit of what [`show`] returns; empty for a date, and for words of the tables that are only names.
+/// The unit of what [`crate::notation::show`] returns; empty for a date, and for words of the tables that are only names.
 pub fn shown(parameter: &Parameter) -> &'static str {
     match parameter.unit {
         date::UNIT | "hex" | "Hex" | "flags" | "Num" => "",
@@ -299,6 +256,8 @@ pub fn suffix(parameter: &Parameter) -> String {
 mod tests {
     use super::*;
     use crate::chip::CHIPS;
+    use crate::notation::{parse_with_unit as parse, show};
+    use crate::value::Value;
     use crate::value::types::*;
     use proptest::prelude::*;
 

@@ -11,9 +11,9 @@ use crate::lock::{holding, mountpoint_of, process};
 use gauge_bus::regular;
 use gaugefs_client::mounts::{Mount, parse};
 
-/// Where the service mounts.
+/// Folder in which the services mount.
 const PLACE: &str = "/run/gaugefs";
-/// Where root's daemons keep journals.
+/// Folder in which root's daemons keep journals.
 const JOURNALS: &str = "/var/lib/gaugefs";
 
 pub(super) fn check(host: &Host) -> Vec<Finding> {

@@ -1,4 +1,4 @@
-//! The section "Attributes by part" of docs/SEMANTICS.md: that it lists what the tables of the parts have, and that
+//! The section "Attributes by part" of docs/ATTRIBUTES.md: that it lists what the tables of the parts have, and that
 //! simulated gauges show what its conversions yield.
 //!
 //! After an intended change, run the tests once with GAUGEFS_GOLDEN=write and read the difference before you commit it.
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use super::tests::{open, show, turn};
 use super::*;
-use crate::owner::Request;
+use crate::owner::operations as op;
 use crate::owner::rig::Rig;
 use ti_gauge::chip::{FLAT, Parameter, Subclass};
 
@@ -191,7 +191,7 @@ const END: &str = "<!-- end of what is checked -->\n";
 
 #[test]
 fn the_table_by_part_is_what_the_tables_of_the_parts_have() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/SEMANTICS.md");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/ATTRIBUTES.md");
     let document = std::fs::read_to_string(&path).expect("the document");
     let (before, rest) = document.split_once(BEGIN).expect("the beginning");
     let (then, after) = rest.split_once(END).expect("the end");
@@ -200,7 +200,7 @@ fn the_table_by_part_is_what_the_tables_of_the_parts_have() {
         std::fs::write(&path, [before, BEGIN, &now, END, after].concat()).expect("the document");
         return;
     }
-    assert!(now == then, "docs/SEMANTICS.md differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
+    assert!(now == then, "docs/ATTRIBUTES.md differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
 }
 
 #[test]
@@ -232,7 +232,7 @@ pub(super) fn read_places(rig: &mut Rig) {
     let rows = chip.subclasses.iter().enumerate().filter(|(_, row)| wanted(row));
     let rows: Vec<_> = rows.map(|(index, _)| index).collect();
     if !rows.is_empty() {
-        rig.ask(|done| Request::Read(rows, done)).expect("the default key");
+        rig.ask(&op::READ, rows).expect("the default key");
     }
 }
 

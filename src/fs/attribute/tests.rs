@@ -8,7 +8,7 @@ use gauge_bus::clock::Clock;
 use super::by_part::read_places;
 use super::*;
 use crate::owner::rig::{INTERVAL, Rig};
-use crate::owner::{Request, Settings, Startup};
+use crate::owner::{Settings, Startup, operations as op};
 
 /// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).
@@ -168,7 +168,7 @@ fn without_a_battery_nothing_is_measured() {
     // OpConfig without [BIE]: the host says whether there is a battery.
     rig.sim.set_flash(64, 0, &[0x05, 0xf8]);
     let bat_remove = 0x000d;
-    rig.ask(|done| Request::Control(bat_remove, done)).expect("a sealed gauge takes it");
+    rig.ask(&op::CONTROL, bat_remove).expect("a sealed gauge takes it");
     rig.poll_after(INTERVAL);
     assert_shows(&rig, &[("present", Some("0"))]);
     for name in MEASURED.into_iter().chain(["capacity_level"]) {
@@ -250,25 +250,25 @@ fn what_a_gauge_of_primary_cells_does_not_know_is_not_shown() {
     assert_shows(&rig, &[("current_now", None), ("status", unknown), ("state_of_health", None)]);
     assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown)]);
     let (start, stop) = (0x0011, 0x0012);
-    rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+    rig.ask(&op::CONTROL, start).expect("a sealed gauge takes it");
     rig.poll_after(Duration::from_secs(3));
     assert_shows(&rig, &[("current_now", Some("-50000")), ("status", Some("Discharging"))]);
-    rig.ask(|done| Request::Control(stop, done)).expect("a sealed gauge takes it");
+    rig.ask(&op::CONTROL, stop).expect("a sealed gauge takes it");
     rig.poll_after(INTERVAL);
     assert_shows(&rig, &[("current_now", None), ("status", unknown)]);
 
     // ALERT Configuration lets no flag through, and the mode accumulates charge only: both are known now.
     let all = (0..rig.handle.chip().subclasses.len()).collect();
-    rig.ask(|done| Request::Read(all, done)).expect("the default key");
+    rig.ask(&op::READ, all).expect("the default key");
     assert_shows(&rig, &[("health", unknown), ("capacity_level", unknown), ("state_of_health", None)]);
     // [GMSEL] 10, and all alerts.
     rig.sim.set_flash(0, 0x1b1, &[0x82, 0xfb]);
     turn(&rig, "power", "off");
     turn(&rig, "power", "on");
     rig.poll_after(INTERVAL);
-    rig.ask(Request::Refresh).expect("it answers");
+    rig.ask(&op::REFRESH, ()).expect("it answers");
     let all = (0..rig.handle.chip().subclasses.len()).collect();
-    rig.ask(|done| Request::Read(all, done)).expect("the default key");
+    rig.ask(&op::READ, all).expect("the default key");
     rig.poll_after(INTERVAL);
     assert_shows(&rig, &[("health", Some("Good")), ("capacity_level", Some("Normal"))]);
     assert!(show(&rig, "state_of_health").is_some());
@@ -591,10 +591,10 @@ fn a_scale_in_data_flash_applies_once_it_is_known() {
         };
         assert_scaled(&rig, &factors(1));
         let index = rig.index(id);
-        rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        rig.ask(&op::READ, vec![index]).expect("the default key");
         assert_scaled(&rig, &factors(10));
         rig.poll_after(INTERVAL);
-        rig.ask(Request::Refresh).expect("it answers");
+        rig.ask(&op::REFRESH, ()).expect("it answers");
         assert_scaled(&rig, &factors(10));
     }
 }
@@ -604,7 +604,7 @@ fn a_scale_in_data_flash_applies_once_it_is_known() {
 fn a_scale_in_doubt_leaves_no_value_of_its_kind() {
     let (mut rig, id, _) = with_energy_scale("bq34z100-g1");
     let index = rig.index(id);
-    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    rig.ask(&op::READ, vec![index]).expect("the default key");
     turn(&rig, "power", "off");
     rig.poll_after(INTERVAL);
     turn(&rig, "power", "on");
@@ -613,7 +613,7 @@ fn a_scale_in_doubt_leaves_no_value_of_its_kind() {
     }
     let charge = ("charge_now", Role::ChargeNow, Some(1));
     assert_scaled(&rig, &[charge, ("power_avg", Role::PowerAvg, None)]);
-    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    rig.ask(&op::READ, vec![index]).expect("the default key");
     assert_scaled(&rig, &[charge, ("power_avg", Role::PowerAvg, Some(10))]);
 }
 
@@ -623,9 +623,9 @@ fn a_scale_that_is_written_applies() {
     let (mut rig, id, offset) = with_energy_scale("bq34z100-g1");
     for scale in ["1", "10"] {
         let row = rig.handle.chip().row(&id.to_string(), &offset.to_string()).expect("a row");
-        let value = ti_gauge::text::parse(row.1, scale.as_bytes()).expect("a value");
+        let value = ti_gauge::notation::parse(row.1, scale.as_bytes()).expect("a value");
         let change = ti_gauge::dataflash::Change::of_value(row, &value, true).expect("it fits");
-        rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+        rig.ask(&op::WRITE, vec![change]).expect("the default key");
         for _ in 0..20 {
             rig.poll_after(Duration::from_secs(2));
         }
@@ -639,7 +639,7 @@ fn a_scale_that_is_written_applies() {
 fn a_scale_in_ram_is_lost_with_the_power() {
     let (mut rig, id, _) = with_energy_scale("bq27427");
     let index = rig.index(id);
-    rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+    rig.ask(&op::READ, vec![index]).expect("the default key");
     turn(&rig, "power", "off");
     turn(&rig, "power", "on");
     for _ in 0..20 {
@@ -815,7 +815,7 @@ fn a_charge_counter_falls_while_discharging() {
         let mut rig = open(chip);
         let start = 0x0011;
         if chip == "bq35100" {
-            rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+            rig.ask(&op::CONTROL, start).expect("a sealed gauge takes it");
         }
         if chip == "bq34110" {
             // Mfg Status Init: it counts in both directions.
@@ -845,10 +845,10 @@ fn a_resistance_is_shown_in_the_mode_that_measures_it() {
         turn(&rig, "power", "on");
         rig.poll_after(INTERVAL);
         let (start, stop) = (0x0011, 0x0012);
-        rig.ask(|done| Request::Control(start, done)).expect("a sealed gauge takes it");
+        rig.ask(&op::CONTROL, start).expect("a sealed gauge takes it");
         turn(&rig, "load_ma", "100");
         rig.poll_after(Duration::from_secs(3));
-        rig.ask(|done| Request::Control(stop, done)).expect("a sealed gauge takes it");
+        rig.ask(&op::CONTROL, stop).expect("a sealed gauge takes it");
         for _ in 0..12 {
             rig.poll_after(INTERVAL);
         }

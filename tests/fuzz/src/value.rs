@@ -6,8 +6,8 @@ use ti_gauge::chip::{CHIPS, Kind, Parameter, Range, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::Change;
 use ti_gauge::error::Cause;
+use ti_gauge::notation;
 use ti_gauge::text;
-use ti_gauge::unit;
 use ti_gauge::value::{Type, Value};
 
 type Row = (&'static Subclass, &'static Parameter);
@@ -47,8 +47,8 @@ pub(crate) fn run(input: &[u8]) {
 }
 
 fn check((subclass, parameter): Row, input: &[u8]) {
-    let stored = text::parse_stored(parameter, input);
-    let Ok(value) = text::parse(parameter, input) else { return };
+    let stored = notation::parse_stored(parameter, input);
+    let Ok(value) = notation::parse(parameter, input) else { return };
     assert_eq!(stored.as_ref(), Ok(&value), "a gauge's own value is refused");
     let kind = parameter.kind;
     let shown = std::str::from_utf8(input).expect("accepted as text").trim();
@@ -80,7 +80,7 @@ fn check((subclass, parameter): Row, input: &[u8]) {
     if let (Value::Float(one), Value::Float(other)) = (&value, &read) {
         assert!((one - other).abs() <= one.abs() * 1e-6 + 1e-37, "{one} is stored as {other}");
     }
-    let again = text::parse_stored(parameter, text::render(kind, &read).as_bytes());
+    let again = notation::parse_stored(parameter, notation::render(kind, &read).as_bytes());
     let again = again.expect("what is shown can be written");
     assert_eq!(codec::encode(kind, &again), Some(change.bytes().to_vec()));
 }
@@ -88,17 +88,22 @@ fn check((subclass, parameter): Row, input: &[u8]) {
 /// What a file accepts means the same with units allowed; a unit is refused, or gives a value of which the text is the
 /// very number.
 fn check_unit(parameter: &'static Parameter, text: &str) {
-    let value = match (text::parse(parameter, text.as_bytes()), unit::parse(parameter, text)) {
-        (Ok(plain), value) => {
-            assert_eq!(value.as_ref(), Ok(&plain), "{text}");
-            plain
-        }
-        (Err(_), Ok(value)) => value,
-        (Err(_), Err(_)) => return,
-    };
-    let shown = unit::show(parameter, &value);
+    let value =
+        match (notation::parse(parameter, text.as_bytes()), notation::parse_with_unit(parameter, text)) {
+            (Ok(plain), value) => {
+                assert_eq!(value.as_ref(), Ok(&plain), "{text}");
+                plain
+            }
+            (Err(_), Ok(value)) => value,
+            (Err(_), Err(_)) => return,
+        };
+    let shown = notation::show(parameter, &value);
     let Value::Int(stored) = value else { return };
-    assert_eq!(unit::parse(parameter, &shown), Ok(value), "{text}: what is shown is read as another value");
+    assert_eq!(
+        notation::parse_with_unit(parameter, &shown),
+        Ok(value),
+        "{text}: what is shown is read as another value"
+    );
     // Volts and amperes differ from what is stored by three digits.
     let of_thousand = ["mV", "mA", "mAh"].contains(&parameter.unit);
     let number = text.trim().strip_suffix(parameter.unit.trim_start_matches('m')).filter(|_| of_thousand);

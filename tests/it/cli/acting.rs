@@ -12,7 +12,9 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 
-use super::{CHIP, Folder, Foreground, as_nobody, can_mount, command, gaugefs, read, run, stop, within};
+use crate::room::{
+    CHIP, Folder, Foreground, as_nobody, can_mount, command, gaugefs, read, run, stop, within,
+};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);

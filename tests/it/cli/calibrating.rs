@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-use super::{CHIP, Folder, can_mount, gaugefs, read, within};
+use crate::room::{CHIP, Folder, can_mount, gaugefs, read, within};
 
 #[test]
 fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {

@@ -13,7 +13,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::{Value, json};
 
-use super::{CHIP, Folder, Foreground, can_mount, command, gaugefs, golden, read, stop, within};
+use super::golden;
+use crate::room::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, stop, within};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(60);

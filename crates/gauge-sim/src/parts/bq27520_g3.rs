@@ -7,8 +7,9 @@
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG};
+use super::model::Host;
 use super::part::Action::*;
-use super::part::{Action, BlockPart, Gate, Host, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
 use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;

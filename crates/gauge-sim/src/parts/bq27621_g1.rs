@@ -9,8 +9,9 @@ use super::bq27441_g1::{FLAGS, OWN, TIMING};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
+use super::model::Host;
 use super::part::Action::*;
-use super::part::{Action, BlockPart, DataMemory, Host, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
 use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::update::Exit;
 
@@ -194,7 +195,7 @@ mod tests {
     use super::super::check_sums;
     use super::*;
 
-    /// Of TI's sample image, the blocks that it leaves as they are.
+    /// Compares the blocks that TI's sample image leaves unchanged.
     #[test]
     fn blocks_have_the_checksums_of_tis_sample_image() {
         check_sums(

@@ -73,8 +73,8 @@ static SCHEME: BlockPart = BlockPart {
     rom: Some(LAYOUT),
 };
 
-/// Where rows of an image for ROM mode have the classes (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for the G1,
-/// BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
+/// The places of the classes in the rows of an image for ROM mode (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for
+/// the G1, BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
 #[rustfmt::skip]
 static LAYOUT: Layout = &[
     (104, 0, 16), (82, 68, 17), (80, 85, 93), (32, 400, 6), (34, 406, 14), (36, 420, 27), (64, 447, 8),

@@ -72,8 +72,8 @@ static SCHEME: BlockPart = BlockPart {
     rom: Some(LAYOUT),
 };
 
-/// Where rows of an image for ROM mode have the classes (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for the G1,
-/// BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
+/// The places of the classes in the rows of an image for ROM mode (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for
+/// the G1, BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files for the R2).
 #[rustfmt::skip]
 static LAYOUT: Layout = &[
     (104, 0, 16), (82, 68, 17), (80, 85, 93), (32, 405, 6), (34, 411, 14), (36, 425, 27), (64, 452, 8),
@@ -306,7 +306,7 @@ mod tests {
     use super::super::check_sums;
     use super::*;
 
-    /// Those of the bq34z100-G1, except for subclass 48.
+    /// The checksums are those of the bq34z100-G1, except for subclass 48.
     #[test]
     fn blocks_have_the_checksums_of_the_manual() {
         check_sums(

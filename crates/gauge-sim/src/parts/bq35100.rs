@@ -6,7 +6,6 @@
 use std::time::Duration;
 
 use super::battery::Battery;
-use super::envelope::Busy;
 use super::flash::{Flash, Image};
 use super::flat::{BASE, DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
@@ -14,6 +13,7 @@ use super::model::{
 };
 use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
+use super::timing::Busy;
 use super::timing::Timing;
 
 pub(super) static PART: Part = Part {

@@ -161,7 +161,7 @@ static BQ27Z561: &[Row] = &[
     (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
 ];
 
-/// All of them have a cell of 1200 mAh and the thresholds of TI's defaults for the bq27500. The reserve keeps
+/// The settings of all these parts: a cell of 1200 mAh, and TI's default thresholds of the bq27500. The reserve keeps
 /// RemainingCapacity() apart from NominalAvailableCapacity().
 fn settings(_: &Flash) -> Settings {
     Settings {

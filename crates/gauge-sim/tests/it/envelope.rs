@@ -1,4 +1,4 @@
-//! What real gauges do and the friendly one does not: each behaviour alone, set by its knob, beside a gauge without it.
+//! Unfriendly behaviour of real gauges: each alone, set by its knob, beside a gauge without it.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
 
-use crate::block::{Bench, sum};
+use crate::bench::{Bench, sum};
 
 const FLASH: &str = "bq34z100-g1";
 const RAM: &str = "bq27441-g1";
@@ -34,7 +34,7 @@ fn gauge(chip: &str, knobs: &[(&str, &str)]) -> Bench {
     bench
 }
 
-/// The same, unsealed.
+/// An unsealed gauge with the knobs set.
 fn open(chip: &str, knobs: &[(&str, &str)]) -> Bench {
     let bench = gauge(chip, knobs);
     bench.replay(if chip == RAM { UNSEAL_RAM } else { UNSEAL });
@@ -302,7 +302,7 @@ mod resets {
         }
     }
 
-    /// What was before a loss of power is shown until INITCOMP, although the pack has changed.
+    /// Until INITCOMP, the gauge shows the values from before a loss of power, although the pack has changed.
     #[test]
     fn predictions_are_old_until_initcomp() {
         const INITCOMP: u16 = 0x0080;

@@ -7,7 +7,7 @@ use gauge_bus::Bus;
 use gauge_bus::clock::SimClock;
 use gauge_sim::{Options, Sim};
 
-use crate::block::Bench;
+use crate::bench::Bench;
 
 const UNSEAL: &str = "W 00 14 04 ; W 00 72 36";
 const FULL_ACCESS: &str = "X 5000 ; W 00 FF FF ; W 00 FF FF";
@@ -511,7 +511,7 @@ mod bq27220 {
         assert!(bench.sim.flash() != memory);
     }
 
-    /// What was written is lost with the power, nothing shows it, and the gauge comes back UNSEALED.
+    /// A loss of power loses written values without a sign of it, and the gauge comes back UNSEALED.
     #[test]
     fn power_loss_and_reset_restore_what_is_in_one_time_programmable_memory() {
         for lose in ["W 00 41 00", ""] {

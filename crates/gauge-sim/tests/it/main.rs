@@ -2,6 +2,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
+mod bench;
 mod block;
 mod driver;
 mod envelope;

@@ -5,7 +5,8 @@
 
 use std::ops::Range;
 
-use super::blocks::{Window, holds_keys};
+use super::window::Window;
+use super::window::holds_keys;
 use crate::chip::{Chip, FLAT, Kind, Scheme, Subclass};
 use crate::codec::WINDOW;
 use crate::value::Type;

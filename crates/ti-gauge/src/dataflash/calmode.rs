@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use super::preflight::read_word;
+use super::state::read_word;
 use crate::chip::{Calibration, Word};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};

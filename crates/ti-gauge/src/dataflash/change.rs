@@ -9,7 +9,7 @@ pub use crate::chip::Row;
 use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::text;
+use crate::notation;
 use crate::value::Value;
 
 /// New bytes for one place in data flash.
@@ -37,15 +37,20 @@ impl Change {
     /// A new value of a parameter, as its file takes it. `allow_unproven` also allows a row whose address or range no
     /// second source confirms (EACCES otherwise).
     pub fn parse(row: Row, text: &[u8], allow_unproven: bool) -> Result<Self> {
-        check_row(row, allow_unproven)?;
-        Self::of_value(row, &text::parse(row.1, text)?, allow_unproven)
+        let value = check_row(row, allow_unproven).and_then(|()| notation::parse(row.1, text));
+        let value = value.map_err(|error| error.at_place(Place::of(row).into()))?;
+        Self::of_value(row, &value, allow_unproven)
     }
 
     /// A new value of a parameter. It must be of its type, in the manual's range and above the safe minimum.
     pub fn of_value(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
+        Self::checked(row, value, allow_unproven).map_err(|error| error.at_place(Place::of(row).into()))
+    }
+
+    fn checked(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
         let parameter = row.1;
         check_row(row, allow_unproven)?;
-        text::check(parameter, value)?;
+        notation::check(parameter, value)?;
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
         })?;
@@ -56,7 +61,7 @@ impl Change {
 
     /// Bytes that no manual documents, all in one block: no key, no limit and no unproven row can be bypassed with them.
     pub fn raw(chip: &Chip, place: Place, bytes: Vec<u8>) -> Result<Self> {
-        check_raw(chip, place, bytes.len())?;
+        check_raw(chip, place, bytes.len()).map_err(|error| error.at_place(place.into()))?;
         Ok(Self { place, bytes, row: None, saved: false })
     }
 
@@ -105,7 +110,9 @@ impl Change {
         match &parameter.safe {
             Some(Safe::AtLeast(least, why)) if number < *least => {
                 let why = format!("{number} is below {least}: {why}");
-                Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+                let greatest = parameter.kind.bounds().map_or(i64::MAX, |(_, greatest)| greatest);
+                let refused = Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check);
+                Err(refused.allowing(least, greatest))
             }
             _ => Ok(()),
         }

@@ -1,9 +1,12 @@
 //! Checks that need the unsealed gauge: whether the table's addresses are this firmware's, whether the
 //! voltage lets the gauge program flash and will let it, and whether the values are safe.
 
-use super::blocks::{Dirty, Window, locate, old_bytes};
+use super::blocks::old_bytes;
 use super::schemes::sequence;
-use super::{Change, DataFlash, Place, preflight};
+use super::state::read_word;
+use super::window::locate;
+use super::window::{Dirty, Window};
+use super::{Change, DataFlash, Place};
 use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
@@ -112,7 +115,7 @@ impl DataFlash {
         let code = gauge.chip.register(Role::VoltageNow).map(|register| Word::Register(register.code));
         for _ in 0..2 {
             let Some(word) = code else { break };
-            let again = preflight::read_word(gauge, word)?;
+            let again = read_word(gauge, word)?;
             (low, high) = (low.min(again), high.max(again));
         }
         let refuse = |why: String| {
@@ -302,9 +305,7 @@ fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
     let Some((code, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
     };
-    agreed("the bit that allows calibration", || {
-        Ok(preflight::read_word(gauge, Word::Register(code))? & mask != 0)
-    })
+    agreed("the bit that allows calibration", || Ok(read_word(gauge, Word::Register(code))? & mask != 0))
 }
 
 /// How flash is opened where Voltage() is low because the divider is not set.

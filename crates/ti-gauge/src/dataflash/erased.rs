@@ -1,6 +1,7 @@
 //! Rows that a loss of power has erased. Erased flash reads 0xff, which most parameters cannot hold.
 
-use super::blocks::{Window, holds_keys, locate};
+use super::window::Window;
+use super::window::{holds_keys, locate};
 use super::{Place, Row};
 use crate::chip::{Chip, Kind, Range};
 use crate::codec::{self, WINDOW};

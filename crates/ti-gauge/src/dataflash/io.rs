@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use super::blocks::{Dirty, Window, locate};
 use super::schemes::sequence;
-use super::session::Session;
+use super::window::locate;
+use super::window::{Dirty, Window};
 use crate::chip::Subclass;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Moment, Seal, Statistics};
+use crate::gauge::{Gauge, Seal};
 
 /// Looks at a block that was just committed, and the time between them. Programming takes up to 250 ms, during
 /// which a gauge may answer with the old content, or not at all.
@@ -65,45 +65,6 @@ pub(super) fn reload(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
     Ok(Dirty { old: window, new, ..block.clone() })
 }
 
-/// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
-/// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
-/// and that has changed nothing, is repeated: it was busy with a row of its own.
-pub(super) fn store(
-    gauge: &mut Gauge,
-    session: &mut Session,
-    block: &Dirty,
-    touched: &mut usize,
-) -> Result<()> {
-    let (mut block, before) = (block.clone(), *touched);
-    for _ in 1..STORES {
-        let moment = assure_loaded(gauge, session, &mut block)?;
-        let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
-        match (committed, stored) {
-            (_, Ok(())) => return session.assure(gauge).map(drop),
-            (Err(error), Err(_)) if is_passing(&error) => {}
-            (committed, Err(error)) => return Err(committed.err().unwrap_or(error)),
-        }
-        still_open(gauge)?;
-        session.assure(gauge)?;
-        // Not the old content: what the commit has done must not be hidden by another.
-        block = reload(gauge, &block)?;
-    }
-    let moment = assure_loaded(gauge, session, &mut block)?;
-    let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
-    stored.map_err(|error| committed.err().unwrap_or(error))?;
-    session.assure(gauge).map(drop)
-}
-
-/// Makes sure that it is still the same pack, with the block in the window.
-fn assure_loaded(gauge: &mut Gauge, session: &mut Session, block: &mut Dirty) -> Result<Moment> {
-    let compared = session.pack.compared;
-    let moment = session.assure(gauge)?;
-    if session.pack.compared != compared {
-        *block = reload(gauge, block)?;
-    }
-    Ok(moment)
-}
-
 /// Whether an error may be gone at the next attempt.
 pub(super) fn is_passing(error: &Error) -> bool {
     matches!(error.cause(), Cause::Bus(bus) if bus.is_transient())
@@ -123,40 +84,8 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
     }
 }
 
-/// Returns the outcome of the commit, and whether the block reads as it should. A checksum may take effect even if
-/// its acknowledgement was lost. It is not sent to a gauge that may have been exchanged since `moment`.
-fn store_once(
-    gauge: &mut Gauge,
-    block: &Dirty,
-    moment: Moment,
-    mut commits: impl FnMut(),
-) -> (Result<()>, Result<()>) {
-    let mut committed = Ok(());
-    for piece in sequence(gauge).pieces(block) {
-        committed = sequence(gauge).fill(gauge, &piece).and_then(|()| {
-            if !gauge.is_unbroken_since(moment) {
-                let why = "the gauge was away for a moment before the block was programmed; try again";
-                return Err(Error::new("", Cause::NotNow(why.into())).at(Step::WriteBlock));
-            }
-            commits();
-            Statistics::count(&gauge.statistics.flash_writes);
-            sequence(gauge).commit(gauge, &piece)
-        });
-        if let Err(error) = &committed
-            && matches!(error.cause(), Cause::NotNow(_))
-        {
-            // What it shows is nothing that this commit has done.
-            return (Err(error.clone()), Err(error.clone()));
-        }
-        if committed.is_err() {
-            break;
-        }
-    }
-    (committed, verify(gauge, block))
-}
-
 /// Selects and reads the block again: right after a write the window shows the buffer, not flash.
-fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+pub(super) fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     patiently(gauge, |gauge| {
         let stored = sequence(gauge).glance(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
         compare(block, &stored)

@@ -19,15 +19,19 @@ use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::blocks::{Bytes, Dirty, Window, learned, locate, secrets};
 use super::io::{COMMITTED, STORES, is_passing, patiently};
+use super::keyrow::{keeps_unseal_key, quietly, stored};
 use super::pack::{Match, compare};
+use super::planned::{self, Held, look};
 use super::schemes::sequence;
 use super::session::{Left, RESTORES, Session, own_up};
-use super::settle::{self, Held, Verdict, look, unrestored};
+use super::verdict::{Verdict, unrestored};
+use super::window::{Dirty, Window};
+use super::window::{learned, locate, secrets};
 use super::{Change, DataFlash};
 use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
+use crate::codec::Bytes;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal, Statistics};
@@ -286,24 +290,6 @@ impl DataFlash {
         );
         Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check))
     }
-}
-
-/// Whether the gauge, which is in FULL ACCESS, keeps the mount's unseal key. Then it is proven.
-pub(super) fn keeps_unseal_key(gauge: &mut Gauge) -> Result<bool> {
-    let (KeyStorage::Flash(block), Some(key)) = (&gauge.chip.security.storage, gauge.key(Name::Unseal))
-    else {
-        return Ok(false);
-    };
-    sequence(gauge).enable(gauge)?;
-    let (place, start) = locate(block.subclass, block.start);
-    let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
-    let stored = stored(&key, block.order);
-    let at = start + block.unseal;
-    let keeps = window[at..at + stored.len()] == **stored;
-    if keeps {
-        gauge.prove_key();
-    }
-    Ok(keeps)
 }
 
 /// The block of keys with one of that name, or why it cannot be changed.
@@ -676,7 +662,7 @@ impl<'a> Task<'a> {
             }
         }
         let marks = dataflash.known.marks(gauge.chip);
-        let mut plan = settle::plan(gauge, false, &[], &rows, marks);
+        let mut plan = planned::plan(gauge, false, &[], &rows, marks);
         let is_erased = |name: &Name| match name {
             Name::Authentication => {
                 self.block.authentication.is_some() && {
@@ -1361,16 +1347,6 @@ fn probe(
     )))
 }
 
-/// A key as the gauge keeps it.
-fn stored(key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
-    let mut bytes = Zeroizing::new(key.bytes().to_vec());
-    if let (KeyOrder::Reversed, [a, b, c, d]) = (order, bytes.as_slice()) {
-        let turned = [*c, *d, *a, *b];
-        bytes.copy_from_slice(&turned);
-    }
-    bytes
-}
-
 /// A key of which a gauge keeps these bytes.
 fn unstored(bytes: &[u8], order: KeyOrder) -> Secret {
     Secret::of_bytes(&stored(&Secret::of_bytes(bytes), order))
@@ -1398,23 +1374,4 @@ enum Worked {
     New,
     /// Neither was needed, or a mixture of both led there.
     Neither,
-}
-
-/// Runs transfers that carry keys: they are not recorded, and no error repeats what was read.
-fn quietly<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
-    gauge.set_secret(true);
-    let outcome = run(gauge);
-    gauge.set_secret(false);
-    outcome.map_err(|error| {
-        let cause = match error.cause() {
-            Cause::BadChecksum(_) => Cause::BadChecksum("the checksum of the key block is wrong".into()),
-            Cause::Protocol(_) => Cause::Protocol("the key block could not be read correctly".into()),
-            cause => cause.clone(),
-        };
-        let plain = Error::new("", cause);
-        match error.step() {
-            Some(step) => plain.at(step),
-            None => plain,
-        }
-    })
 }

@@ -5,8 +5,8 @@
 use std::time::Duration;
 
 use super::blocks::gather;
+use super::planned;
 use super::session::{Session, in_time};
-use super::settle;
 use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
 use crate::codec;
@@ -61,7 +61,7 @@ impl DataFlash {
         let olds = olds.collect();
         let neighbours = self.neighbours(gauge, &blocks)?;
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let plan = settle::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
+        let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
         self.note(session, Plan { by_gauge: true, ..plan })?;
         blocks.iter().for_each(|block| self.known.forget(block.place));
         Ok(olds)

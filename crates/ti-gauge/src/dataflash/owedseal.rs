@@ -4,8 +4,7 @@
 use std::time::Duration;
 
 use super::DataFlash;
-use super::assure::Reference;
-use super::session::{Session, in_time};
+use super::session::{Reference, Session, in_time};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
 use crate::journal::{Entry, Plan};

@@ -6,8 +6,10 @@
 use std::collections::BTreeMap;
 
 use super::Row;
-use super::blocks::{Bytes, Window, holds_keys, learned, locate};
+use super::window::Window;
+use super::window::{holds_keys, learned, locate};
 use crate::chip::{Chip, FLAT, Range};
+use crate::codec::Bytes;
 use crate::codec::{self, WINDOW};
 use crate::journal::{Identity, Mark, Plan};
 use crate::value::Value;

@@ -6,6 +6,7 @@
 use super::io::read_byte;
 use super::schemes::sequence;
 use super::session::Session;
+use super::state::{lost_flag, read_word};
 use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
 use crate::error::{Cause, Error, Result, Step};
@@ -305,7 +306,8 @@ impl DataFlash {
                     "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or check its \
                      connection"
                 );
-                Err(Error::new("Voltage()", Cause::NotNow(why)).at(Step::Check))
+                let refused = Error::of_register("Voltage()", Cause::NotNow(why)).at(Step::Check);
+                Err(refused.allowing(min, max).showing(voltage_mv))
             }
             _ => Ok(()),
         }
@@ -432,27 +434,9 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
-    match word {
-        Word::ControlStatus => Ok(gauge.control_status()?.1),
-        Word::Answer(code) => gauge.ask(code),
-        Word::Register(code) => {
-            let mut bytes = [0; 2];
-            gauge.read(code, &mut bytes)?;
-            Ok(u16::from_le_bytes(bytes))
-        }
-    }
-}
-
 /// The address of Voltage().
 fn voltage(chip: &Chip) -> u8 {
     chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code
-}
-
-/// The address of Flags(), and the bit of it that reports that data memory was lost, where there is one.
-fn lost_flag(chip: &Chip) -> Option<(u8, u16)> {
-    let lost = chip.volatile.filter(|&lost| lost != 0)?;
-    Some((chip.register(Role::Flags)?.code, lost))
 }
 
 /// How many bytes behind CONTROL_STATUS show the state of a gauge.
@@ -472,16 +456,6 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
     let look = gauge.look_at_status();
     gauge.also_read(0);
     look.map(|look| Found::of(gauge.chip, look, moment))
-}
-
-/// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in
-/// CONFIG UPDATE has not lost its power since it entered that mode, whatever it has not forgotten of an earlier loss.
-pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
-    let chip = gauge.chip;
-    let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
-    let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == Word::Register(flags));
-    let ours = modes.fold(0, |all, mode| all | mode.mask);
-    agreed("Flags()", || Ok(read_word(gauge, Word::Register(flags))? & (lost | ours) == lost))
 }
 
 /// Checks the modes that only an unsealed gauge reports.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::blocks::{Dirty, Window};
+use super::window::{Dirty, Window};
 use crate::chip::Scheme;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};

@@ -4,16 +4,23 @@ use std::time::Duration;
 
 use gauge_bus::BusError;
 
-use super::assure::Assurance;
-use super::blocks::{Bytes, Dirty, Window};
 use super::calmode;
-use super::io::{reload, store};
+use super::io::reload;
 use super::schemes::sequence;
+use super::window::{Dirty, Window};
 use crate::chip::{Bit, Calibration};
+use crate::codec::Bytes;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
+
+mod assure;
+mod store;
+
 use crate::journal::{Entry, KeyPlan, OpenJournal};
+use assure::Assurance;
+pub(super) use assure::Reference;
+pub(super) use store::store;
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);

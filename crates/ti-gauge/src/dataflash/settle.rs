@@ -11,24 +11,26 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::assure::Reference;
-use super::blocks::{Dirty, Window, holds_keys, learned, secrets};
-use super::io::{COMMITTED, reload, store, verify_written};
+use super::io::{COMMITTED, reload, verify_written};
 use super::keychange::way_out;
 use super::measured;
 use super::owedseal::OwedSeal;
 use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
-use super::preflight::{has_lost_memory, read_word};
+use super::planned::{Held, Seen, identify, look, look_by, serial_number};
 use super::schemes::sequence;
-use super::session::{Left, Session, in_time, reads_wrong};
+use super::session::{Left, Reference, Session, in_time, store};
+use super::state::has_lost_memory;
+use super::verdict::{Verdict, unrestored};
+use super::window::{Dirty, Window};
+use super::window::{holds_keys, secrets};
 use super::{DataFlash, Place};
-use crate::chip::{Chip, KeyStorage, Kind, Word};
+use crate::chip::{Chip, KeyStorage, Kind};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Seal, agreed};
-use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan, PlannedBlock};
+use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan};
 use crate::keys::Name;
-use crate::text;
+use crate::notation;
 
 /// The unseal key of a gauge whose row of keys has been erased.
 const ERASED_KEY: [u16; 2] = [0xffff; 2];
@@ -127,30 +129,6 @@ impl Shown {
     }
 }
 
-/// Which content a block has.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Held {
-    Old,
-    New,
-    /// Some of both, or erased.
-    Torn,
-    /// At least one byte that neither the write nor a loss of power explains.
-    Unexplained,
-}
-
-/// The outcome of a look at a gauge with something to settle.
-pub(super) enum Verdict {
-    /// It has been settled; the text says how.
-    Done(String),
-    /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
-    /// write was begun on is not certain, so its journal waits for that.
-    Plausible(String),
-    /// The write was begun on another gauge, whose journal is left alone.
-    Another,
-    /// Nothing was touched; the text says why.
-    Undecided(String),
-}
-
 /// Why a person has to decide about an interrupted write.
 enum Doubt {
     None,
@@ -170,13 +148,6 @@ enum Chosen {
     Another(String),
     /// Not this one; the text says why.
     Not(String),
-}
-
-/// A planned block, what the gauge has in its place, and which content that is.
-pub(super) struct Seen {
-    pub(super) block: Dirty,
-    stored: [u8; WINDOW],
-    pub(super) held: Held,
 }
 
 impl DataFlash {
@@ -882,32 +853,6 @@ fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> bool {
     }
 }
 
-/// What the next start needs to settle this write, without keys.
-pub(super) fn plan(
-    gauge: &Gauge,
-    reset: bool,
-    dirty: &[Dirty],
-    neighbours: &[Dirty],
-    marks: Vec<Mark>,
-) -> Plan {
-    let blocks = dirty.iter().chain(neighbours).map(|block| {
-        let (mut old, mut new) = (block.old, block.new);
-        for at in secrets(gauge.chip, block.place).iter() {
-            (old[at], new[at]) = (0, 0);
-        }
-        let Window { subclass, base } = block.place;
-        PlannedBlock { subclass, base, written: block.written, old, new }
-    });
-    Plan { reset, marks, blocks: blocks.collect(), ..Plan::default() }
-}
-
-/// What the gauge says of itself; an error if it is another part.
-pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
-    gauge.confirm_identity()?;
-    let firmware = agreed("Control(FW_VERSION)", || gauge.firmware_version())?;
-    Ok(Identity::of(gauge.chip, firmware, serial_number(gauge)?))
-}
-
 impl Plan {
     /// Nothing but what is known of the pack.
     pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
@@ -927,21 +872,10 @@ impl Entry {
     }
 }
 
-fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
-    agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
-}
-
 impl Pending {
     /// What was about to be written.
     pub(super) fn plan(&self) -> Option<Plan> {
         self.entry.as_ref()?.plan.clone()
-    }
-}
-
-impl PlannedBlock {
-    fn place(&self) -> Window {
-        Window { subclass: self.subclass, base: self.base }
     }
 }
 
@@ -952,13 +886,6 @@ fn is_certainly(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, ses
         .open(gauge)
         .and_then(|()| compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place)));
     same == Ok(Match::Certain)
-}
-
-/// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
-/// what was there before it: whoever has sent it is gone.
-pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
-    gauge.wait(COMMITTED);
-    look_at(gauge, plan)
 }
 
 /// Those of the journals of which an open gauge shows nothing. Each block is read once.
@@ -994,55 +921,6 @@ fn shows(seen: &[Seen], same: &Match) -> bool {
     let explained = seen.iter().all(|seen| seen.held != Held::Unexplained);
     let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
     *same == Match::Weak && (erased || explained && !all(Held::Old) && !all(Held::New))
-}
-
-/// The blocks of a plan as a gauge has them on which no commit is at work.
-pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
-    look_by(gauge, plan, &mut |gauge, place| sequence(gauge).load(gauge, place))
-}
-
-fn look_by(
-    gauge: &mut Gauge,
-    plan: &Plan,
-    load: &mut impl FnMut(&mut Gauge, Window) -> Result<[u8; WINDOW]>,
-) -> Result<Vec<Seen>> {
-    let mut seen = Vec::with_capacity(plan.blocks.len());
-    for block in &plan.blocks {
-        let place = block.place();
-        let stored = load(gauge, place)?;
-        let learned = learned(gauge.chip, place).without(block.written);
-        let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
-        for at in secrets(gauge.chip, place).iter() {
-            (block.old[at], block.new[at]) = (stored[at], stored[at]);
-        }
-        for at in block.written.iter().filter(|_| plan.by_gauge) {
-            block.new[at] = stored[at];
-        }
-        let held = classify(&block, &stored);
-        seen.push(Seen { block, stored, held });
-    }
-    Ok(seen)
-}
-
-fn classify(block: &Dirty, stored: &[u8; WINDOW]) -> Held {
-    let Dirty { old, new, learned, .. } = block;
-    let (mut all_old, mut all_new, mut torn) = (true, true, false);
-    for at in (0..WINDOW).filter(|&at| !learned.has(at)) {
-        let byte = stored[at];
-        match (byte == old[at], byte == new[at]) {
-            (true, true) => {}
-            (true, false) => all_new = false,
-            (false, true) => all_old = false,
-            (false, false) if byte == 0xff => torn = true,
-            (false, false) => return Held::Unexplained,
-        }
-    }
-    match (all_old, all_new) {
-        _ if torn => Held::Torn,
-        (true, _) => Held::Old,
-        (_, true) => Held::New,
-        _ => Held::Torn,
-    }
 }
 
 /// One interrupted write.
@@ -1301,12 +1179,6 @@ impl Task<'_> {
     }
 }
 
-/// What is not back. If it was stored and reads otherwise, trying again programs it again.
-pub(super) fn unrestored(error: Error) -> Error {
-    let unknown = Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
-    if reads_wrong(&error) { unknown.at(Step::Restore) } else { unknown }
-}
-
 /// Compares a gauge with the one of a plan, whose blocks have been looked at.
 fn compare_seen(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, seen: &[Seen]) -> Result<Match> {
     compare(gauge.chip, then, now, plan, |place| {
@@ -1343,7 +1215,7 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
                 continue;
             }
             let show = |bytes: &[u8; WINDOW]| {
-                text::render(parameter.kind, &codec::decode(parameter.kind, &bytes[range.clone()]))
+                notation::render(parameter.kind, &codec::decode(parameter.kind, &bytes[range.clone()]))
             };
             table += &format!(
                 "{}\t{}\t{}\t{}\t{}\n",

@@ -5,11 +5,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{
-    Faults, Format, Group, Image, Raw, Reading, at_line, check_count, chip_of, is_written, romimage,
-};
+use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, chip_of, is_written};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
+
+mod romimage;
 use crate::error::{Cause, Error, Result};
 
 /// The gauge's address as FlashStream has it: shifted left by one.

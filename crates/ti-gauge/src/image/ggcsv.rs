@@ -5,6 +5,7 @@ use super::{Entry, Faults, Group, Image, NAMED, Reading, at_line, check_count, c
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
 use crate::error::{Cause, Error, Result};
+use crate::notation;
 use crate::text;
 use crate::value::{Type, Value};
 
@@ -60,9 +61,9 @@ pub fn write(image: &Image) -> String {
 
 fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18] {
     let show = |value: &Value| match (parameter.kind, value) {
-        (_, Value::Text(string)) => text::shown(string),
-        (Type::H(_), _) => text::render(parameter.kind, value).replacen("0x", "", 1),
-        _ => text::render(parameter.kind, value),
+        (_, Value::Text(string)) => notation::shown(string),
+        (Type::H(_), _) => notation::render(parameter.kind, value).replacen("0x", "", 1),
+        _ => notation::render(parameter.kind, value),
     };
     let (letter, format) = match parameter.kind {
         Type::I(_) => ("I", "dddd".to_string()),
@@ -275,7 +276,7 @@ fn add_row<'a>(
             bad(format!("`{shown}` does not match the format {format}"))
         })?,
     };
-    let value = text::parse_stored(parameter, text.as_bytes());
+    let value = notation::parse_stored(parameter, text.as_bytes());
     let value = value.map_err(|error| error.within(&format!("line {number}")))?;
     image.add(subclass, parameter, value, number);
     Ok(None)
@@ -287,7 +288,7 @@ fn string(parameter: &Parameter, shown: &str, raw: Option<&str>) -> Result<Value
     let raw = raw.and_then(|raw| text::unhex(raw.as_bytes()));
     let raw = raw.filter(|raw| raw.len() == parameter.kind.size());
     if let Some(Value::Text(string)) = raw.map(|raw| codec::decode(parameter.kind, &raw))
-        && text::shown(&string).trim() == shown
+        && notation::shown(&string).trim() == shown
     {
         return Ok(Value::Text(string));
     }
@@ -295,7 +296,7 @@ fn string(parameter: &Parameter, shown: &str, raw: Option<&str>) -> Result<Value
         let why = "only printable ASCII is accepted here; other bytes are in the column Data Flash Raw Value";
         return Err(Error::new(parameter.name, Cause::Invalid(why.into())));
     }
-    text::string(parameter, shown.into())
+    notation::string(parameter, shown.into())
 }
 
 fn decimals(format: &str) -> usize {

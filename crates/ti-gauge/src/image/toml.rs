@@ -10,7 +10,7 @@ use super::{Faults, Image, NAMED, Reading, at_line, check_count, chip_of, twice}
 use crate::chip::{Chip, Kind, Parameter, kebab_case};
 use crate::date;
 use crate::error::{Cause, Error, Result};
-use crate::text;
+use crate::notation;
 use crate::value::{Type, Value};
 
 /// The image as text.
@@ -248,7 +248,7 @@ fn value_of(parameter: &Parameter, name: &str, found: &DeValue<'_>, number: usiz
     let text = plain(found).filter(|_| is_one);
     let Some(text) = text else {
         let remedy = match found {
-            DeValue::String(text) if !is_for_text => match text::parse(parameter, text.as_bytes()) {
+            DeValue::String(text) if !is_for_text => match notation::parse(parameter, text.as_bytes()) {
                 Ok(_) => "; write it without quotes".into(),
                 Err(error) => format!("; {}", error.cause()),
             },
@@ -260,10 +260,10 @@ fn value_of(parameter: &Parameter, name: &str, found: &DeValue<'_>, number: usiz
     let value = if is_text {
         let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(letter).ok()).collect();
         let why = || at_line(number, format!("{name}: a character above \\u00ff is not a byte"));
-        text::string(parameter, bytes.ok_or_else(why)?)
+        notation::string(parameter, bytes.ok_or_else(why)?)
     } else {
         let day = date::parse(&text).filter(|_| parameter.is_date()).map(|day| day.to_string());
-        text::parse_stored(parameter, day.unwrap_or(text).as_bytes())
+        notation::parse_stored(parameter, day.unwrap_or(text).as_bytes())
     };
     value.map_err(|error| error.within(&format!("line {number}")))
 }

@@ -8,9 +8,9 @@ use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::Seal;
 
-use crate::journal::{Folder, host, restart};
-use crate::recovery::programs;
 use crate::rig::{Rig, cause};
+use crate::room::programs;
+use crate::room::{Folder, host, restart};
 
 /// A board, and a calibration of it.
 struct Case {

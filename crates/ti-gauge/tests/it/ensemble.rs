@@ -19,29 +19,11 @@ use ti_gauge::error::{Cause, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::journal::{Folder, PowerCut, until_cut};
-use crate::rig::{Rig, cause, first_address};
+use crate::rig::{Random, Rig, cause, first_address};
+use crate::room::{Folder, PowerCut, until_cut};
 
 /// Runs in the everyday test.
 const RUNS: u64 = 4000;
-
-/// A small generator, so that a seed means the same everywhere.
-pub(crate) struct Random(pub(crate) u64);
-
-impl Random {
-    pub(crate) fn below(&mut self, limit: u64) -> u64 {
-        // SplitMix64.
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (mixed ^ mixed >> 31) % limit
-    }
-
-    pub(crate) fn pick<'a, T>(&mut self, from: &'a [T]) -> &'a T {
-        &from[self.below(from.len() as u64) as usize]
-    }
-}
 
 /// What is done to a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -19,10 +19,10 @@ use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
-use crate::ensemble::Random;
-use crate::journal::{CASES, Case, Folder};
-use crate::recovery::programs;
+use crate::rig::Random;
 use crate::rig::{Rig, cause};
+use crate::room::programs;
+use crate::room::{CASES, Case, Folder};
 
 /// Runs in the everyday test.
 const RUNS: u64 = 1500;

@@ -10,8 +10,8 @@ use ti_gauge::dataflash::{DataFlash, Decision, Limits, Outcome};
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Seal;
 
-use crate::journal::Folder;
 use crate::rig::{Rig, cause};
+use crate::room::Folder;
 
 /// A write and what it does without a fault.
 struct Case {

@@ -14,9 +14,9 @@ use ti_gauge::error::Result;
 use ti_gauge::gauge::Seal;
 use ti_gauge::keys::{KeyChange, Keys, Name};
 
-use crate::journal::Folder;
-use crate::recovery::{cut, half_way, programs};
 use crate::rig::{Rig, cause};
+use crate::room::Folder;
+use crate::room::{cut, half_way, programs};
 
 /// Something that is done with a gauge.
 struct Operation {

@@ -8,10 +8,10 @@ use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::image::{Entry, Format, Image};
-use ti_gauge::text;
 use ti_gauge::value::Value;
 
 use crate::rig::{Rig, first_address};
+use ti_gauge::notation;
 
 /// The blocks of TI's image for a BQ27220 with firmware 0.03, with other values: 0x418F is one-time programmable memory.
 const BLOCKS_OF_A_BQ27220: [(u16, &str); 20] = [
@@ -139,7 +139,7 @@ fn stored(rig: &mut Rig) -> Vec<(&'static Subclass, Vec<u8>)> {
 fn other_value(chip: &Chip, subclass: &Subclass, row: &Parameter, old: &Value) -> Option<Value> {
     let signs = chip.signature.iter().any(|sign| (sign.subclass, sign.offset) == (subclass.id, row.offset));
     // A learned value outside its range is not imported.
-    let is_in_range = text::parse(row, text::render(row.kind, old).as_bytes()).is_ok();
+    let is_in_range = notation::parse(row, notation::render(row.kind, old).as_bytes()).is_ok();
     let decides = row.role == Some(Role::Cells) || row.safe.is_some() || !row.bits.is_empty();
     let external = chip.gate.as_ref().and_then(|gate| gate.external.as_ref());
     let measures = external.is_some_and(|external| external.byte == (subclass.id, row.offset));

@@ -13,8 +13,8 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
 use ti_gauge::value::Value;
 
-use crate::journal::Folder;
 use crate::rig::{Rig, cause};
+use crate::room::Folder;
 
 const STATES: [Seal; 3] = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
 

@@ -24,6 +24,7 @@ mod probe;
 mod recovery;
 mod rescue;
 mod rig;
+mod room;
 mod rules;
 mod rules_gauge;
 mod rules_kept;

@@ -14,9 +14,9 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
 
-use crate::journal::{Folder, PowerCut, until_cut};
-use crate::recovery::{half_way, programs, two_blocks};
 use crate::rig::{Rig, cause};
+use crate::room::{Folder, PowerCut, until_cut};
+use crate::room::{half_way, programs, two_blocks};
 
 const CHIP: &str = "bq34z100-g1";
 

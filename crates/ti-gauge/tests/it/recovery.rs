@@ -2,144 +2,26 @@
 //! values, and the time that it takes.
 
 use std::fs;
-use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
-use gauge_sim::{Sim, SimBus};
+use gauge_sim::Sim;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, FLAT, KeyStorage, Kind, Scheme};
-use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Outcome};
+use ti_gauge::dataflash::{DataFlash, Decision, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::journal::{CASES, Case, Folder, PowerCut, host, until_cut};
 use crate::rig::{Rig, cause};
+use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs};
 
 /// Where two images differ, with both bytes.
 fn differences(one: &[u8], other: &[u8]) -> Vec<(usize, u8, u8)> {
     (0..one.len()).filter(|&at| one[at] != other[at]).map(|at| (at, one[at], other[at])).collect()
-}
-
-type Transferred = std::result::Result<(), BusError>;
-
-/// A bus that hands each transfer to a function, with its number.
-struct Through<F> {
-    bus: SimBus,
-    number: u64,
-    act: F,
-}
-
-impl<F> Bus for Through<F>
-where
-    F: FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send,
-{
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Transferred {
-        self.number += 1;
-        (self.act)(&mut self.bus, self.number, write, read)
-    }
-
-    fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
-    }
-}
-
-impl Rig {
-    /// A program starts at the place of that folder's journal.
-    pub(crate) fn start(&mut self, folder: &Folder) {
-        self.start_with(folder, Keys::default(), |bus, _, write, read| bus.transfer(write, read));
-    }
-
-    /// The same with keys, on a bus that hands each transfer to a function.
-    pub(crate) fn start_with(
-        &mut self,
-        folder: &Folder,
-        keys: Keys,
-        act: impl FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send + 'static,
-    ) {
-        let bus = Through { bus: self.sim.bus(), number: 0, act };
-        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys, false);
-        self.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
-    }
-
-    /// The gauge arrives, and what is owed to it is settled.
-    pub(crate) fn arrive(&mut self) -> Result<Option<String>> {
-        let answers = self.gauge.identify()?;
-        self.dataflash.meet(self.gauge.chip, &answers);
-        self.settle()
-    }
-
-    pub(crate) fn settle(&mut self) -> Result<Option<String>> {
-        self.dataflash.settle(&mut self.gauge, Duration::ZERO)
-    }
-
-    pub(crate) fn write_all(&mut self, changes: &[Change]) -> Result<Outcome> {
-        self.dataflash.write(&mut self.gauge, changes, Duration::ZERO)
-    }
-
-    pub(crate) fn set(&self, knob: &str, value: &str) {
-        self.sim.set(knob, value).expect("a knob");
-    }
-
-    pub(crate) fn get(&self, knob: &str) -> String {
-        self.sim.get(knob).expect("a knob")
-    }
-
-    /// Power is lost and comes back.
-    pub(crate) fn power_cycle(&self) {
-        self.set("power", "off");
-        self.set("power", "on");
-        self.clock.sleep(Duration::from_secs(3));
-    }
-
-    pub(crate) fn pause(&self, seconds: u64) {
-        self.clock.sleep(Duration::from_secs(seconds));
-    }
-}
-
-impl Folder {
-    pub(crate) fn text(&self) -> Option<String> {
-        fs::read_to_string(self.journal().path()).ok()
-    }
-}
-
-pub(crate) fn programs(write: &[u8]) -> bool {
-    matches!(write, [0x60, _, ..])
-}
-
-/// A change of two blocks, the first of which is that of the serial number.
-pub(crate) fn two_blocks(rig: &Rig) -> [Change; 2] {
-    [rig.change(48, 11, "2200"), rig.change(80, 53, "3100")]
-}
-
-/// The host loses power right after the first transfer of a write for which `at` holds.
-pub(crate) fn cut(
-    rig: &mut Rig,
-    folder: &Folder,
-    changes: &[Change],
-    at: impl Fn(&[u8]) -> bool + Send + 'static,
-) {
-    rig.start_with(folder, Keys::default(), move |bus, _, write, read| {
-        let done = bus.transfer(write, read);
-        if at(write) {
-            resume_unwind(Box::new(PowerCut));
-        }
-        done
-    });
-    let said = until_cut(|| rig.write_all(changes));
-    assert!(said.is_none(), "the host loses power: {said:?}");
-    rig.start(folder);
-    rig.pause(5);
-}
-
-/// The first of two blocks is new, and the second one is old.
-pub(crate) fn half_way(rig: &mut Rig, folder: &Folder) {
-    let changes = two_blocks(rig);
-    cut(rig, folder, &changes, programs);
 }
 
 #[test]
@@ -769,8 +651,6 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
     assert!(left_open > 100, "{left_open} times the host left it open");
     assert!((4..200).contains(&undecided), "{undecided} times a new key was not known");
 }
-
-pub(crate) const RESET: [u8; 3] = [0x00, 0x41, 0x00];
 
 /// The value that fails to verify after the reset is the gauge's Design Capacity, which a register shows.
 #[test]

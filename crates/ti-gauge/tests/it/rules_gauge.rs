@@ -12,7 +12,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
 use crate::rig::{Rig, another, cause};
-use crate::rules::commits;
+use crate::room::programs as commits;
 
 /// The words of the default unseal key as they are sent.
 const FIRST_WORD: [u8; 3] = [0x00, 0x14, 0x04];

@@ -13,9 +13,9 @@ use ti_gauge::dataflash::Decision;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
-use crate::journal::{Folder, PowerCut, until_cut};
-use crate::recovery::{cut, half_way, programs, two_blocks};
 use crate::rig::{Rig, cause};
+use crate::room::{Folder, PowerCut, until_cut};
+use crate::room::{cut, half_way, programs, two_blocks};
 
 const CHIP: &str = "bq34z100-g1";
 

@@ -13,10 +13,9 @@ use ti_gauge::dataflash::{Change, Decision, Place};
 use ti_gauge::gauge::Seal;
 use ti_gauge::keys::Keys;
 
-use crate::journal::{Folder, PowerCut, until_cut};
-use crate::power;
-use crate::recovery::{RESET, cut, half_way, programs, two_blocks};
 use crate::rig::{Rig, cause};
+use crate::room::{Folder, PowerCut, State, on_disk, until_cut};
+use crate::room::{RESET, cut, half_way, programs, two_blocks};
 
 const CHIP: &str = "bq34z100-g1";
 /// Counted by the gauge, in the block of Design Capacity.
@@ -371,7 +370,7 @@ fn a_plan_whose_sum_does_not_fit_does_not_count() {
 fn a_reset_is_on_disk_before_it_is_sent() {
     let write = |rig: &Rig, cut| {
         let changes = two_blocks(rig);
-        power::host(rig, power::State::default(), cut, |dataflash, gauge| {
+        on_disk(rig, State::default(), cut, |dataflash, gauge| {
             dataflash.write(gauge, &changes, Duration::ZERO)
         })
     };

@@ -10,7 +10,7 @@ use ti_gauge::chip::{
     Safe, Scale, Scaling, Scheme, SealStatus, Signature, Subclass, Tier, kebab_case, recognise, snake_case,
 };
 use ti_gauge::codec::{self, WINDOW};
-use ti_gauge::gauge::bursts;
+use ti_gauge::registers::bursts;
 use ti_gauge::value::{Type, Value};
 
 /// Fails with the first duplicate.

@@ -3,7 +3,7 @@
 
 use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_twice, settle, wait_until};
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::blocks::{Dirty, Window};
+use crate::dataflash::window::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 

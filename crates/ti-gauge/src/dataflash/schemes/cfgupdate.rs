@@ -7,7 +7,7 @@ use super::Sequence;
 use super::block::Block;
 use super::mac::Mac;
 use crate::codec::WINDOW;
-use crate::dataflash::blocks::{Dirty, Window};
+use crate::dataflash::window::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics, agreed};
 

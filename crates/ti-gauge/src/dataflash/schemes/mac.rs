@@ -3,7 +3,8 @@
 
 use super::{Sequence, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::blocks::{Dirty, Window, has_address, holds_keys};
+use crate::dataflash::window::{Dirty, Window};
+use crate::dataflash::window::{has_address, holds_keys};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 

@@ -1,10 +1,13 @@
-//! What the owner can be asked to do, and how it does it.
+//! What a gauge's owner can be asked to do: a row is an operation, with its name, how its text is read, what it needs and
+//! what it calls. A file of `gauge/`, a step of a station and a request of the file system are views of these rows.
 
 use std::ptr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Attempt, Loss, Owner, Seal};
+use super::attempt::Importance;
+use super::operation::{Asked, Operation};
+use super::{Attempt, Loss, Owner, Seal, words};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
@@ -12,134 +15,74 @@ use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::keys;
+use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::unit;
 
-/// Requests queued longer than this are refused, so that write(2) returns within 30 s.
-const QUEUE_LIMIT: Duration = Duration::from_secs(12);
+/// Reads subclasses, by their indices in the table. Those that are kept and still valid cost nothing.
+pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
+    Operation::new("read", |owner, wanted: Vec<usize>, asked| owner.read(&wanted, asked.waited))
+        .attempting(|wanted| Attempt::Read(wanted.clone()))
+        .reporting();
 
-/// Called from the owner's thread with the outcome of a request; must not block.
-pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
+/// Writes parameters, all or none.
+pub static WRITE: Operation<Vec<Change>> =
+    Operation::new("write", Owner::write).attempting(|changes| Attempt::Write(places(changes)));
 
-/// What the file system may ask of a gauge's owner.
-pub enum Request {
-    /// Read subclasses, by their indices in the table. Those that are kept and still valid cost nothing.
-    Read(Vec<usize>, Done<Vec<Arc<[u8]>>>),
-    /// Write parameters, all or none. Their ranges have been checked.
-    WriteAll(Vec<Change>, Done<()>),
-    /// Go to a seal state.
-    Seal(Seal, Done<()>),
-    /// Send a subcommand that the table marks safe.
-    Control(u16, Done<()>),
-    /// Change one of the gauge's keys.
-    ChangeKey(keys::KeyChange, Done<()>),
-    /// Publish the gauge's answer to a challenge.
-    Authenticate(Message, Done<()>),
-    /// Show what is known of an interrupted write, or settle it as somebody has decided.
-    Settle(Option<Decision>, Done<()>),
-    /// Calibrate the gauge, without polls meanwhile.
-    Calibrate(Job, Done<()>),
-    /// Publish a report of the gauge.
-    Report(Done<()>),
-    /// Poll now, and forget what was read of data flash.
-    Refresh(Done<()>),
-    /// Change the time between polls.
-    Interval(Duration, Done<()>),
-    /// Pay what is owed for the last time; an error says what remains.
-    End(Done<()>),
-    /// The adapter's device node has come or gone: release it, or see whether the gauge is back.
-    Look,
-}
+/// Goes to a seal state.
+pub static SEAL: Operation<Seal> = Operation::new("seal", Owner::go_to).parsed_by(words::seal);
 
-impl Request {
-    /// Whether it sends anything but what a poll reads. Such a request needs the gauge's table, a device that
-    /// is known to be a gauge, and an answer in time.
-    fn goes_beyond_polling(&self) -> bool {
-        match self {
-            Request::Read(..)
-            | Request::WriteAll(..)
-            | Request::Seal(..)
-            | Request::Control(..)
-            | Request::ChangeKey(..)
-            | Request::Authenticate(..)
-            | Request::Settle(..)
-            | Request::Calibrate(..) => true,
-            Request::Report(_)
-            | Request::Refresh(_)
-            | Request::Interval(..)
-            | Request::End(_)
-            | Request::Look => false,
-        }
-    }
+/// Sends a subcommand that the table marks safe.
+pub static CONTROL: Operation<u16> = Operation::new("control", Owner::send).parsed_by(words::subcommand);
 
-    /// What it attempts.
-    pub(super) fn attempt(&self) -> Attempt {
-        match self {
-            Request::Read(wanted, _) => Attempt::Read(wanted.clone()),
-            Request::WriteAll(changes, _) => Attempt::Write(places(changes)),
-            Request::Seal(..) => Attempt::Seal,
-            Request::Control(..) => Attempt::Control,
-            Request::ChangeKey(..) => Attempt::Key,
-            Request::Authenticate(..) => Attempt::Authenticate,
-            Request::Settle(..) => Attempt::Settle,
-            Request::Calibrate(..) => Attempt::Calibrate,
-            Request::Interval(..) => Attempt::Interval,
-            Request::End(_) => Attempt::Settle,
-            Request::Report(_) => Attempt::Report,
-            Request::Refresh(_) | Request::Look => Attempt::Poll,
-        }
-    }
+/// Changes one of the gauge's keys. `gaugefs keys` writes blanks afterwards, which overwrite the key in the daemon's
+/// buffer.
+pub static KEYS: Operation<keys::KeyChange> = Operation::new("keys", Owner::change_key)
+    .parsed_by(|_, text| Ok(keys::KeyChange::parse(text)?))
+    .ignoring_blank();
 
-    /// Returns the request, and what answers it if it is dropped without an answer.
-    pub(super) fn or_else_answered(self) -> (Self, Unanswered) {
-        match self {
-            Request::Read(wanted, done) => share(done, |done| Request::Read(wanted, done)),
-            Request::WriteAll(changes, done) => share(done, |done| Request::WriteAll(changes, done)),
-            Request::Seal(goal, done) => share(done, |done| Request::Seal(goal, done)),
-            Request::Control(code, done) => share(done, |done| Request::Control(code, done)),
-            Request::ChangeKey(change, done) => share(done, |done| Request::ChangeKey(change, done)),
-            Request::Authenticate(message, done) => share(done, |done| Request::Authenticate(message, done)),
-            Request::Settle(decision, done) => share(done, |done| Request::Settle(decision, done)),
-            Request::Calibrate(job, done) => share(done, |done| Request::Calibrate(job, done)),
-            Request::Report(done) => share(done, Request::Report),
-            Request::Refresh(done) => share(done, Request::Refresh),
-            Request::Interval(interval, done) => share(done, |done| Request::Interval(interval, done)),
-            Request::End(done) => share(done, Request::End),
-            Request::Look => (Request::Look, Box::new(drop)),
-        }
-    }
+/// Publishes the gauge's answer to a challenge.
+pub static AUTHENTICATE: Operation<Message> = Operation::new("authenticate", Owner::authenticate)
+    .parsed_by(|_, text| Ok(authentication::from_hex(text)?));
 
-    /// Answers with an error instead of carrying it out.
-    fn refuse(self, error: Error) {
-        match self {
-            Request::Read(_, done) => done(Err(error)),
-            Request::WriteAll(_, done)
-            | Request::Seal(_, done)
-            | Request::Control(_, done)
-            | Request::ChangeKey(_, done)
-            | Request::Authenticate(_, done)
-            | Request::Settle(_, done)
-            | Request::Calibrate(_, done)
-            | Request::Report(done)
-            | Request::Refresh(done)
-            | Request::Interval(_, done)
-            | Request::End(done) => done(Err(error)),
-            Request::Look => {}
-        }
-    }
-}
+/// Shows what is known of an interrupted write, or settles it as somebody has decided.
+pub static SETTLE: Operation<Option<Decision>> =
+    Operation::new("settle", Owner::settle_as_decided).parsed_by(words::decision).important(Importance::Owed);
 
-/// Answers a request that nothing else has answered.
-pub(super) type Unanswered = Box<dyn FnOnce(Error)>;
+/// Calibrates the gauge, without polls meanwhile.
+pub static CALIBRATE: Operation<Job> = Operation::new("calibrate", Owner::calibrate).parsed_by(words::job);
 
-/// Shares the answer to a request: whoever answers first has answered.
-fn share<T: 'static>(done: Done<T>, request: impl FnOnce(Done<T>) -> Request) -> (Request, Unanswered) {
-    let first = Arc::new(Mutex::new(Some(done)));
-    let second = first.clone();
-    let take = |shared: &Mutex<Option<Done<T>>>| shared.lock().unwrap_or_else(PoisonError::into_inner).take();
-    let answer = move |outcome| take(&first).map_or((), |done| done(outcome));
-    (request(Box::new(answer)), Box::new(move |error| take(&second).map_or((), |done| done(Err(error)))))
-}
+/// Publishes a report of the gauge.
+pub static REPORT: Operation<()> =
+    Operation::new("report", |owner, (), asked| owner.make_report(asked.waited))
+        .parsed_by(words::anything)
+        .of_any_gauge()
+        .important(Importance::Reading)
+        .reporting();
+
+/// Polls now, and forgets what was read of data flash.
+pub static REFRESH: Operation<()> =
+    Operation::new("refresh", |owner, (), asked| owner.refresh(asked.submitted))
+        .parsed_by(words::anything)
+        .of_any_gauge()
+        .attempting(|()| Attempt::Poll)
+        .reporting();
+
+/// Changes the time between polls.
+pub static POLL_INTERVAL: Operation<Duration> =
+    Operation::new("poll_interval", Owner::set_interval).parsed_by(words::interval).of_any_gauge();
+
+/// Releases the adapter if its device node has gone, or sees whether the gauge is back.
+pub static LOOK: Operation<()> = Operation::new("look", |owner, (), _| owner.look_at_adapter())
+    .of_any_gauge()
+    .attempting(|()| Attempt::Poll)
+    .reporting();
+
+/// Pays what is owed for the last time, and ends the owner; an error says what remains.
+pub static END: Operation<()> = Operation::new("end", |owner, (), _| owner.end())
+    .of_any_gauge()
+    .attempting(|()| Attempt::SETTLE)
+    .reporting();
 
 /// Where changes are.
 fn places(changes: &[Change]) -> Vec<Place> {
@@ -159,7 +102,7 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
 fn difference(change: &Change, old: &[u8]) -> String {
     let new = change.stored_over(old);
     let show = |bytes: &[u8]| match change.row() {
-        Some((_, parameter)) => unit::show(parameter, &codec::decode(parameter.kind, bytes)),
+        Some((_, parameter)) => notation::show(parameter, &codec::decode(parameter.kind, bytes)),
         None => text::hex(bytes),
     };
     let unit = match change.row() {
@@ -171,104 +114,61 @@ fn difference(change: &Change, old: &[u8]) -> String {
 }
 
 impl Owner {
-    /// Why a request is refused before anything is sent, if it is.
-    fn refusal(&self, request: &Request, waited: Duration) -> Option<Error> {
-        if !request.goes_beyond_polling() {
-            return None;
+    fn go_to(&mut self, goal: Seal, asked: Asked) -> Result<()> {
+        if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
+            log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
         }
-        if self.unverified {
-            let why =
-                "it has not answered yet, so nothing is sent to its address; check that it is connected";
-            return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
-        }
-        if let Some(error) = self.limitation() {
-            return Some(error);
-        }
-        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
-        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
-        (waited > QUEUE_LIMIT).then(late)
+        let outcome = self.dataflash.go_to(&mut self.gauge, goal, asked.waited);
+        self.note_debt();
+        self.publish_seal();
+        Ok(outcome?)
     }
 
-    /// Carries out a request that was submitted at that time.
-    pub(super) fn serve(&mut self, submitted: Duration, request: Request) {
-        let waited = self.gauge.clock.now().saturating_sub(submitted);
-        if let Some(error) = self.refusal(&request, waited) {
-            return request.refuse(error);
+    fn send(&mut self, code: u16, _: Asked) -> Result<()> {
+        // Clear the previous answer first, or it could be taken for this one's.
+        self.shared.publish(|published| published.control = None);
+        let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
+        self.publish_seal();
+        let answer = outcome?;
+        self.shared.publish(|published| published.control = Some((code, answer)));
+        log::info!("{}Control(0x{code:04x}) answered 0x{answer:04x}", self.shared.prefix);
+        Ok(())
+    }
+
+    fn change_key(&mut self, change: keys::KeyChange, asked: Asked) -> Result<()> {
+        let settles = self.dataflash.owed().is_some();
+        let order = self.shared.auth_order;
+        let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, asked.waited);
+        if settles {
+            self.after_settling();
         }
-        let attempt = request.attempt();
-        match request {
-            Request::Read(wanted, done) => done(self.read(&wanted, waited)),
-            Request::WriteAll(changes, done) => {
-                let outcome = self.write(&changes, waited).map_err(|error| match changes.len() {
-                    1 => error,
-                    _ => error.within("df/transaction"),
-                });
-                done(self.logged(attempt, outcome));
-            }
-            Request::Seal(goal, done) => {
-                if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
-                    log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
-                }
-                let outcome = self.dataflash.go_to(&mut self.gauge, goal, waited);
-                self.note_debt();
-                self.publish_seal();
-                done(self.logged(attempt, outcome));
-            }
-            Request::Control(code, done) => {
-                // Clear the previous answer first, or it could be taken for this one's.
-                self.shared.publish(|published| published.control = None);
-                let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
-                self.publish_seal();
-                let prefix = &self.shared.prefix;
-                done(self.logged(attempt, outcome).map(|answer| {
-                    self.shared.publish(|published| published.control = Some((code, answer)));
-                    log::info!("{prefix}Control(0x{code:04x}) answered 0x{answer:04x}");
-                }));
-            }
-            Request::ChangeKey(change, done) => {
-                let order = self.shared.auth_order;
-                let settles = self.dataflash.owed().is_some();
-                let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, waited);
-                if settles {
-                    self.after_settling();
-                }
-                self.note_debt();
-                self.publish_seal();
-                let (prefix, name) = (&self.shared.prefix, change.name.as_str());
-                done(
-                    self.logged(attempt, outcome)
-                        .map(|()| log::info!("{prefix}{name} key: changed and tried")),
-                );
-            }
-            Request::Authenticate(challenge, done) => {
-                // The last digest is no answer to this challenge, even if this one fails.
-                self.shared.publish(|published| published.digest = None);
-                let order = self.shared.auth_order;
-                let digest = authentication::ask(&mut self.gauge, &challenge, order, waited);
-                done(self.logged(attempt, digest).map(|digest| {
-                    self.shared.publish(|published| published.digest = Some(digest));
-                }));
-            }
-            Request::Settle(decision, done) => done(self.settle_as_decided(decision, waited)),
-            Request::Calibrate(job, done) => {
-                let outcome = self.calibrate(&job, waited);
-                done(self.logged(attempt, outcome));
-            }
-            Request::Report(done) => done(self.make_report(waited)),
-            Request::Refresh(done) => done(self.refresh(submitted)),
-            Request::End(done) => done(self.end()),
-            Request::Interval(interval, done) => {
-                self.shared.publish(|published| published.interval = interval);
-                self.shared.succeeded(&attempt);
-                done(Ok(()));
-            }
-            Request::Look => {
-                self.gauge.release_if_gone();
-                if self.schedule.has_failed() {
-                    self.poll_on_time();
-                }
-            }
+        self.note_debt();
+        self.publish_seal();
+        outcome?;
+        log::info!("{}{} key: changed and tried", self.shared.prefix, change.name.as_str());
+        Ok(())
+    }
+
+    fn authenticate(&mut self, challenge: Message, asked: Asked) -> Result<()> {
+        // The last digest is no answer to this challenge, even if this one fails.
+        self.shared.publish(|published| published.digest = None);
+        let order = self.shared.auth_order;
+        let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited)?;
+        self.shared.publish(|published| published.digest = Some(digest));
+        Ok(())
+    }
+
+    fn set_interval(&mut self, interval: Duration, _: Asked) -> Result<()> {
+        self.shared.publish(|published| published.interval = interval);
+        Ok(())
+    }
+
+    fn look_at_adapter(&mut self) -> Result<()> {
+        self.gauge.release_if_gone();
+        if self.schedule.has_failed() {
+            self.poll_on_time();
         }
+        Ok(())
     }
 
     /// Pays what is owed to the gauge. Until then no subcommand is sent: it would go to a gauge of which nobody knows
@@ -350,7 +250,14 @@ impl Owner {
         Ok(read)
     }
 
-    fn write(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
+    fn write(&mut self, changes: Vec<Change>, asked: Asked) -> Result<()> {
+        self.write_all(&changes, asked.waited).map_err(|error| match changes.len() {
+            1 => error,
+            _ => error.within("df/transaction"),
+        })
+    }
+
+    fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
         if changes.is_empty() {
             return Ok(());
         }
@@ -455,6 +362,7 @@ impl Owner {
 #[cfg(test)]
 mod tests {
     use super::super::Startup;
+    use super::super::operation::QUEUE_LIMIT;
     use super::super::rig::Rig;
     use super::*;
     use gauge_bus::clock::Clock as _;
@@ -462,21 +370,20 @@ mod tests {
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
 
-    /// One of each request that sends more than a poll reads.
-    fn requests(rig: &Rig) -> Vec<Box<dyn FnOnce(Done<()>) -> Request>> {
+    /// Each operation that sends more than a poll reads, asked for that late.
+    fn ask_all(rig: &mut Rig, delay: Duration) -> [Result<()>; 8] {
         let discharge = rig.index(80);
         let change = change(rig, "3100");
-        let key = || keys::KeyChange::parse(b"unseal 0414 3672 1234 5678").expect("two keys");
-        let read = move |done: Done<()>| {
-            Request::Read(vec![discharge], Box::new(move |read| done(read.map(|_| ()))))
-        };
-        vec![
-            Box::new(read),
-            Box::new(|done| Request::WriteAll(vec![change], done)),
-            Box::new(|done| Request::Seal(Seal::Unsealed, done)),
-            Box::new(|done| Request::Control(0x0002, done)),
-            Box::new(move |done| Request::ChangeKey(key(), done)),
-            Box::new(|done| Request::Authenticate([0; 20], done)),
+        let key = keys::KeyChange::parse(b"unseal 0414 3672 1234 5678").expect("two keys");
+        [
+            rig.ask_late(delay, &READ, vec![discharge]).map(drop),
+            rig.ask_late(delay, &WRITE, vec![change]),
+            rig.ask_late(delay, &SEAL, Seal::Unsealed),
+            rig.ask_late(delay, &CONTROL, 0x0002),
+            rig.ask_late(delay, &KEYS, key),
+            rig.ask_late(delay, &AUTHENTICATE, [0; 20]),
+            rig.ask_late(delay, &SETTLE, Some(Decision::Discard)),
+            rig.ask_late(delay, &CALIBRATE, Job::BoardOffset),
         ]
     }
 
@@ -491,8 +398,8 @@ mod tests {
     /// Nothing is sent for a request that is refused.
     fn refused(rig: &mut Rig, delay: Duration, is_right: impl Fn(&Error) -> bool) {
         let (flash, transfers) = (rig.sim.flash(), rig.transfers());
-        for request in requests(rig) {
-            let error = rig.ask_late(delay, request).expect_err("it is refused");
+        for outcome in ask_all(rig, delay) {
+            let error = outcome.expect_err("it is refused");
             assert!(is_right(&error), "{error}");
         }
         assert_eq!(rig.transfers(), transfers, "nothing was sent");
@@ -507,7 +414,7 @@ mod tests {
             assert_eq!(passes_sealed(now, goal).is_some(), warns, "{now:?} to {goal:?}");
         }
         let mut rig = Rig::open();
-        rig.ask(|done| Request::Seal(Seal::FullAccess, done)).expect("the default keys");
+        rig.ask(&SEAL, Seal::FullAccess).expect("the default keys");
         assert!(passes_sealed(rig.handle.published().seal, Seal::Unsealed).is_some());
     }
 
@@ -533,20 +440,20 @@ mod tests {
         let late = QUEUE_LIMIT + Duration::from_millis(1);
         refused(&mut rig, late, |error| matches!(error.cause(), Cause::NotNow(_)));
         // These are as good late as at once.
-        rig.ask_late(late, Request::Refresh).expect("it is polled");
-        rig.ask_late(late, |done| Request::Interval(late, done)).expect("it is set");
+        rig.ask_late(late, &REFRESH, ()).expect("it is polled");
+        rig.ask_late(late, &POLL_INTERVAL, late).expect("it is set");
     }
 
     #[test]
     fn requests_are_carried_out_up_to_the_limit() {
         let mut rig = Rig::open();
-        rig.ask_late(QUEUE_LIMIT, |done| Request::Control(0x0002, done)).expect("it answers");
+        rig.ask_late(QUEUE_LIMIT, &CONTROL, 0x0002).expect("it answers");
         let change = change(&rig, "3100");
-        rig.ask(|done| Request::WriteAll(vec![change], done)).expect("the default key");
+        rig.ask(&WRITE, vec![change]).expect("the default key");
         let index = rig.index(80);
-        let read = rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
+        let read = rig.ask(&READ, vec![index]).expect("the default key");
         assert_eq!(read[0][53..55], 3100_u16.to_be_bytes());
-        assert!(rig.ask(|done| Request::Read(vec![], done)).expect("nothing to read").is_empty());
+        assert!(rig.ask(&READ, vec![]).expect("nothing to read").is_empty());
     }
 
     #[test]
@@ -565,7 +472,7 @@ mod tests {
         let shown = |rig: &Rig| rig.handle.published().last_error.to_string();
         let write = |rig: &mut Rig, value| {
             let change = change(rig, value);
-            rig.ask(|done| Request::WriteAll(vec![change], done))
+            rig.ask(&WRITE, vec![change])
         };
         rig.sim.set("voltage_mv", "2700").expect("a knob");
         write(&mut rig, "3100").expect_err("the voltage is too low");
@@ -573,10 +480,10 @@ mod tests {
         assert!(failure.contains("Cell Terminate Voltage") && rig.handle.published().failed.is_some());
         // None of these is what had failed.
         let index = rig.index(48);
-        rig.ask(Request::Refresh).expect("it answers");
-        rig.ask(|done| Request::Read(vec![index], done)).expect("the default key");
-        rig.ask(|done| Request::Seal(Seal::Unsealed, done)).expect("the default key");
-        rig.ask(|done| Request::Seal(Seal::Sealed, done)).expect("it is sealed");
+        rig.ask(&REFRESH, ()).expect("it answers");
+        rig.ask(&READ, vec![index]).expect("the default key");
+        rig.ask(&SEAL, Seal::Unsealed).expect("the default key");
+        rig.ask(&SEAL, Seal::Sealed).expect("it is sealed");
         assert_eq!(shown(&rig), failure);
         rig.sim.set("voltage_mv", "12000").expect("a knob");
         write(&mut rig, "3100").expect("the default key");
@@ -596,7 +503,7 @@ mod tests {
         let mut rig = Rig::new(Startup { unverified: true, ..Startup::default() });
         refused(&mut rig, Duration::ZERO, |error| matches!(error.cause(), Cause::Gone(_)));
         rig.owner.open().expect("it reads like a gauge");
-        rig.ask(|done| Request::Control(0x0002, done)).expect("it is one");
+        rig.ask(&CONTROL, 0x0002).expect("it is one");
     }
 
     #[test]
@@ -604,10 +511,10 @@ mod tests {
         let mut rig = Rig::open();
         rig.sim.set("voltage_mv", "2700").expect("a knob");
         let (one, two) = (change(&rig, "3100"), [change(&rig, "3100"), change(&rig, "3200")]);
-        let error = rig.ask(|done| Request::WriteAll(vec![one], done)).expect_err("the voltage is too low");
+        let error = rig.ask(&WRITE, vec![one]).expect_err("the voltage is too low");
         assert!(error.to_string().starts_with("Cell Terminate Voltage (80/53): "), "{error}");
         assert_eq!(*rig.handle.published().last_error, *error.to_string());
-        let error = rig.ask(|done| Request::WriteAll(two.into(), done)).expect_err("the voltage is too low");
+        let error = rig.ask(&WRITE, two.into()).expect_err("the voltage is too low");
         assert!(error.to_string().starts_with("df/transaction: "), "{error}");
     }
 }

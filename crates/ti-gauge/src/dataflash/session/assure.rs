@@ -7,15 +7,15 @@
 
 use std::time::Duration;
 
-use super::blocks::Dirty;
-use super::io::still_open;
-use super::keychange::keeps_unseal_key;
-use super::pack::{self, Match};
-use super::preflight::has_lost_memory;
-use super::schemes::sequence;
-use super::session::{RESTORES, Session};
-use super::settle::{Held, identify, look_at};
+use super::{RESTORES, Session};
 use crate::chip::KeyStorage;
+use crate::dataflash::io::still_open;
+use crate::dataflash::keyrow::keeps_unseal_key;
+use crate::dataflash::pack::{self, Match};
+use crate::dataflash::planned::{Held, identify, look_at};
+use crate::dataflash::schemes::sequence;
+use crate::dataflash::state::has_lost_memory;
+use crate::dataflash::window::Dirty;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 use crate::journal::{Entry, Identity, Plan};
@@ -26,15 +26,15 @@ const SEALS: u32 = 6;
 const BUSY: Duration = Duration::from_millis(100);
 
 /// What the pack of a session is compared with.
-pub(super) struct Reference {
-    pub(super) identity: Identity,
+pub(in crate::dataflash) struct Reference {
+    pub(in crate::dataflash) identity: Identity,
     /// Its marks, and the blocks that are about to change.
-    pub(super) plan: Plan,
+    pub(in crate::dataflash) plan: Plan,
 }
 
 impl Reference {
     /// What a journal knows of its pack.
-    pub(super) fn of(entry: &Entry) -> Self {
+    pub(in crate::dataflash) fn of(entry: &Entry) -> Self {
         let nothing = || Plan::of_marks(Vec::new());
         Self { identity: entry.identity.clone(), plan: entry.plan.clone().unwrap_or_else(nothing) }
     }
@@ -42,56 +42,56 @@ impl Reference {
 
 /// What is known of the gauge that answers.
 #[derive(Default)]
-pub(super) struct Assurance {
+pub(in crate::dataflash) struct Assurance {
     /// What its pack is compared with.
-    pub(super) pack: Option<Reference>,
+    pub(in crate::dataflash) pack: Option<Reference>,
     /// When it was certain that the gauge is the one of the session.
     since: Option<Moment>,
     /// How often it was compared, for which other blocks are loaded.
-    pub(super) compared: u32,
+    pub(in crate::dataflash) compared: u32,
     /// It has to be compared once more, even if its presence is unbroken.
     anew: bool,
     /// That was certain once before.
     was_broken: bool,
     /// Another pack answers.
-    pub(super) is_another: bool,
+    pub(in crate::dataflash) is_another: bool,
     /// It cannot be told whose pack answers.
     is_unsure: bool,
     /// It was SEALED, and opened by this session with its key.
-    pub(super) was_opened: bool,
+    pub(in crate::dataflash) was_opened: bool,
     /// Why the gauge that answers is left open: its owner could not open it again.
-    pub(super) left_open: Option<String>,
+    pub(in crate::dataflash) left_open: Option<String>,
 }
 
 impl Assurance {
     /// The gauge that is there is the one of the session.
-    pub(super) fn begin(&mut self, gauge: &Gauge) {
+    pub(in crate::dataflash) fn begin(&mut self, gauge: &Gauge) {
         self.was_broken |= self.since.is_some() && !self.is_unbroken(gauge);
         self.since = Some(gauge.moment());
     }
 
     /// Whether another pack has come since the session began.
-    pub(super) fn has_come(&self, gauge: &Gauge) -> bool {
+    pub(in crate::dataflash) fn has_come(&self, gauge: &Gauge) -> bool {
         self.is_another && (self.was_broken || !self.is_unbroken(gauge))
     }
 
     /// It was certain then that the gauge is the one of the session.
-    pub(super) fn certain_since(&mut self, moment: Moment) {
+    pub(in crate::dataflash) fn certain_since(&mut self, moment: Moment) {
         self.since = Some(moment);
     }
 
     /// When that was certain.
-    pub(super) fn since(&self) -> Option<Moment> {
+    pub(in crate::dataflash) fn since(&self) -> Option<Moment> {
         self.since
     }
 
     /// Whatever is known of the gauge does not apply to the one that answers now.
-    pub(super) fn is_exchanged(&mut self) {
+    pub(in crate::dataflash) fn is_exchanged(&mut self) {
         self.is_another = true;
     }
 
     /// Whether trying again does not help.
-    pub(super) fn is_lost(&self) -> bool {
+    pub(in crate::dataflash) fn is_lost(&self) -> bool {
         self.is_another || self.is_unsure
     }
 
@@ -103,14 +103,14 @@ impl Assurance {
 impl Session {
     /// Looks at the pack before the first byte goes back, whatever has happened: what has failed may be that it is
     /// another one.
-    pub(super) fn assure_anew(&mut self, gauge: &mut Gauge) {
+    pub(in crate::dataflash) fn assure_anew(&mut self, gauge: &mut Gauge) {
         self.pack.anew = true;
         gauge.doubt();
     }
 
     /// Makes sure that the gauge, which is open, is still the pack of the session. Whatever is sent to change it is
     /// bound to the moment that this returns.
-    pub(super) fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
+    pub(in crate::dataflash) fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
         if !self.pack.anew
             && let Some(moment) = self.pack.since
             && gauge.is_unbroken_since(moment)
@@ -205,7 +205,7 @@ impl Session {
     }
 
     /// Whether another pack than that of the session answers, as far as that shows.
-    pub(super) fn is_another(&mut self, gauge: &mut Gauge) -> bool {
+    pub(in crate::dataflash) fn is_another(&mut self, gauge: &mut Gauge) -> bool {
         if !self.pack.is_another
             && self.pack.since.is_some()
             && !self.pack.is_unbroken(gauge)
@@ -219,7 +219,7 @@ impl Session {
 
     /// Seals the gauge, if it is the one of the session or is known to open again. Otherwise it is left as it is:
     /// whoever owns it may not be able to open it.
-    pub(super) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
+    pub(in crate::dataflash) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
         let mut outcome = Ok(());
         for attempt in 0..SEALS {
             // It is busy with a row of its own.
@@ -300,7 +300,7 @@ impl Session {
     }
 
     /// Whether another pack answers than that which was left open.
-    pub(super) fn is_plainly_another(&mut self, gauge: &mut Gauge, now: Seal) -> Result<bool> {
+    pub(in crate::dataflash) fn is_plainly_another(&mut self, gauge: &mut Gauge, now: Seal) -> Result<bool> {
         // What a gauge with RAM was known by may be lost with its power.
         if gauge.chip.volatile.is_some()
             && let Some(pack) = &mut self.pack.pack
@@ -321,7 +321,7 @@ impl Session {
     }
 
     /// Goes to the seal state in which the gauge was found, which was open. Another pack is left as it is now.
-    pub(super) fn go_to_found(&mut self, gauge: &mut Gauge) -> Result<()> {
+    pub(in crate::dataflash) fn go_to_found(&mut self, gauge: &mut Gauge) -> Result<()> {
         let now = gauge.seal_anew()?;
         if !self.pack.is_another && (self.pack.is_unbroken(gauge) || now == self.found) {
             return gauge.go(now, self.found);

@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Once;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use nix::mount::{MntFlags, umount2};
+use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use crate::cli::{CHIP, can_mount, command, within};
+use super::commands::{CHIP, can_mount, command, gaugefs, stop, within};
 
 /// Names of all folders begin so.
 const PREFIX: &str = "gaugefs-test-";
@@ -75,6 +75,55 @@ fn mounts(folder: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
+/// A temporary folder. Dropping it unmounts what is mounted in it.
+pub(crate) struct Folder(pub(crate) PathBuf);
+
+impl Folder {
+    pub(crate) fn new() -> Self {
+        Self(folder_named(" with spaces"))
+    }
+
+    pub(crate) fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().expect("a path in UTF-8").to_string()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let mut left = Vec::new();
+        for name in ["m", "n"].map(|name| self.file(name)) {
+            // Whoever looks at all mounts, as `gaugefs doctor` of another test does, uses this one for a moment.
+            let (is_there, start) = (|| gaugefs_client::mounts::is_gaugefs(Path::new(&name)), Instant::now());
+            while gaugefs(&["umount", &name]).code == Some(0)
+                || is_there() && start.elapsed() < Duration::from_secs(30)
+            {}
+            left.extend(is_there().then_some(name));
+        }
+        remove(&self.0);
+        assert!(left.is_empty() || std::thread::panicking(), "{left:?} was still mounted: what used it?");
+    }
+}
+
+/// The kernel's list of FUSE connections, where each can be aborted.
+pub(crate) struct Connections(pub(crate) PathBuf);
+
+impl Connections {
+    /// Mounts it in a folder of its own, which needs root.
+    pub(crate) fn mount() -> nix::Result<Self> {
+        let folder = Self(folder());
+        let kind = Some("fusectl");
+        mount(kind, &folder.0, kind, MsFlags::empty(), None::<&str>)?;
+        Ok(folder)
+    }
+}
+
+impl Drop for Connections {
+    fn drop(&mut self) {
+        let _ = umount2(&self.0, MntFlags::MNT_DETACH);
+        let _ = fs::remove_dir(&self.0);
+    }
+}
+
 #[test]
 fn what_a_killed_test_has_left_is_removed() {
     if !can_mount() {
@@ -92,7 +141,7 @@ fn what_a_killed_test_has_left_is_removed() {
     let mut daemon =
         command(&["mount", "-f", "--sim", CHIP, &at("n")]).stderr(Stdio::null()).spawn().expect("it");
     within(Duration::from_secs(60), "mounted", || left.join("n/BAT0").exists());
-    crate::cli::stop(daemon.id(), &at("n"));
+    stop(daemon.id(), &at("n"));
     assert_eq!(mounts(&left).len(), 2);
     sweep(&parent);
     daemon.wait().expect("it was killed");

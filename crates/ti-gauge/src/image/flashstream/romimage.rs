@@ -4,12 +4,12 @@
 //! gauge's firmware; interrupted, they leave a gauge that answers at another address only. So the file is interpreted
 //! here, and never sent: its rows of data flash become parameters, which are written like any others.
 
-use super::flashstream::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
-use super::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
+use super::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result};
-use crate::text;
+use crate::image::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
+use crate::notation;
 use crate::value::{Type, Value};
 
 /// Bytes of a row of data flash.
@@ -322,7 +322,7 @@ impl Rom {
                         is_text && matches!(value, Value::Text(_))
                     }
                     (kind, value) if row.name == "Number of series cell" => {
-                        text::parse(row, text::render(kind, &value).as_bytes()).is_ok()
+                        notation::parse(row, notation::render(kind, &value).as_bytes()).is_ok()
                     }
                     _ => true,
                 }

@@ -1,0 +1,29 @@
+//! How a simulated gauge is made.
+
+use std::fmt;
+use std::path::PathBuf;
+
+/// How a simulated gauge is made.
+#[derive(Clone, Default)]
+pub struct Options {
+    /// File that keeps the flash across processes. It is created if it does not exist.
+    pub state: Option<PathBuf>,
+    /// The key that unseals a new gauge, in the order its words are sent.
+    pub unseal_key: Option<[u16; 2]>,
+    /// Seed of the random faults and of the part's offsets.
+    pub seed: u64,
+    /// Seed by which one gauge is drawn from everything that real ones do: late blocks, slow commits, resets that are
+    /// lost, values that the gauge itself rewrites, and more. Without it the gauge is friendly; each behaviour is also a
+    /// knob.
+    pub envelope: Option<u64>,
+}
+
+impl fmt::Debug for Options {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { state, unseal_key, seed, envelope } = self;
+        let key = unseal_key.map(|_| "hidden");
+        let mut out = f.debug_struct("Options");
+        out.field("state", state).field("unseal_key", &key).field("seed", seed).field("envelope", envelope);
+        out.finish()
+    }
+}

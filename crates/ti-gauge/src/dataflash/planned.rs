@@ -1,0 +1,122 @@
+//! A write as its journal has it, and what a gauge holds of it.
+
+use super::io::COMMITTED;
+use super::schemes::sequence;
+use super::state::read_word;
+use super::window::{Dirty, Window, learned, secrets};
+use crate::chip::Word;
+use crate::codec::WINDOW;
+use crate::error::Result;
+use crate::gauge::{Gauge, agreed};
+use crate::journal::{Identity, Mark, Plan, PlannedBlock};
+
+/// Which content a block has.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Held {
+    Old,
+    New,
+    /// Some of both, or erased.
+    Torn,
+    /// At least one byte that neither the write nor a loss of power explains.
+    Unexplained,
+}
+
+/// A planned block, what the gauge has in its place, and which content that is.
+pub(super) struct Seen {
+    pub(super) block: Dirty,
+    pub(super) stored: [u8; WINDOW],
+    pub(super) held: Held,
+}
+
+/// What the next start needs to settle this write, without keys.
+pub(super) fn plan(
+    gauge: &Gauge,
+    reset: bool,
+    dirty: &[Dirty],
+    neighbours: &[Dirty],
+    marks: Vec<Mark>,
+) -> Plan {
+    let blocks = dirty.iter().chain(neighbours).map(|block| {
+        let (mut old, mut new) = (block.old, block.new);
+        for at in secrets(gauge.chip, block.place).iter() {
+            (old[at], new[at]) = (0, 0);
+        }
+        let Window { subclass, base } = block.place;
+        PlannedBlock { subclass, base, written: block.written, old, new }
+    });
+    Plan { reset, marks, blocks: blocks.collect(), ..Plan::default() }
+}
+
+/// What the gauge says of itself; an error if it is another part.
+pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
+    gauge.confirm_identity()?;
+    let firmware = agreed("Control(FW_VERSION)", || gauge.firmware_version())?;
+    Ok(Identity::of(gauge.chip, firmware, serial_number(gauge)?))
+}
+
+pub(super) fn serial_number(gauge: &mut Gauge) -> Result<u16> {
+    let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
+    agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
+}
+
+impl PlannedBlock {
+    pub(super) fn place(&self) -> Window {
+        Window { subclass: self.subclass, base: self.base }
+    }
+}
+
+/// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
+/// what was there before it: whoever has sent it is gone.
+pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+    gauge.wait(COMMITTED);
+    look_at(gauge, plan)
+}
+
+/// The blocks of a plan as a gauge has them on which no commit is at work.
+pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
+    look_by(gauge, plan, &mut |gauge, place| sequence(gauge).load(gauge, place))
+}
+
+pub(super) fn look_by(
+    gauge: &mut Gauge,
+    plan: &Plan,
+    load: &mut impl FnMut(&mut Gauge, Window) -> Result<[u8; WINDOW]>,
+) -> Result<Vec<Seen>> {
+    let mut seen = Vec::with_capacity(plan.blocks.len());
+    for block in &plan.blocks {
+        let place = block.place();
+        let stored = load(gauge, place)?;
+        let learned = learned(gauge.chip, place).without(block.written);
+        let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
+        for at in secrets(gauge.chip, place).iter() {
+            (block.old[at], block.new[at]) = (stored[at], stored[at]);
+        }
+        for at in block.written.iter().filter(|_| plan.by_gauge) {
+            block.new[at] = stored[at];
+        }
+        let held = classify(&block, &stored);
+        seen.push(Seen { block, stored, held });
+    }
+    Ok(seen)
+}
+
+pub(super) fn classify(block: &Dirty, stored: &[u8; WINDOW]) -> Held {
+    let Dirty { old, new, learned, .. } = block;
+    let (mut all_old, mut all_new, mut torn) = (true, true, false);
+    for at in (0..WINDOW).filter(|&at| !learned.has(at)) {
+        let byte = stored[at];
+        match (byte == old[at], byte == new[at]) {
+            (true, true) => {}
+            (true, false) => all_new = false,
+            (false, true) => all_old = false,
+            (false, false) if byte == 0xff => torn = true,
+            (false, false) => return Held::Unexplained,
+        }
+    }
+    match (all_old, all_new) {
+        _ if torn => Held::Torn,
+        (true, _) => Held::Old,
+        (_, true) => Held::New,
+        _ => Held::Torn,
+    }
+}

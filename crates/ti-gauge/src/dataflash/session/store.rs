@@ -1,0 +1,79 @@
+//! Programs one block and verifies it.
+
+use super::Session;
+use crate::dataflash::io::{STORES, is_passing, reload, still_open, verify};
+use crate::dataflash::schemes::sequence;
+use crate::dataflash::window::Dirty;
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Moment, Statistics};
+
+/// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
+/// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
+/// and that has changed nothing, is repeated: it was busy with a row of its own.
+pub(in crate::dataflash) fn store(
+    gauge: &mut Gauge,
+    session: &mut Session,
+    block: &Dirty,
+    touched: &mut usize,
+) -> Result<()> {
+    let (mut block, before) = (block.clone(), *touched);
+    for _ in 1..STORES {
+        let moment = assure_loaded(gauge, session, &mut block)?;
+        let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
+        match (committed, stored) {
+            (_, Ok(())) => return session.assure(gauge).map(drop),
+            (Err(error), Err(_)) if is_passing(&error) => {}
+            (committed, Err(error)) => return Err(committed.err().unwrap_or(error)),
+        }
+        still_open(gauge)?;
+        session.assure(gauge)?;
+        // Not the old content: what the commit has done must not be hidden by another.
+        block = reload(gauge, &block)?;
+    }
+    let moment = assure_loaded(gauge, session, &mut block)?;
+    let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
+    stored.map_err(|error| committed.err().unwrap_or(error))?;
+    session.assure(gauge).map(drop)
+}
+
+/// Makes sure that it is still the same pack, with the block in the window.
+fn assure_loaded(gauge: &mut Gauge, session: &mut Session, block: &mut Dirty) -> Result<Moment> {
+    let compared = session.pack.compared;
+    let moment = session.assure(gauge)?;
+    if session.pack.compared != compared {
+        *block = reload(gauge, block)?;
+    }
+    Ok(moment)
+}
+
+/// Returns the outcome of the commit, and whether the block reads as it should. A checksum may take effect even if
+/// its acknowledgement was lost. It is not sent to a gauge that may have been exchanged since `moment`.
+fn store_once(
+    gauge: &mut Gauge,
+    block: &Dirty,
+    moment: Moment,
+    mut commits: impl FnMut(),
+) -> (Result<()>, Result<()>) {
+    let mut committed = Ok(());
+    for piece in sequence(gauge).pieces(block) {
+        committed = sequence(gauge).fill(gauge, &piece).and_then(|()| {
+            if !gauge.is_unbroken_since(moment) {
+                let why = "the gauge was away for a moment before the block was programmed; try again";
+                return Err(Error::new("", Cause::NotNow(why.into())).at(Step::WriteBlock));
+            }
+            commits();
+            Statistics::count(&gauge.statistics.flash_writes);
+            sequence(gauge).commit(gauge, &piece)
+        });
+        if let Err(error) = &committed
+            && matches!(error.cause(), Cause::NotNow(_))
+        {
+            // What it shows is nothing that this commit has done.
+            return (Err(error.clone()), Err(error.clone()));
+        }
+        if committed.is_err() {
+            break;
+        }
+    }
+    (committed, verify(gauge, block))
+}

@@ -1,0 +1,23 @@
+//! What has become of an interrupted write.
+
+use super::session::reads_wrong;
+use crate::error::{Cause, Error, Step};
+
+/// The outcome of a look at a gauge with something to settle.
+pub(super) enum Verdict {
+    /// It has been settled; the text says how.
+    Done(String),
+    /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
+    /// write was begun on is not certain, so its journal waits for that.
+    Plausible(String),
+    /// The write was begun on another gauge, whose journal is left alone.
+    Another,
+    /// Nothing was touched; the text says why.
+    Undecided(String),
+}
+
+/// What is not back. If it was stored and reads otherwise, trying again programs it again.
+pub(super) fn unrestored(error: Error) -> Error {
+    let unknown = Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
+    if reads_wrong(&error) { unknown.at(Step::Restore) } else { unknown }
+}

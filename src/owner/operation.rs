@@ -1,0 +1,215 @@
+//! What an operation is, how it is asked for, and how it is answered. The operations themselves are the rows of
+//! [`super::operations`].
+
+use std::time::Duration;
+
+use nix::errno::Errno;
+
+use super::attempt::Importance;
+use super::{Attempt, Handle, Owner};
+use crate::error::{Cause, Error, Result};
+use ti_gauge::chip::Chip;
+
+/// Requests queued longer than this are refused, so that write(2) returns within 30 s.
+pub(super) const QUEUE_LIMIT: Duration = Duration::from_secs(12);
+
+/// Called with the outcome of a request, as a rule from the owner's thread; must not block.
+pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
+
+/// Something that a gauge's owner does when it is asked to: takes an `A`, answers with a `T`.
+pub struct Operation<A, T = ()> {
+    /// Its name; where it has a file in `gauge/`, also that of the file.
+    pub(crate) name: &'static str,
+    call: fn(&mut Owner, A, Asked) -> Result<T>,
+    parse: Option<Parse<A>>,
+    ignores_blank: bool,
+    needs_gauge: bool,
+    importance: Importance,
+    attempt: Option<fn(&A) -> Attempt>,
+    reports: bool,
+}
+
+/// Reads the argument from what is written to the operation's file.
+type Parse<A> = fn(&Context, &[u8]) -> Result<A>;
+
+/// By what the text of an argument is read.
+pub(crate) struct Context {
+    pub(crate) chip: &'static Chip,
+    /// What voltages in data flash are multiplied by; `None` while that is not known.
+    pub(crate) voltage_scale: Option<f64>,
+    /// What currents in data flash are multiplied by, likewise.
+    pub(crate) current_scale: Option<f64>,
+}
+
+/// When a request was made.
+#[derive(Clone, Copy)]
+pub(super) struct Asked {
+    pub(super) submitted: Duration,
+    /// How long it was in the queue.
+    pub(super) waited: Duration,
+}
+
+impl<A, T> Operation<A, T> {
+    /// An operation that needs the gauge's table, a device that is known to be a gauge, and an answer in time, and
+    /// whose failure is shown until it succeeds.
+    pub(super) const fn new(name: &'static str, call: fn(&mut Owner, A, Asked) -> Result<T>) -> Self {
+        Self {
+            name,
+            call,
+            parse: None,
+            ignores_blank: false,
+            needs_gauge: true,
+            importance: Importance::Change,
+            attempt: None,
+            reports: false,
+        }
+    }
+
+    /// It has a file, whose text is read so.
+    pub(super) const fn parsed_by(self, parse: Parse<A>) -> Self {
+        Self { parse: Some(parse), ..self }
+    }
+
+    /// A blank text does nothing.
+    pub(super) const fn ignoring_blank(self) -> Self {
+        Self { ignores_blank: true, ..self }
+    }
+
+    /// It sends no more than a poll does, so it is carried out on any gauge, however late.
+    pub(super) const fn of_any_gauge(self) -> Self {
+        Self { needs_gauge: false, ..self }
+    }
+
+    pub(super) const fn important(self, importance: Importance) -> Self {
+        Self { importance, ..self }
+    }
+
+    /// What its failure is called where its name does not say enough.
+    pub(super) const fn attempting(self, attempt: fn(&A) -> Attempt) -> Self {
+        Self { attempt: Some(attempt), ..self }
+    }
+
+    /// It reports failures itself, where they happen.
+    pub(super) const fn reporting(self) -> Self {
+        Self { reports: true, ..self }
+    }
+
+    /// Whether it has a file.
+    pub(crate) const fn has_file(&self) -> bool {
+        self.parse.is_some()
+    }
+
+    fn attempt(&self, argument: Option<&A>) -> Attempt {
+        match (self.attempt, argument) {
+            (Some(attempt), Some(argument)) => attempt(argument),
+            _ => Attempt::Operation(self.name, self.importance),
+        }
+    }
+}
+
+/// An operation with a file, whatever its argument is.
+pub(crate) trait Spoken: Sync {
+    /// Queues a request with the argument that was written, or refuses the text.
+    fn ask(&'static self, handle: &Handle, context: &Context, text: &[u8], done: Done<()>);
+}
+
+impl<A: Send> Spoken for Operation<A> {
+    fn ask(&'static self, handle: &Handle, context: &Context, text: &[u8], done: Done<()>) {
+        let Some(parse) = self.parse.filter(|_| !(self.ignores_blank && text.trim_ascii().is_empty())) else {
+            return done(Ok(()));
+        };
+        match parse(context, text) {
+            Ok(argument) => handle.ask(self, argument, done),
+            Err(error) => handle.refuse(self.attempt(None), error, done),
+        }
+    }
+}
+
+/// An operation that somebody waits for.
+pub(super) struct Request(Box<dyn Work>);
+
+impl Request {
+    pub(super) fn new<A: Send + 'static, T: 'static>(
+        operation: &'static Operation<A, T>,
+        argument: A,
+        gauge: &str,
+        done: Done<T>,
+    ) -> Self {
+        let reply = Reply { gauge: gauge.to_string(), done: Some(done) };
+        Self(Box::new(Task { operation, argument, reply }))
+    }
+}
+
+/// Where the answer to a request goes. One that is dropped answers, too: then the owner has ended.
+struct Reply<T> {
+    gauge: String,
+    done: Option<Done<T>>,
+}
+
+impl<T> Reply<T> {
+    fn answer(mut self, outcome: Result<T>) {
+        if let Some(done) = self.done.take() {
+            done(outcome);
+        }
+    }
+}
+
+impl<T> Drop for Reply<T> {
+    fn drop(&mut self) {
+        if let Some(done) = self.done.take() {
+            done(Err(Error::host(&self.gauge, Errno::EIO, "its thread has ended")));
+        }
+    }
+}
+
+/// A request, whatever its argument and its answer are.
+trait Work: Send {
+    fn carry_out(self: Box<Self>, owner: &mut Owner, submitted: Duration);
+}
+
+struct Task<A: 'static, T: 'static> {
+    operation: &'static Operation<A, T>,
+    argument: A,
+    reply: Reply<T>,
+}
+
+impl<A: Send, T> Work for Task<A, T> {
+    /// A panic is an answer as well, also one of whoever takes the answer.
+    fn carry_out(self: Box<Self>, owner: &mut Owner, submitted: Duration) {
+        let Task { operation, argument, reply } = *self;
+        let attempt = operation.attempt(Some(&argument));
+        let waited = owner.gauge.clock.now().saturating_sub(submitted);
+        let outcome = match owner.refusal(waited).filter(|_| operation.needs_gauge) {
+            Some(error) => Err(error),
+            None => owner
+                .survive(attempt.clone(), |owner| {
+                    let outcome = (operation.call)(owner, argument, Asked { submitted, waited });
+                    if operation.reports { outcome } else { owner.logged(attempt.clone(), outcome) }
+                })
+                .and_then(|outcome| outcome),
+        };
+        let _ = owner.survive(attempt, |_| reply.answer(outcome));
+    }
+}
+
+impl Owner {
+    /// Carries out a request that was made at that time.
+    pub(super) fn carry_out(&mut self, submitted: Duration, request: Request) {
+        request.0.carry_out(self, submitted);
+    }
+
+    /// Why whatever sends more than a poll is refused before anything is sent, if it is.
+    fn refusal(&self, waited: Duration) -> Option<Error> {
+        if self.unverified {
+            let why =
+                "it has not answered yet, so nothing is sent to its address; check that it is connected";
+            return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
+        }
+        if let Some(error) = self.limitation() {
+            return Some(error);
+        }
+        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
+        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
+        (waited > QUEUE_LIMIT).then(late)
+    }
+}

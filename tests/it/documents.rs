@@ -1,0 +1,93 @@
+//! The documents as a whole: every link leads to a file and a heading, and the README's map has every page.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::room::rows;
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn pages(folder: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(root().join(folder)).expect("a folder").map(|entry| entry.expect("an entry"));
+    entries.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|end| end == "md")).collect()
+}
+
+/// The lines of a page outside of its code blocks.
+fn prose(page: &str) -> impl Iterator<Item = &str> {
+    let mut in_code = false;
+    page.lines().filter(move |line| {
+        let is_fence = line.trim_start().starts_with("```");
+        in_code ^= is_fence;
+        !in_code && !is_fence
+    })
+}
+
+/// The anchor that GitHub makes of a heading.
+fn anchor(heading: &str) -> String {
+    let kept = heading.chars().filter(|letter| letter.is_alphanumeric() || " -_".contains(*letter));
+    kept.collect::<String>().to_lowercase().replace(' ', "-")
+}
+
+fn anchors(page: &str) -> BTreeSet<String> {
+    let mut seen = BTreeSet::new();
+    for line in prose(page).filter(|line| line.starts_with('#')) {
+        let anchor = anchor(line.trim_start_matches('#').trim());
+        assert!(seen.insert(anchor.clone()), "two headings have the anchor #{anchor}");
+    }
+    seen
+}
+
+/// The targets of the links in a page, its pictures included.
+fn links(page: &str) -> Vec<String> {
+    // A link may be broken across two lines.
+    let text = prose(page).collect::<Vec<_>>().join("\n");
+    // What is in backticks is no link.
+    let text: String = text.split('`').step_by(2).collect();
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')'));
+    targets.map(|(target, _)| target.to_string()).collect()
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+#[test]
+fn every_link_leads_to_a_file_and_a_heading() {
+    let mut all = [pages("."), pages("docs")].concat();
+    for entry in fs::read_dir(root().join("crates")).expect("a folder") {
+        let page = entry.expect("an entry").path().join("README.md");
+        all.extend(page.exists().then_some(page));
+    }
+    let mut wrong = Vec::new();
+    let mut count = 0;
+    for page in &all {
+        for link in links(&read(page)) {
+            if link.contains("://") {
+                continue;
+            }
+            count += 1;
+            let (file, heading) = link.split_once('#').unwrap_or((&link, ""));
+            let target = if file.is_empty() { page.clone() } else { page.with_file_name(file) };
+            let leads = target.exists() && (heading.is_empty() || anchors(&read(&target)).contains(heading));
+            if !leads {
+                wrong.push(format!("{}: {link}", page.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    assert!(count > 80, "{count} links");
+}
+
+#[test]
+fn the_map_of_the_readme_has_every_page() {
+    let rows = rows("All pages");
+    let map: BTreeSet<String> = rows.iter().flat_map(|row| links(&row[0])).collect();
+    let name = |path: &PathBuf| format!("docs/{}", path.file_name().expect("a name").to_string_lossy());
+    assert_eq!(map, pages("docs").iter().map(name).collect());
+    for row in &rows {
+        assert!(row.len() == 3 && row.iter().all(|cell| !cell.is_empty()), "{row:?}");
+    }
+}

@@ -1,0 +1,15 @@
+//! What tests share: the folders that they work in, the program as a command, mounts of their own. A test file uses this
+//! room, and no other test file.
+
+mod commands;
+mod documents;
+mod mounted;
+mod scratch;
+
+pub(crate) use commands::{
+    CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
+    within,
+};
+pub(crate) use documents::{TEXT, readme, root, rows, table};
+pub(crate) use mounted::{Mount, SimKnobs, errno, mapped, quiet, statistic};
+pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};

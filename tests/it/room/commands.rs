@@ -1,0 +1,229 @@
+//! gaugefs as a command: what it prints, and mounts that it serves.
+
+use std::fs;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::{Connections, Folder};
+
+pub(crate) const CHIP: &str = "bq34z100-g1";
+
+/// The result of a run.
+pub(crate) struct Ran {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
+    /// The lines of standard error that say which gauge it is.
+    pub(crate) gauges: Vec<String>,
+}
+
+pub(crate) fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+    command
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .env("COLUMNS", "100")
+        .env_remove("RUST_LOG")
+        .stdin(Stdio::null());
+    command
+}
+
+pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
+    run(command(arguments))
+}
+
+/// gaugefs as the user nobody runs it, which takes root: a copy, because the checkout may be in a home that only its owner
+/// may enter.
+pub(crate) fn as_nobody(folder: &Folder, arguments: &[&str]) -> Command {
+    use std::os::unix::process::CommandExt;
+    let program = folder.file("gaugefs");
+    if !Path::new(&program).exists() {
+        fs::copy(env!("CARGO_BIN_EXE_gaugefs"), &program).expect("a copy that any user may run");
+    }
+    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o755)).expect("its mode");
+    let mut command = Command::new(program);
+    command.args(arguments).current_dir("/").uid(65534).gid(65534).env_remove("XDG_RUNTIME_DIR");
+    command
+}
+
+pub(crate) fn run(mut command: Command) -> Ran {
+    Ran::of(command.output().expect("gaugefs runs"))
+}
+
+impl Ran {
+    pub(crate) fn of(output: Output) -> Self {
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("it prints text");
+        let (mut code, out, mut err) = (output.status.code(), text(output.stdout), text(output.stderr));
+        // The mount namespace of another test has the mounts of this one, too.
+        if code == Some(3) && err.contains("unmounted here") && err.contains("in the mount namespace of") {
+            (code, err) = (Some(0), String::new());
+        }
+        let (gauges, err): (Vec<&str>, Vec<&str>) =
+            err.split_inclusive('\n').partition(|line| line.starts_with("gaugefs: gauge "));
+        Self { code, out, err: err.concat(), gauges: gauges.into_iter().map(str::to_string).collect() }
+    }
+
+    #[track_caller]
+    pub(crate) fn done(self) -> String {
+        assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
+        assert_eq!(self.err, "");
+        self.out
+    }
+
+    /// What a comparison prints that has found a difference.
+    #[track_caller]
+    pub(crate) fn differs(self) -> String {
+        assert_eq!((self.code, self.err.as_str()), (Some(1), ""), "{}", self.out);
+        self.out
+    }
+
+    /// Checks for exit code 1 and one line that begins with `gaugefs: ` and contains all of `words`.
+    #[track_caller]
+    pub(crate) fn failed(self, words: &[&str]) {
+        self.failed_with(1, words);
+    }
+
+    /// The same for exit code 2: the question could not be answered.
+    #[track_caller]
+    pub(crate) fn troubled(self, words: &[&str]) {
+        self.failed_with(2, words);
+    }
+
+    #[track_caller]
+    fn failed_with(self, code: i32, words: &[&str]) {
+        assert_eq!(self.code, Some(code), "{}{}", self.out, self.err);
+        assert_eq!(self.out, "");
+        assert_eq!(self.err.lines().count(), 1, "{}", self.err);
+        assert!(self.err.starts_with("gaugefs: "), "{}", self.err);
+        for word in words {
+            assert!(self.err.contains(word), "`{word}` is not in: {}", self.err);
+        }
+    }
+}
+
+/// Compares a text with a file of `golden/`.
+#[track_caller]
+pub(crate) fn same_as_golden(name: &str, now: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/golden").join(name);
+    if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
+        fs::write(&path, now).expect("the golden file");
+    }
+    let then = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        now == then,
+        "{}: the output differs; if that is intended, GAUGEFS_GOLDEN=write cargo test\n{now}",
+        path.display()
+    );
+}
+
+/// Whether this machine can mount FUSE.
+pub(crate) fn can_mount() -> bool {
+    let can = fs::File::options().read(true).write(true).open("/dev/fuse").is_ok();
+    if !can {
+        eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount command ran");
+    }
+    can
+}
+
+#[track_caller]
+pub(crate) fn within(limit: Duration, what: &str, is_so: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Stops a daemon while it has no request: whoever waits for the answer to one that a daemon has taken cannot be ended,
+/// not even by SIGKILL. Without root, where the kernel's list of connections is not mounted, that is left to chance.
+pub(crate) fn stop(daemon: u32, at: &str) {
+    let pid = Pid::from_raw(daemon as i32);
+    let device = fs::metadata(at).expect("a mount").dev();
+    let connections = Connections::mount().ok();
+    let connections = connections.as_ref().map_or(Path::new("/sys/fs/fuse/connections"), |own| &own.0);
+    let waiting = connections.join(nix::sys::stat::minor(device).to_string()).join("waiting");
+    for _ in 0..1000 {
+        kill(pid, Signal::SIGSTOP).expect("it runs");
+        within(Duration::from_secs(60), "stopped", || is_stopped(daemon));
+        if fs::read_to_string(&waiting).map_or(true, |count| count.trim() == "0") {
+            return;
+        }
+        kill(pid, Signal::SIGCONT).expect("it runs");
+        std::thread::sleep(Duration::from_millis(3));
+    }
+    panic!("{at}: the daemon is never without a request");
+}
+
+/// Whether each thread of a process is stopped.
+fn is_stopped(process: u32) -> bool {
+    let Ok(threads) = fs::read_dir(format!("/proc/{process}/task")) else { return true };
+    threads.flatten().all(|thread| {
+        let status = fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+        status.rsplit(") ").next().is_some_and(|rest| rest.starts_with(['T', 'Z', 'X']) || rest.is_empty())
+    })
+}
+
+/// A mount in the foreground, killed when the test ends.
+pub(crate) struct Foreground(pub(crate) Child);
+
+impl Foreground {
+    pub(crate) fn new(mountpoint: &str, more: &[&str]) -> Self {
+        let arguments = [&["mount", "-f", "--sim", CHIP, mountpoint], more].concat();
+        let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
+        let present = Path::new(mountpoint).join("BAT0/present");
+        within(Duration::from_secs(60), "mounted", || present.exists());
+        Self(child)
+    }
+
+    pub(crate) fn send(&self, signal: Signal) {
+        kill(Pid::from_raw(self.0.id() as i32), signal).expect("it runs");
+    }
+
+    #[track_caller]
+    pub(crate) fn ends(&mut self) -> Option<i32> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().expect("a child") {
+                return status.code();
+            }
+            assert!(start.elapsed() < Duration::from_secs(60), "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Foreground {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+pub(crate) fn read(mountpoint: &str, name: &str) -> String {
+    let path = Path::new(mountpoint).join(name);
+    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())).trim().to_string()
+}
+
+/// Every file of a gauge's folder that does not depend on this test's own accesses.
+pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
+    let own = ["authenticate", "age_ms", "last_error", "control", "refresh", "report", "seal"];
+    let mut files = Vec::new();
+    for folder in [".", "gauge", "gauge/registers"] {
+        for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {
+            let entry = entry.expect("an entry");
+            let name = entry.file_name().into_string().expect("a name");
+            if entry.file_type().expect("a kind").is_file() && !own.contains(&name.as_str()) {
+                // A value that is not known yet is listed, but cannot be read.
+                let text = fs::read_to_string(entry.path()).unwrap_or_default();
+                files.push((format!("{folder}/{name}"), text));
+            }
+        }
+    }
+    files.sort();
+    files
+}

@@ -1,0 +1,178 @@
+//! A simulated gauge that the test's own process mounts.
+
+use std::ffi::c_void;
+use std::fs::{self, OpenOptions};
+use std::io::Write;
+use std::os::fd::OwnedFd;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use gauge_bus::Bus;
+use gauge_bus::clock::RealClock;
+use gauge_sim::{Options, Sim};
+use gaugefs::error::Result;
+use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
+use gaugefs::fuse::{self, Mounted};
+use gaugefs::owner::{self, Handle, Settings, Signal};
+use nix::errno::Errno;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::Change;
+use ti_gauge::keys::Keys;
+
+use super::within;
+
+/// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
+pub(crate) struct SimKnobs {
+    pub(crate) sim: Sim,
+    pub(crate) defect: Arc<AtomicBool>,
+}
+
+impl Knobs for SimKnobs {
+    fn list(&self) -> Vec<(&'static str, bool)> {
+        self.sim.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+    }
+
+    fn get(&self, name: &str) -> Option<String> {
+        assert!(!self.defect.load(Ordering::SeqCst), "as the test wants it");
+        self.sim.get(name)
+    }
+
+    fn set(&self, name: &str, text: &str) -> Result<()> {
+        self.sim.set(name, text).map_err(gaugefs::daemon::of_sim)
+    }
+}
+
+/// One simulated gauge, mounted.
+pub(crate) struct Mount {
+    pub(crate) folder: PathBuf,
+    pub(crate) sim: Sim,
+    pub(crate) handle: Handle,
+    pub(crate) defect: Arc<AtomicBool>,
+    _mounted: Mounted,
+}
+
+impl Drop for Mount {
+    fn drop(&mut self) {
+        // The test may have left files open, but the mount must be removed in any case.
+        let _ = nix::mount::umount2(&self.folder, nix::mount::MntFlags::MNT_DETACH);
+        let _ = fs::remove_dir(&self.folder);
+    }
+}
+
+impl Mount {
+    /// `None` if this machine cannot mount FUSE.
+    pub(crate) fn new(chip: &str, interval: Duration, keys: Keys) -> Option<Self> {
+        Self::with(chip, interval, keys, |_| {}, Vec::new(), |sim| Box::new(sim.bus()))
+    }
+
+    /// A mount whose simulated gauge is prepared first, with a configuration to restore, behind a given bus.
+    pub(crate) fn with(
+        chip: &str,
+        interval: Duration,
+        keys: Keys,
+        prepare: impl FnOnce(&Sim),
+        restore: Vec<Change>,
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+    ) -> Option<Self> {
+        Self::of(
+            chip,
+            Settings { keys, interval, restore, ..Settings::default() },
+            prepare,
+            bus,
+            fuse::Options::default(),
+        )
+    }
+
+    pub(crate) fn of(
+        chip: &str,
+        settings: Settings,
+        prepare: impl FnOnce(&Sim),
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+        options: fuse::Options,
+    ) -> Option<Self> {
+        if OpenOptions::new().read(true).write(true).open("/dev/fuse").is_err() {
+            eprintln!("SKIPPED: /dev/fuse cannot be opened; no test of the mount ran");
+            return None;
+        }
+        let folder = super::scratch::folder();
+        let clock = Arc::new(RealClock::new());
+        let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
+        prepare(&sim);
+        std::thread::sleep(Duration::from_millis(1300));
+        let (signal, defect) = (Arc::new(Signal::default()), Arc::new(AtomicBool::new(false)));
+        let table = Chip::by_name(chip).expect("a chip of the tables");
+        let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
+        let entry = MountedGauge {
+            name: "BAT0".into(),
+            handle: handle.clone(),
+            scales: Scales::default(),
+            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: defect.clone() })),
+        };
+        let access = Access {
+            uid: nix::unistd::geteuid().as_raw(),
+            gid: nix::unistd::getegid().as_raw(),
+            group: false,
+        };
+        let tree = Arc::new(Fs::new(vec![entry], access));
+        let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
+        // The second poll, half a second later, reads the registers that no attribute needs.
+        within(Duration::from_secs(60), "the second poll", || statistic(&handle, "polls") >= 2);
+        Some(Self { folder, sim, handle, defect, _mounted: mounted })
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.folder.join("BAT0").join(name)
+    }
+
+    pub(crate) fn cat(&self, name: &str) -> String {
+        let text = fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        text.trim_end_matches('\n').to_string()
+    }
+
+    /// Whether a file is there and has this text. One whose value is not known just now is not there.
+    pub(crate) fn shows(&self, name: &str, text: &str) -> bool {
+        fs::read_to_string(self.path(name)).is_ok_and(|found| found.trim_end_matches('\n') == text)
+    }
+
+    /// Does what `echo text > name` does.
+    pub(crate) fn echo(&self, text: &str, name: &str) -> std::result::Result<(), Errno> {
+        let mut file = OpenOptions::new().write(true).truncate(true).open(self.path(name)).map_err(errno)?;
+        file.write_all(format!("{text}\n").as_bytes()).map_err(errno)
+    }
+
+    pub(crate) fn transfers(&self) -> u64 {
+        statistic(&self.handle, "transfers")
+    }
+}
+
+pub(crate) fn statistic(handle: &Handle, wanted: &str) -> u64 {
+    handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
+}
+
+pub(crate) fn errno(error: std::io::Error) -> Errno {
+    Errno::from_raw(error.raw_os_error().unwrap_or_default())
+}
+
+pub(crate) fn quiet(chip: &str) -> Option<Mount> {
+    Mount::new(chip, Duration::from_secs(3600), Keys::default())
+}
+
+/// The bytes of a file as a private mapping shows them; the kernel copies them, because touching a page that cannot be
+/// read would end the test with SIGBUS.
+pub(crate) fn mapped(fd: &OwnedFd, pipe: &(OwnedFd, OwnedFd)) -> rustix::io::Result<Vec<u8>> {
+    use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+    const LENGTH: usize = 4096;
+    #[allow(unsafe_code, reason = "a mapping of its own, read by the kernel only and unmapped here")]
+    let copied = unsafe {
+        let at: *mut c_void = mmap(std::ptr::null_mut(), LENGTH, ProtFlags::READ, MapFlags::PRIVATE, fd, 0)?;
+        let copied = rustix::io::write(&pipe.1, std::slice::from_raw_parts(at.cast::<u8>(), LENGTH));
+        munmap(at, LENGTH)?;
+        copied?
+    };
+    let mut bytes = vec![0; copied];
+    let count = rustix::io::read(&pipe.0, &mut bytes[..])?;
+    bytes.truncate(count);
+    Ok(bytes)
+}
