@@ -5,6 +5,7 @@
 //! return in time.
 
 use std::ffi::OsStr;
+use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
@@ -17,7 +18,6 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::statvfs::statvfs;
 use serde::{Deserialize, Serialize};
 
-use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::output::print_file;
 use gaugefs_client::{Gauge, mounts};
@@ -112,7 +112,7 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
 /// soon as it is known.
 pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
-    let path = mountpoint::resolve(path)?;
+    let path = resolve(path)?;
     tell(path.as_os_str().as_bytes())?;
     // Only STATFS is never answered from the kernel's cache.
     let dead =
@@ -174,5 +174,24 @@ fn stop(child: &mut Child, late: bool) {
         let _ = child.try_wait();
     } else {
         let _ = child.wait();
+    }
+}
+
+/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
+/// does not answer, so only a child process calls this, or a process whose child has.
+pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
+    let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
+    let absolute = std::path::absolute(path).map_err(failed)?;
+    let plain = absolute.components().collect::<PathBuf>();
+    let (Some(parent), Some(name)) = (plain.parent(), plain.file_name()) else {
+        // The root folder, or a path that ends in `..`.
+        return fs::canonicalize(&plain).map_err(failed);
+    };
+    // A missing parent is created later.
+    let parent = fs::canonicalize(parent).unwrap_or_else(|_| parent.to_path_buf());
+    let path = parent.join(name);
+    match fs::read_link(&path) {
+        Ok(_) => fs::canonicalize(&path).map_err(failed),
+        Err(_) => Ok(path),
     }
 }

@@ -5,6 +5,8 @@
 //! by `look`, with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
 //! without its server, holds up nobody.
 
+use std::env;
+use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -18,7 +20,6 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::look::{self, Found, Look};
-use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
@@ -384,7 +385,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
     let subject = path.display().to_string();
-    let mut command = Command::new(preflight::helper().unwrap_or_else(|| "fusermount3".into()));
+    let mut command = Command::new(helper().unwrap_or_else(|| "fusermount3".into()));
     command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
     let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)
@@ -428,25 +429,6 @@ fn failed(path: &Path, errno: Errno) -> Error {
     Error::io(path.display().to_string(), "cannot unmount it", &errno.into())
 }
 
-/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
-/// does not answer, so only a child process calls this, or a process whose child has.
-pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
-    let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
-    let absolute = std::path::absolute(path).map_err(failed)?;
-    let plain = absolute.components().collect::<PathBuf>();
-    let (Some(parent), Some(name)) = (plain.parent(), plain.file_name()) else {
-        // The root folder, or a path that ends in `..`.
-        return fs::canonicalize(&plain).map_err(failed);
-    };
-    // A missing parent is created later.
-    let parent = fs::canonicalize(parent).unwrap_or_else(|_| parent.to_path_buf());
-    let path = parent.join(name);
-    match fs::read_link(&path) {
-        Ok(_) => fs::canonicalize(&path).map_err(failed),
-        Err(_) => Ok(path),
-    }
-}
-
 /// The full path, and what is mounted there.
 fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
     let Found { path: found, dead, late, .. } = look::at(path)?;
@@ -458,7 +440,7 @@ fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
             return Err(Error::host(path.display().to_string(), Errno::ETIMEDOUT, why));
         }
         // The child has failed, so this reports why.
-        None => resolve(path)?,
+        None => look::resolve(path)?,
     };
     let mounted = match (topmost(table()?, &path), dead) {
         (None, _) => Mounted::Nothing,
@@ -498,4 +480,22 @@ fn users(path: &Path) -> Vec<String> {
         format!("process {} ({}{caller})", number.display(), name.trim().escape_debug())
     });
     named.collect()
+}
+
+/// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
+pub(super) const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
+
+/// The program that mounts and unmounts for users other than root.
+pub(super) fn helper() -> Option<PathBuf> {
+    let path = env::var_os("PATH").unwrap_or_default();
+    let folders: Vec<_> = env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]).collect();
+    // A name with a slash is taken as it is.
+    let find = |name: &OsStr| folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
+    match env::var_os("FUSERMOUNT_PATH") {
+        Some(name) if name.as_bytes().contains(&b'/') => {
+            Some(name.into()).filter(|path: &PathBuf| path.is_file())
+        }
+        Some(name) => find(&name),
+        None => HELPERS.iter().find_map(|name| find(OsStr::new(name))),
+    }
 }

@@ -8,6 +8,7 @@ mod config;
 mod doctor;
 mod documents;
 mod ends;
+mod house;
 mod input;
 mod keys;
 mod listing;

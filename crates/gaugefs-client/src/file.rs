@@ -13,7 +13,7 @@ use jiff::Timestamp;
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
-use crate::gauge::{EVERY, not_a_gauge, with_path};
+use crate::place::{EVERY, not_a_gauge, with_path};
 
 /// A file of a gauge's folder is at most so long, whatever has made that folder.
 pub(crate) const LONGEST: u64 = 16 << 20;

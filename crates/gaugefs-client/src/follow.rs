@@ -17,13 +17,11 @@ use gauge_bus::clock::{Clock, RealClock};
 
 use crate::condition::Texts;
 use crate::error::{Error, Result};
+use crate::gauge::Gauge;
+use crate::hang::thread;
+pub use crate::hang::{PATIENCE, SILENT};
 use crate::sample::{self, if_readable, of_one_poll, text};
 use crate::watch::{INTERVAL, supplies, trouble};
-
-/// A daemon that has not answered for this long hangs.
-pub const PATIENCE: Duration = Duration::from_secs(5);
-/// Why there is nothing of a daemon that hangs.
-pub const SILENT: &str = "its daemon does not answer";
 
 /// What a thread that follows a gauge reports.
 #[derive(Clone, Debug)]
@@ -126,10 +124,11 @@ pub fn to_channel<T: From<Seen> + Send + 'static>(
     thread(work)
 }
 
-/// Starts a thread that calls into mounts.
-pub(crate) fn thread(work: impl FnOnce() + Send + 'static) -> Result<()> {
-    let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(work);
-    thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", error))
+impl Gauge {
+    /// Follows files of its folder, poll by poll.
+    pub fn follow<Name: Into<String>>(&self, files: impl IntoIterator<Item = Name>) -> Result<Follow> {
+        Follow::start(self.folder(), files.into_iter().map(Into::into).collect())
+    }
 }
 
 /// Time until the next poll can be read; `None` for a user who may not read the interval.

@@ -4,31 +4,25 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
-use std::time::Duration;
 
 use gauge_bus::regular;
 use nix::errno::Errno;
-use nix::sys::statvfs::statvfs;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
 use ti_gauge::dataflash::Place;
 use ti_gauge::error::Cause;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
-use ti_gauge::{text, unit};
+use ti_gauge::text;
 
 use crate::error::{Error, Result};
 use crate::file::{self, GaugeFile, LONGEST, is_dead};
-use crate::follow::{self, Follow};
+use crate::hang;
 use crate::mounts;
 use crate::names;
-use crate::parameter::{self, Transaction};
+use crate::place::{self, EVERY, not_a_gauge, shown, with_path};
 use crate::sample::Sample;
 use crate::value::Value;
 use ti_gauge::notation;
 
-/// A file that every mounted gauge has, and no supply of the kernel's.
-pub(crate) const EVERY: &str = "gauge/last_error";
-/// Error for a path that is not a mounted gauge.
-const NO_GAUGE: &str = "not a mounted gauge";
 /// What `gauge/settle` shows where nothing was interrupted.
 const SETTLED: &str = "nothing to settle";
 
@@ -83,14 +77,14 @@ impl Gauge {
         let mounts = mounts::list();
         for mount in mounts {
             let sender = sender.clone();
-            follow::thread(move || {
+            hang::thread(move || {
                 // It cannot be heard any more after some seconds.
                 let _ = sender.send(Self::below(&mount));
             })?;
         }
         drop(sender);
         let mut gauges = Vec::new();
-        while let Ok(below) = found.recv_timeout(follow::PATIENCE) {
+        while let Ok(below) = found.recv_timeout(hang::PATIENCE) {
             gauges.extend(below);
         }
         gauges.sort_by(|one: &Self, other| one.folder.cmp(&other.folder));
@@ -100,16 +94,12 @@ impl Gauge {
 
     /// The gauges below a mount point.
     pub fn below(mountpoint: &Path) -> Vec<Self> {
-        let entries = fs::read_dir(mountpoint).into_iter().flatten().flatten().map(|entry| entry.path());
-        let mut gauges: Vec<_> =
-            entries.filter(|entry| Self::is_at(entry)).map(|entry| Self::of(&entry)).collect();
-        gauges.sort_by(|one, other| one.folder.cmp(&other.folder));
-        gauges
+        place::gauges_below(mountpoint).iter().map(|folder| Self::of(folder)).collect()
     }
 
     /// Whether a path is the folder of a mounted gauge.
     pub fn is_at(path: &Path) -> bool {
-        path.join(EVERY).exists()
+        place::is_gauge(path)
     }
 
     /// The gauge of a folder, which may not be there, or not any more.
@@ -153,31 +143,6 @@ impl Gauge {
             true => not_a_gauge(&self.folder),
             false => Error::io(self.folder.display().to_string(), "cannot be read", error),
         })
-    }
-
-    /// Follows files of its folder, poll by poll.
-    pub fn follow<Name: Into<String>>(&self, files: impl IntoIterator<Item = Name>) -> Result<Follow> {
-        Follow::start(&self.folder, files.into_iter().map(Into::into).collect())
-    }
-
-    /// The value of a parameter, by its name or place: `Cell Terminate Voltage`, `80/53`.
-    pub fn parameter(&self, name: &str) -> Result<Value> {
-        let chip = self.chip()?;
-        let image = self.values(chip, &[parameter::row(chip, name)?])?;
-        let entry = image.entries.first().expect("the value of that row");
-        Ok(Value { text: entry.shown(), unit: unit::shown(entry.parameter) })
-    }
-
-    /// Writes one parameter, and verifies it: `set("Cell Terminate Voltage", "3100 mV")`. Returns when it is in data flash.
-    pub fn set(&self, name: &str, value: &str) -> Result<()> {
-        let mut transaction = self.transaction()?;
-        transaction.set(name, value)?;
-        transaction.commit().map(drop)
-    }
-
-    /// Several parameters that are written together, all of them or none.
-    pub fn transaction(&self) -> Result<Transaction<'_>> {
-        Ok(Transaction::new(self, self.chip()?))
     }
 
     /// The write that was interrupted and waits for a decision: its parameters with old, new and present values. `None`
@@ -399,67 +364,14 @@ impl fmt::Display for Polled {
     }
 }
 
-/// What to do about a mount whose daemon is gone.
-pub fn died(mount: impl fmt::Display) -> String {
-    format!("its daemon has died; remove the mount with: gaugefs umount {mount}")
-}
-
 /// The name of a folder, with symbolic links resolved.
 pub fn folder_name(gauge: &Path) -> String {
     let whole = fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
     whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn shown(path: &Path) -> String {
-    text::printable(&path.to_string_lossy())
-}
-
 fn invalid(subject: String, why: String) -> ti_gauge::error::Error {
     ti_gauge::error::Error::new(subject, Cause::Invalid(why))
-}
-
-/// The error about a path that is not the folder of a mounted gauge: what it is, and which path to give.
-pub(crate) fn not_a_gauge(path: &Path) -> Error {
-    let name = path.display().to_string();
-    let why = match mounts::of(path) {
-        // Only STATFS is never answered from the kernel's cache.
-        Some(mount) if matches!(statvfs(&mount), Err(Errno::ENOTCONN | Errno::ECONNABORTED)) => {
-            return Error::host(name, Errno::ENOTCONN, died(shown(&mount)));
-        }
-        Some(mount) => {
-            let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-            let inside =
-                || whole.ancestors().skip(1).filter(|above| above.starts_with(&mount)).map(Path::to_path_buf);
-            let what = if whole == mount { "the mount point of" } else { "inside the mount of" };
-            let below = || Gauge::below(&mount).into_iter().next().map(|gauge| gauge.folder);
-            match inside().find(|path| Gauge::is_at(path)).or_else(below) {
-                Some(gauge) => {
-                    format!("it is {what} gauges; give the folder of one, such as {}", shown(&gauge))
-                }
-                None => format!("the mount at {} shows none that may be read", shown(&mount)),
-            }
-        }
-        None if path.is_file() => "it is a file; give the folder of one, such as /run/gauges/BAT0".into(),
-        None => {
-            const SHOWN: usize = 3;
-            let is_there = if path.exists() { "no gaugefs is mounted there" } else { "it does not exist" };
-            let places: Vec<String> = mounts::list().iter().map(|place| shown(place)).collect();
-            match &*places {
-                [] => format!("{is_there}, nor is one mounted anywhere; mount a gauge with: gaugefs mount"),
-                [first, ..] => {
-                    let some = places.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-                    let more = match places.len().saturating_sub(SHOWN) {
-                        0 => String::new(),
-                        more => format!(" and {more} more places"),
-                    };
-                    format!(
-                        "{is_there}; gauges are mounted at {some}{more}: give the folder of one, such as {first}/BAT0"
-                    )
-                }
-            }
-        }
-    };
-    Error::host(name, Errno::ENOENT, format!("{NO_GAUGE}: {why}"))
 }
 
 /// An error about a line of `df/index`.
@@ -498,23 +410,4 @@ fn read(chip: &'static Chip, firmware: Option<u16>, index: &str) -> ti_gauge::er
         return Err(ti_gauge::error::Error::new("", Cause::NotPermitted(why.into())));
     }
     Ok(image)
-}
-
-/// A message of the daemon, which does not know under which path its gauge is seen here.
-pub(crate) fn with_path(text: &str, gauge: &Path) -> String {
-    let path = shown(gauge);
-    let is_plain = path.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"/._+-".contains(&byte));
-    let path = if is_plain { path } else { format!("'{}'", path.replace('\'', "'\\''")) };
-    text.replace(" GAUGE ", &format!(" {path} "))
-}
-
-/// Calls a function from a thread of its own, and waits at most so long for it. A daemon that hangs keeps that thread, and
-/// not the caller.
-pub fn within<T: Send + 'static>(limit: Duration, call: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-    let (sender, answer) = mpsc::channel();
-    follow::thread(move || {
-        // It cannot be heard any more after the limit.
-        let _ = sender.send(call());
-    })?;
-    answer.recv_timeout(limit).map_err(|_| Error::host("", Errno::ETIMEDOUT, follow::SILENT))
 }

@@ -9,7 +9,30 @@ use ti_gauge::unit;
 
 use crate::error::{Error, Result};
 use crate::gauge::Gauge;
+use crate::value::Value;
 use ti_gauge::notation;
+
+impl Gauge {
+    /// The value of a parameter, by its name or place: `Cell Terminate Voltage`, `80/53`.
+    pub fn parameter(&self, name: &str) -> Result<Value> {
+        let chip = self.chip()?;
+        let image = self.values(chip, &[row(chip, name)?])?;
+        let entry = image.entries.first().expect("the value of that row");
+        Ok(Value { text: entry.shown(), unit: unit::shown(entry.parameter) })
+    }
+
+    /// Writes one parameter, and verifies it: `set("Cell Terminate Voltage", "3100 mV")`. Returns when it is in data flash.
+    pub fn set(&self, name: &str, value: &str) -> Result<()> {
+        let mut transaction = self.transaction()?;
+        transaction.set(name, value)?;
+        transaction.commit().map(drop)
+    }
+
+    /// Several parameters that are written together, all of them or none.
+    pub fn transaction(&self) -> Result<Transaction<'_>> {
+        Ok(Transaction::new(self, self.chip()?))
+    }
+}
 
 /// Finds a parameter by its name or place; otherwise the error suggests the nearest.
 pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {

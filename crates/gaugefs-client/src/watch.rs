@@ -17,9 +17,9 @@ use ti_gauge::learning::Limits;
 
 use crate::error::{Error, Result};
 use crate::file::{content, send, text};
-use crate::follow::{PATIENCE, SILENT, thread};
-use crate::gauge::died;
+use crate::hang::{PATIENCE, SILENT, thread};
 use crate::mounts;
+use crate::place::died;
 use crate::sample::Sample;
 
 /// TI's name for the subclass with the values that a gauge has learned.
