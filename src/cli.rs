@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -30,6 +30,7 @@ mod lint;
 mod list;
 mod manual;
 mod mount;
+mod mounted;
 mod names;
 mod probe;
 mod program;
@@ -38,6 +39,8 @@ mod rescue;
 mod set;
 mod settle;
 mod umount;
+#[cfg(feature = "screen")]
+mod watch;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -80,7 +83,9 @@ enum Command {
     Keys(keys::Command),
     #[cfg(feature = "screen")]
     #[command(flatten)]
-    Screen(crate::screen::Command),
+    Screen(gaugefs_screen::Command),
+    #[cfg(feature = "screen")]
+    Watch(watch::Watch),
     Doctor(doctor::Doctor),
     Completions(completions::Completions),
     Man(manual::Man),
@@ -130,6 +135,8 @@ impl Command {
             Self::Keys(command) => command.run(),
             #[cfg(feature = "screen")]
             Self::Screen(command) => command.run(),
+            #[cfg(feature = "screen")]
+            Self::Watch(command) => command.run(),
             Self::Doctor(command) => command.run(),
             Self::Completions(command) => command.run(),
             Self::Man(command) => command.run(),
@@ -225,12 +232,6 @@ fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
         say_error(&error);
         Ok(ExitCode::from(2))
     })
-}
-
-/// The name of a gauge's folder, with symbolic links resolved.
-fn folder_name(gauge: &Path) -> String {
-    let whole = std::fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
-    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

@@ -7,8 +7,6 @@ use std::time::Duration;
 use clap::Args;
 use serde::Deserialize;
 
-use crate::daemon::Source;
-use crate::daemon::node::Node;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
 use ti_gauge::authentication::Order;
@@ -19,14 +17,16 @@ use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 mod alert;
 mod file;
 mod from_toml;
+mod node;
+mod source;
 mod station;
 mod values;
 pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, Unsettled};
 
 pub(crate) use alert::AlertOptions;
+use node::Node;
+pub(crate) use source::Source;
 use values::Key;
-#[cfg(feature = "screen")]
-pub(crate) use values::seconds;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
 
 // No documentation on these two: clap would take it for the description of the subcommand.

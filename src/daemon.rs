@@ -19,7 +19,6 @@ pub(crate) mod journal_dir;
 pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
-pub mod node;
 pub(crate) mod preflight;
 mod report;
 pub mod service;
@@ -29,7 +28,7 @@ pub(crate) mod source;
 use gauges::{Opening, Ready};
 pub(crate) use report::report;
 use shutdown::{Phase, Shutdown, finish};
-pub(crate) use source::Source;
+pub use source::of_sim;
 #[cfg(test)]
 pub(crate) use source::recorded;
 

@@ -42,7 +42,6 @@ pub use covered::Covered;
 use covered::CoveredLink;
 pub use df::DfItem;
 pub use gauge_dir::GaugeItem;
-pub(crate) use gauge_dir::named_files;
 use mains::Mains;
 pub use mains::MainsItem;
 use root::Root;

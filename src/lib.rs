@@ -1,27 +1,22 @@
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
 //!
-//! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim` and
-//! `ti-gauge`. `docs/ARCHITECTURE.md` has the picture.
+//! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim`,
+//! `ti-gauge` and `gaugefs-client`. `docs/ARCHITECTURE.md` has the picture.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
+pub use gaugefs_host::error;
+use gaugefs_host::{folders, output};
+
+mod chemistry;
 pub mod cli;
-#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
-mod condition;
 mod config;
 pub mod daemon;
-mod errno;
-pub mod error;
-mod folders;
 pub mod fs;
 pub mod fuse;
 pub mod key_file;
 pub mod lock;
-mod mounted;
-mod output;
 pub mod owner;
 mod program;
 mod report;
-#[cfg(feature = "screen")]
-mod screen;

@@ -20,14 +20,14 @@ use ti_gauge::keys::{Keys, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
-use crate::config::{Date, GaugeOptions, StationSetup};
-use crate::daemon::{self, Source, gauges, journal_dir};
+use crate::config::{Date, GaugeOptions, Source, StationSetup};
+use crate::daemon::{self, gauges, journal_dir};
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
-use crate::mounted;
 use crate::owner::Settings;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
+use gaugefs_host::input;
 use ti_gauge::notation;
 
 mod pack;
@@ -122,8 +122,8 @@ impl Plan {
 
     /// Reads and checks both.
     pub(crate) fn read(image_path: &Path, setup: StationSetup) -> Result<Self> {
-        let name = mounted::name(image_path);
-        let source = mounted::Source::read(image_path)?;
+        let name = input::name(image_path);
+        let source = input::Source::read(image_path)?;
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
         let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
         let mut image = source.image(chip, setup.station.data_flash)?;

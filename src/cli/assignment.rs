@@ -7,10 +7,8 @@ use std::str::FromStr;
 use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
-use ti_gauge::dataflash::Place;
-use ti_gauge::image::{Entry, Image};
-use ti_gauge::notation;
+use gaugefs_client::Wanted;
+use ti_gauge::chip::Chip;
 
 /// `NAME=VALUE`, not yet looked up.
 #[derive(Clone, Debug)]
@@ -30,43 +28,13 @@ impl FromStr for Assignment {
     }
 }
 
-/// Finds a parameter by name; otherwise the error suggests the nearest.
-pub(super) fn row(chip: &'static Chip, name: &str) -> Result<Row> {
-    chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
-        (Unnamed::Several(names), _) => {
-            let why = format!("several parameters have that name; write one of {}", names.join(", "));
-            Error::new(name, Cause::Invalid(why))
-        }
-        (Unnamed::Unknown, nearest) => {
-            let what = match nearest {
-                Some(row) => format!("did you mean {}?", chip.name_of(row)),
-                None => "`gaugefs get` without a name lists them".into(),
-            };
-            Error::host(name, Errno::ENOENT, format!("a {} has no such parameter; {what}", chip.model))
-        }
-    })
-}
-
-/// The parameters and values of a command line as an image. It is checked as far as it can be without the gauge.
-pub(super) fn image(chip: &'static Chip, assignments: &[Assignment]) -> Result<Image> {
-    let mut image = Image::new(chip, None);
+/// The parameters and values of a command line. They are checked as far as they can be without the gauge.
+pub(super) fn wanted(chip: &'static Chip, assignments: &[Assignment]) -> Result<Wanted> {
+    let mut wanted = Wanted::new(chip);
     for Assignment { name, value } in assignments {
-        let (subclass, parameter) = row(chip, name)?;
-        let name = chip.name_of((subclass, parameter));
-        if subclass.kind == Kind::Security {
-            let why = "keys are changed with `gaugefs keys change`";
-            return Err(Error::new(name, Cause::NotPermitted(why.into())));
-        }
-        let place = Place::of((subclass, parameter)).into();
-        let value = notation::parse_with_unit(parameter, value);
-        let value = value.map_err(|error| error.about(&name).at_place(place))?;
-        let entry = Entry { subclass, parameter, value, line: 0 };
-        if image.entries.iter().any(|other| other.is(&entry)) {
-            return Err(Error::new(name, Cause::Invalid("it is given twice; remove one of the two".into())));
-        }
-        image.entries.push(entry);
+        wanted.set(name, value)?;
     }
-    Ok(image)
+    Ok(wanted)
 }
 
 /// The words of a command line: gauges first, then what is done with each. A word is a gauge if it is a path, with `/` or
@@ -120,7 +88,7 @@ mod tests {
             (&["80/53=8735"], "outside 1000 to 3700 mV"),
         ] {
             let assignments: Vec<Assignment> = words.iter().map(|word| word.parse().expect("one")).collect();
-            let error = image(chip, &assignments).expect_err("refused").to_string();
+            let error = wanted(chip, &assignments).expect_err("refused").to_string();
             assert!(error.contains(says) && !error.contains("8735"), "{words:?}: {error}");
         }
     }

@@ -1,15 +1,16 @@
 //! `gaugefs auth`: checks with a challenge whether a pack knows the authentication key.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
 use nix::errno::Errno;
 
-use super::{folder_name, trouble};
+use super::{mounted, trouble};
 use crate::error::{Cause, Error, Result};
+use crate::key_file;
 use crate::output::{print, say};
-use crate::{key_file, mounted};
+use gaugefs_client::Gauge;
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 
 const AUTH: &str = "\
@@ -35,38 +36,39 @@ pub(super) struct Auth {
 }
 
 impl Auth {
-    pub(super) fn run(mut self) -> Result<ExitCode> {
-        match mounted::gauge(&self.gauge) {
-            Ok(gauge) => self.gauge = gauge,
-            error => return trouble(error.map(|_| ExitCode::SUCCESS)),
-        }
-        trouble(self.ask().and_then(|genuine| match genuine {
-            Ok(text) => print(&text).map(|()| ExitCode::SUCCESS),
-            Err(why) => {
-                say(format_args!("{}: {why}", self.gauge.display()));
-                Ok(ExitCode::FAILURE)
-            }
-        }))
+    pub(super) fn run(self) -> Result<ExitCode> {
+        trouble(self.prove())
     }
 
-    /// Returns `Ok` with the text for a genuine pack, or `Err` with the reason why it is not genuine.
-    fn ask(&self) -> Result<Result<String, &'static str>> {
-        let keys = key_file::from_file(&self.key_file, &folder_name(&self.gauge))?;
+    fn prove(&self) -> Result<ExitCode> {
+        let gauge = Gauge::open(&self.gauge)?;
+        match self.ask(&gauge)? {
+            Ok(text) => print(&text).map(|()| ExitCode::SUCCESS),
+            Err(why) => {
+                say(format_args!("{}: {why}", gauge.folder().display()));
+                Ok(ExitCode::FAILURE)
+            }
+        }
+    }
+
+    /// The text for a genuine pack, or why it is not genuine.
+    fn ask(&self, gauge: &Gauge) -> Result<Result<String, &'static str>> {
+        let keys = key_file::from_file(&self.key_file, &gauge.name())?;
         let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());
         let Some(key) = key else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
         };
-        let asked = order(&self.gauge)?;
-        mounted::poll(&self.gauge)?;
+        let asked = order(gauge)?;
+        mounted::poll(gauge)?;
         for _ in 0..TRIES {
             let mut challenge = [0; LENGTH];
             getrandom::fill(&mut challenge)
                 .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
-            let text = exchange(&self.gauge, &to_hex(&challenge))?;
+            let text = exchange(gauge, &to_hex(&challenge))?;
             let digest = from_hex(text.as_bytes()).map_err(|_| {
                 let why = "the answer is not a digest".into();
-                Error::new(self.gauge.display().to_string(), Cause::Protocol(why))
+                Error::new(gauge.folder().display().to_string(), Cause::Protocol(why))
             })?;
             match fits(key, &challenge, &digest, asked) {
                 Some(order) if order == asked => {
@@ -86,25 +88,20 @@ impl Auth {
 }
 
 /// The byte order that the gauge is mounted with.
-fn order(gauge: &Path) -> Result<Order> {
-    let path = gauge.join("gauge/auth_order");
-    let name = gauge.display().to_string();
-    match mounted::content(&path) {
-        Ok(word) => Order::by_name(word.trim()).ok_or_else(|| {
-            Error::new(path.display().to_string(), Cause::Protocol("is not a byte order".into()))
-        }),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            mounted::has(gauge, "gauge/auth_order", "authentication")?;
-            Err(Error::io(name, "cannot read its byte order", &error))
-        }
-        Err(error) => Err(Error::io(path.display().to_string(), "cannot read it", &error)),
-    }
+fn order(gauge: &Gauge) -> Result<Order> {
+    const FILE: &str = "gauge/auth_order";
+    gauge.check_has(FILE, "authentication")?;
+    let word = gauge.text(FILE).map_err(|error| error.doing("cannot read its byte order"))?;
+    Order::by_name(word.trim()).ok_or_else(|| {
+        let name = gauge.folder().join(FILE).display().to_string();
+        Error::new(name, Cause::Protocol("is not a byte order".into()))
+    })
 }
 
 /// Writes the challenge and reads the digest.
-fn exchange(gauge: &Path, challenge: &str) -> Result<String> {
+fn exchange(gauge: &Gauge, challenge: &str) -> Result<String> {
     const FILE: &str = "gauge/authenticate";
-    let failed = |failure: mounted::Failure| failure.told("the gauge does not answer the challenge");
-    mounted::send(gauge, FILE, challenge.as_bytes()).map_err(failed)?;
-    mounted::text(gauge, FILE).map_err(failed)
+    let failed = |error: gaugefs_client::Error| error.doing("the gauge does not answer the challenge");
+    gauge.send(FILE, challenge.as_bytes()).map_err(failed)?;
+    Ok(gauge.text(FILE).map_err(failed)?)
 }

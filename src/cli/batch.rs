@@ -1,6 +1,6 @@
 //! One command for several gauges: each is done for itself, and the exit code is the worst.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::PASSED_OVER;
 use crate::error::{Details, Result};
-use crate::mounted;
 use crate::output::{print, print_json, say, say_error};
+use gaugefs_client::Gauge;
 use ti_gauge::image::{Difference, RawDifference};
 use ti_gauge::unit;
 
@@ -95,8 +95,8 @@ impl Report {
     }
 
     /// Notes which gauge it is, as the last poll has shown. A write may change its serial number.
-    pub(super) fn identify(&mut self, gauge: &Path) {
-        (self.part, self.serial) = mounted::pack(gauge);
+    pub(super) fn identify(&mut self, gauge: &Gauge) {
+        (self.part, self.serial) = gauge.pack();
     }
 
     /// Adds a line to print.
@@ -133,14 +133,14 @@ impl Batch {
         self,
         gauges: &[PathBuf],
         failure: u8,
-        mut act: impl FnMut(&Path, &mut Report) -> Result<u8>,
+        mut act: impl FnMut(&Gauge, &mut Report) -> Result<u8>,
     ) -> ExitCode {
         let several = gauges.len() > 1;
         let mut worst = 0;
         for (at, path) in gauges.iter().enumerate() {
             let mut report = Report { gauge: path.display().to_string(), ..Report::default() };
-            let outcome = mounted::gauge(path).and_then(|gauge| {
-                report.gauge = gauge.display().to_string();
+            let outcome = Gauge::open(path).map_err(Into::into).and_then(|gauge| {
+                report.gauge = gauge.folder().display().to_string();
                 act(&gauge, &mut report).inspect_err(|_| {
                     if report.part.is_none() {
                         report.identify(&gauge);

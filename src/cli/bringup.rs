@@ -6,8 +6,10 @@ use std::process::ExitCode;
 use clap::Args;
 
 use super::calibrate::request;
+use super::mounted;
+use crate::config;
 use crate::error::Result;
-use crate::{config, mounted};
+use gaugefs_client::Gauge;
 
 const BRINGUP: &str = "\
 A new bq34z100 behind an external divider measures too little: below Flash Update OK Cell Volt it
@@ -43,7 +45,7 @@ pub(super) struct BringUp {
 impl BringUp {
     pub(super) fn run(self) -> Result<ExitCode> {
         let Self { gauge, cells, divider, voltage_now } = self;
-        let gauge = mounted::gauge(&gauge)?;
+        let gauge = Gauge::open(&gauge)?;
         mounted::poll(&gauge)?;
         let voltage = voltage_now.map_or(String::new(), |voltage| format!(" {voltage}"));
         request(&gauge, &format!("bringup {cells} {divider}{voltage}"), "cannot be set up")

@@ -1,6 +1,6 @@
 //! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
@@ -8,9 +8,11 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
+use super::mounted;
+use crate::config;
 use crate::error::Result;
 use crate::output::print;
-use crate::{config, mounted};
+use gaugefs_client::Gauge;
 
 /// Time between two looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
@@ -75,17 +77,17 @@ impl Calibrate {
             What::Temperature { actual } => format!("temperature {actual}"),
             What::Leave => "leave".into(),
         };
-        let gauge = mounted::gauge(&self.gauge)?;
+        let gauge = Gauge::open(&self.gauge)?;
         mounted::poll(&gauge)?;
         request(&gauge, &line, "cannot be calibrated").map(|()| ExitCode::SUCCESS)
     }
 }
 
 /// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them.
-pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
-    mounted::has(gauge, "gauge/calibrate", "calibration")?;
-    let file = gauge.join("gauge/calibration");
-    let told = move || mounted::content(&file).unwrap_or_default();
+pub(super) fn request(gauge: &Gauge, line: &str, failure: &str) -> Result<()> {
+    gauge.check_has("gauge/calibrate", "calibration")?;
+    let asked = gauge.clone();
+    let told = move || asked.text("gauge/calibration").unwrap_or_default();
     let before = told();
     let (end, ended) = mpsc::channel::<()>();
     let follow = thread::spawn(move || {
@@ -106,10 +108,10 @@ pub(super) fn request(gauge: &Path, line: &str, failure: &str) -> Result<()> {
             last = ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout);
         }
     });
-    let sent = mounted::send(gauge, "gauge/calibrate", line.as_bytes());
+    let sent = gauge.send("gauge/calibrate", line.as_bytes());
     drop(end);
     let printed = follow.join();
-    sent.map_err(|refused| refused.told(failure))?;
+    sent.map_err(|refused| refused.doing(failure))?;
     // A panic there was told by itself.
     printed.unwrap_or(Ok(())).map_err(|error| error.within("done, but its steps were not printed"))
 }

@@ -7,11 +7,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::import::GroupName;
-use super::{counted, trouble};
+use super::{counted, mounted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
-use crate::mounted;
 use crate::output::{print, print_json, say};
+use gaugefs_client::Gauge;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Group;
 use ti_gauge::text;
@@ -70,16 +70,19 @@ impl Diff {
         }
         for side in [&mut self.a, &mut self.b] {
             if side.is_dir() {
-                *side = mounted::gauge(side)?;
+                *side = Gauge::open(&*side)?.folder().into();
             }
         }
         let named = self.chip.as_deref().and_then(Chip::by_name);
         // A mounted gauge says which chip a file without a name is for.
-        let chip_of = |path: &Path| if path.is_dir() { mounted::chip(path).map(Some) } else { Ok(None) };
+        let chip_of = |path: &Path| match path.is_dir() {
+            true => Gauge::open(path)?.chip().map(Some),
+            false => Ok(None),
+        };
         // Files first: one that is refused leaves the gauge alone.
         let (a, mut b) = if self.b.is_dir() {
             let a = mounted::open(&self.a, named.or(chip_of(&self.b)?), self.data_flash)?;
-            (a, mounted::whole(&self.b)?)
+            (a, mounted::whole(&Gauge::open(&self.b)?)?)
         } else {
             let b = mounted::open(&self.b, named.or(chip_of(&self.a)?), self.data_flash)?;
             (mounted::open(&self.a, named.or(Some(b.chip)), self.data_flash)?, b)

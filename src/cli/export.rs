@@ -8,11 +8,11 @@ use std::process::ExitCode;
 use clap::{Args, ValueEnum};
 
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::folder_name;
+use super::mounted;
 use crate::error::{Error, Result};
-use crate::mounted;
 use crate::output::{is_standard_output, print_file, say, write_file};
 use gauge_bus::regular::Replace;
+use gaugefs_client::Gauge;
 use ti_gauge::image::Format;
 
 const EXPORT: &str = "\
@@ -72,7 +72,8 @@ impl Export {
         if output.is_none_or(is_standard_output) && self.batch.json {
             return misuse("--json needs --output: standard output cannot have the file as well");
         }
-        let mut names: Vec<String> = self.gauges.iter().map(|gauge| folder_name(gauge)).collect();
+        let mut names: Vec<String> =
+            self.gauges.iter().map(|gauge| gaugefs_client::folder_name(gauge)).collect();
         names.sort();
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             return misuse(&format!("two gauges are named {}; export them one by one", twice[0]));
@@ -83,7 +84,7 @@ impl Export {
         }
         Ok(self.batch.run(&self.gauges, FAILED, |gauge, report| {
             let file = match folder {
-                Some(folder) => Some(folder.join(format!("{}.{}", folder_name(gauge), format.ending()))),
+                Some(folder) => Some(folder.join(format!("{}.{}", gauge.name(), format.ending()))),
                 None => self.output.clone(),
             };
             export(gauge, format, file.as_deref(), report)
@@ -114,10 +115,10 @@ impl Export {
     }
 }
 
-fn export(gauge: &Path, format: FormatName, file: Option<&Path>, report: &mut Report) -> Result<u8> {
+fn export(gauge: &Gauge, format: FormatName, file: Option<&Path>, report: &mut Report) -> Result<u8> {
     let image = mounted::whole(gauge)?;
     report.identify(gauge);
-    let text = image.write(format.into(), |id| mounted::raw_of(gauge, id))?;
+    let text = image.write(format.into(), |id| gauge.raw(id))?;
     report.left_out = image.omitted(format.into());
     match file {
         None => print_file(text.as_bytes())?,
@@ -129,10 +130,10 @@ fn export(gauge: &Path, format: FormatName, file: Option<&Path>, report: &mut Re
     }
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
     for line in &report.left_out {
-        say(format_args!("gauge {}: exported {line}", gauge.display()));
+        say(format_args!("gauge {}: exported {line}", gauge.folder().display()));
     }
     for line in &report.passed_over {
-        say(format_args!("{}: {line}", gauge.display()));
+        say(format_args!("{}: {line}", gauge.folder().display()));
     }
     Ok(report.read())
 }

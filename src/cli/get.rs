@@ -1,16 +1,15 @@
 //! `gaugefs get`.
 
 use std::ffi::OsString;
-use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Args, ValueHint};
 
 use super::batch::{Batch, FAILED, Report, Value};
-use super::{assignment, trouble};
+use super::{assignment, mounted, trouble};
 use crate::error::Result;
-use crate::mounted;
 use crate::output::say;
+use gaugefs_client::Gauge;
 use ti_gauge::chip::Row;
 use ti_gauge::unit;
 
@@ -45,14 +44,15 @@ impl Get {
     }
 }
 
-fn get(gauge: &Path, names: &[String], report: &mut Report) -> Result<u8> {
-    let chip = mounted::chip(gauge)?;
-    let rows: Vec<Row> = names.iter().map(|name| assignment::row(chip, name)).collect::<Result<_>>()?;
+fn get(gauge: &Gauge, names: &[String], report: &mut Report) -> Result<u8> {
+    let chip = gauge.chip()?;
+    let rows: Vec<Row> =
+        names.iter().map(|name| gaugefs_client::row(chip, name)).collect::<Result<_, _>>()?;
     let image = if rows.is_empty() {
         mounted::now(gauge)?
     } else {
         mounted::poll(gauge)?;
-        mounted::values(gauge, chip, &rows)?
+        gauge.values(chip, &rows)?
     };
     report.identify(gauge);
     let mut values = Vec::new();
@@ -64,7 +64,7 @@ fn get(gauge: &Path, names: &[String], report: &mut Report) -> Result<u8> {
     report.values = Some(values);
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();
     for line in &report.passed_over {
-        say(format_args!("{}: {line}", gauge.display()));
+        say(format_args!("{}: {line}", gauge.folder().display()));
     }
     Ok(report.read())
 }

@@ -1,17 +1,19 @@
 //! `gaugefs import`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::{counted, trouble};
+use super::{counted, mounted, trouble};
+use crate::chemistry;
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
-use crate::mounted::{self, Source};
 use crate::output::say;
+use gaugefs_client::{Gauge, Wanted};
+use gaugefs_host::input::Source;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Changes, Group, Image};
 
@@ -104,47 +106,47 @@ impl Import {
         Ok(self.batch.run(&self.gauges, failure, |gauge, report| self.import(gauge, &source, report)))
     }
 
-    fn import(&self, path: &Path, source: &Source, report: &mut Report) -> Result<u8> {
+    fn import(&self, gauge: &Gauge, source: &Source, report: &mut Report) -> Result<u8> {
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
         let named = |error: ti_gauge::error::Error| error.within(&source.name);
         // A file that is refused leaves the gauge alone.
-        let chip = mounted::chip(path)?;
-        let set = assignment::image(chip, &self.set)?;
+        let chip = gauge.chip()?;
+        let set = assignment::wanted(chip, &self.set)?;
         let mut file = self.file(chip, source, &groups, &set)?;
-        file.entries.retain(|entry| !set.entries.iter().any(|other| other.is(entry)));
-        let gauge = mounted::now(path)?;
-        report.identify(path);
+        file.entries.retain(|entry| !set.image().entries.iter().any(|other| other.is(entry)));
+        let (image, path) = (mounted::now(gauge)?, gauge.folder().display());
+        report.identify(gauge);
         if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
-            let same = mounted::check_chemistry(path, gauge.chip, sum)?;
-            say(format_args!("{}: {same}", path.display()));
+            let same = check_chemistry(gauge, chip, sum)?;
+            say(format_args!("{path}: {same}"));
         }
-        file.keep_reserved(&gauge);
+        file.keep_reserved(&image);
         let Changes { mut changes, mut passed_over } =
-            gauge.changes(&file, &groups, self.allow_unproven).map_err(named)?;
+            image.changes(&file, &groups, self.allow_unproven).map_err(named)?;
         // What is named on the command line is in no group that is left out, and whether unproven ones may be written is
         // the mount's to decide.
-        let Changes { changes: more, passed_over: hidden } = gauge.changes(&set, &[], true)?;
+        let Changes { changes: more, passed_over: hidden } = image.changes(set.image(), &[], true)?;
         changes.extend(more);
         passed_over.extend(hidden);
         let raw = if groups.contains(&Group::Undocumented) {
-            if let Some(what) = file.other_chemistry(|id| mounted::raw_of(path, id)).map_err(named)? {
-                let (gauge, name) = (path.display(), &source.name);
+            if let Some(what) = file.other_chemistry(|id| gauge.raw(id)).map_err(named)? {
+                let name = &source.name;
                 say(format_args!(
-                    "gauge {gauge}: --exclude undocumented leaves out the chemistry of {name}, which differs: {what}"
+                    "gauge {path}: --exclude undocumented leaves out the chemistry of {name}, which differs: {what}"
                 ));
             }
             Vec::new()
         } else {
-            file.raw_changes(|id| mounted::raw_of(path, id), self.raw).map_err(named)?
+            file.raw_changes(|id| gauge.raw(id), self.raw).map_err(named)?
         };
         if !self.dry_run {
-            let bar = progress::Bar::start(path);
-            let outcome = mounted::apply(path, &changes, &raw);
+            let bar = progress::Bar::start(gauge);
+            let outcome = gauge.apply(&changes, &raw);
             bar.end();
             outcome?;
         }
         report.change(&changes, &raw);
-        let head = if self.gauges.len() > 1 { format!("{}: ", path.display()) } else { String::new() };
+        let head = if self.gauges.len() > 1 { format!("{path}: ") } else { String::new() };
         for line in &passed_over {
             say(format_args!("{head}{}: {line}", source.name));
         }
@@ -157,7 +159,7 @@ impl Import {
 
     /// Reads the file, which must name the chip and, with `--complete`, hold everything that can be written and is not
     /// set on the command line.
-    fn file(&self, chip: &'static Chip, source: &Source, exclude: &[Group], set: &Image) -> Result<Image> {
+    fn file(&self, chip: &'static Chip, source: &Source, exclude: &[Group], set: &Wanted) -> Result<Image> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
         let file = source.image(named.or(Some(chip)), self.data_flash)?;
         let refuse = |why: String| Err(Error::new(&source.name, Cause::Invalid(why)));
@@ -165,13 +167,22 @@ impl Import {
             return refuse("it does not say which gauge it is for; name it with --chip".into());
         }
         let mut missing = if self.complete { file.missing(exclude) } else { Vec::new() };
-        missing.retain(|name| !set.entries.iter().any(|entry| set.name(entry) == *name));
+        missing.retain(|name| !set.image().entries.iter().any(|entry| set.image().name(entry) == *name));
         if missing.is_empty() {
             return Ok(file);
         }
         let count = counted(missing.len());
         refuse(format!("not complete; it lacks {count}: {}", missing.join(", ")))
     }
+}
+
+/// Makes sure that a gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line
+/// that says so.
+fn check_chemistry(gauge: &Gauge, chip: &Chip, expected: u16) -> Result<String> {
+    let chem_id = gauge.text("gauge/chem_id").unwrap_or_default();
+    let name = gauge.folder().display().to_string();
+    let told = (chem_id.trim(), "pass --same-chemistry");
+    chemistry::check(&name, chip, expected, told, |code| Ok(gauge.ask(code)?))
 }
 
 impl From<GroupName> for Group {

@@ -12,11 +12,11 @@ use clap::{Args, Subcommand};
 use nix::sys::termios::{LocalFlags, SetArg, SpecialCharacterIndices, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
-use super::folder_name;
+use super::mounted;
 use crate::error::{Cause, Error, Result};
 use crate::key_file;
-use crate::mounted::{self, GaugeFile};
 use crate::output::print;
+use gaugefs_client::Gauge;
 use ti_gauge::keys::{Name, Secret};
 
 const CHANGE: &str = "\
@@ -72,9 +72,9 @@ struct Change {
 
 impl Command {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let Action::Change(mut change) = self.command;
-        change.gauge = mounted::gauge(&change.gauge)?;
-        let changed = change.run()?;
+        let Action::Change(change) = self.command;
+        let gauge = Gauge::open(&change.gauge)?;
+        let changed = change.run(&gauge)?;
         // It is changed, whether that can be printed or not.
         print(&changed).map_err(|error| error.within(&changed.replace('\n', " ")))?;
         Ok(ExitCode::SUCCESS)
@@ -83,20 +83,21 @@ impl Command {
 
 impl Change {
     /// The text for a changed key.
-    fn run(&self) -> Result<String> {
+    fn run(&self, gauge: &Gauge) -> Result<String> {
+        const FILE: &str = "gauge/keys";
         let name = Name::ALL.into_iter().find(|name| name.as_str() == self.key);
         let name = name.expect("clap accepts only names of keys");
-        mounted::has(&self.gauge, mounted::KEYS, "keys")?;
-        mounted::poll(&self.gauge)?;
-        let (old, new) = self.keys(name, &folder_name(&self.gauge))?;
+        gauge.check_has(FILE, "keys")?;
+        mounted::poll(gauge)?;
+        let (old, new) = self.keys(name, &gauge.name())?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
         // Reserved at once: a string that grows leaves copies behind that are not wiped.
         let mut line = Zeroizing::new(String::with_capacity(LINE));
         for part in [word, " ", &old, " ", &new, "\n"] {
             line.push_str(part);
         }
-        let failed = |failure: mounted::Failure| failure.told("the key was not changed");
-        let mut file = GaugeFile::to_write(&self.gauge, mounted::KEYS).map_err(failed)?;
+        let failed = |error: gaugefs_client::Error| Error::from(error.doing("the key was not changed"));
+        let mut file = gauge.open_to_write(FILE).map_err(failed)?;
         let sent = file.send(line.as_bytes());
         // The daemon reads its next request into the same buffer, so this overwrites the keys there. Its
         // failure is harmless.

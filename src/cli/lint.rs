@@ -7,11 +7,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::import::GroupName;
-use super::{align, counted};
+use super::{align, counted, mounted};
 use crate::config::chip_names;
 use crate::error::{Error, Result};
-use crate::mounted;
 use crate::output::{print, print_json};
+use gaugefs_host::input;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Faults, Group, Image, Reading};
 use ti_gauge::unit;
@@ -112,7 +112,7 @@ impl Lint {
             }
         }
         match Error::of_file(&faults) {
-            Some(error) => Err(error.within(&mounted::name(&self.file))),
+            Some(error) => Err(error.within(&input::name(&self.file))),
             None => Ok(ExitCode::SUCCESS),
         }
     }

@@ -9,10 +9,9 @@ use serde::Serialize;
 
 use super::align;
 use crate::daemon::look::{self, Found, Listed};
-use crate::daemon::mountpoint;
 use crate::error::{Error, Result, shown};
-use crate::mounted;
 use crate::output::{print, print_json, say};
+use gaugefs_client::mounts;
 
 const LIST: &str = "\
 What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
@@ -41,7 +40,7 @@ struct Silent<'a> {
 
 impl List {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let mut mounts = mountpoint::list();
+        let mut mounts = mounts::list();
         mounts.sort();
         mounts.dedup();
         if mounts.is_empty() {
@@ -72,7 +71,7 @@ impl List {
 /// The reason why a mount has not shown all of its gauges, if it has not.
 fn trouble(mount: &Path, found: &Found) -> Option<String> {
     match found {
-        Found { dead: Some(true), .. } => Some(mounted::died(shown(mount))),
+        Found { dead: Some(true), .. } => Some(gaugefs_client::died(shown(mount))),
         Found { late: true, .. } => {
             let mount = shown(mount);
             Some(format!("its daemon does not answer; remove the mount with: gaugefs umount {mount}"))

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 
 use super::align;
-use crate::config::{GaugeOptions, MountOptions, Setup, standard_input};
-use crate::daemon::{self, Mode, Source, background, preflight, service};
+use crate::config::{GaugeOptions, MountOptions, Setup, Source, standard_input};
+use crate::daemon::{self, Mode, background, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
 

@@ -10,8 +10,9 @@ use super::PASSED_OVER;
 use crate::config::{GaugeOptions, address, chips};
 use crate::error::{Error, Result};
 use crate::output::{check_file, is_standard_output, print, say, write_file};
-use crate::{daemon, mounted, report};
+use crate::{daemon, report};
 use gauge_bus::regular::Replace;
+use gaugefs_client::Gauge;
 use ti_gauge::chip::Chip;
 
 const REPORT: &str = "\
@@ -77,7 +78,7 @@ impl Report {
             }
         }
         let text = match &self.gauge {
-            Some(gauge) => of_mounted(&mounted::gauge(gauge)?)?,
+            Some(gauge) => of_mounted(gauge)?,
             None => daemon::report(self.options())?,
         };
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
@@ -111,27 +112,23 @@ impl Report {
 }
 
 /// Asks the daemon of a mounted gauge for a report.
-fn of_mounted(gauge: &Path) -> Result<String> {
+fn of_mounted(path: &Path) -> Result<String> {
     const FILE: &str = "gauge/report";
-    let name = gauge.display().to_string();
-    mounted::send(gauge, FILE, b"1\n").map_err(|failure| {
-        match failure.errno().filter(|_| failure.is_own()) {
-            Some(errno @ (Errno::ENOENT | Errno::ENOTDIR)) => {
-                let error = mounted::not_a_gauge(gauge);
-                Error::host(
-                    gauge.display().to_string(),
-                    errno,
-                    format!("{}; or give a bus with --bus", error.cause()),
-                )
-            }
-            Some(Errno::EROFS) => {
-                let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
-                Error::host(&name, Errno::EROFS, why)
-            }
-            _ => failure.told("the gauge cannot be polled for a report"),
+    let name = path.display().to_string();
+    let gauge = Gauge::open(path).map_err(|error| match error.errno().map(Errno::from_raw) {
+        Some(errno @ Errno::ENOENT) => {
+            Error::host(&name, errno, format!("{}; or give a bus with --bus", error.text()))
         }
+        _ => error.into(),
     })?;
-    let text = mounted::text(gauge, FILE).map_err(|failure| failure.told("cannot read the report"))?;
+    gauge.send(FILE, b"1\n").map_err(|error| match error.errno().map(Errno::from_raw) {
+        Some(errno @ Errno::EROFS) if error.is_unopened() => {
+            let why = "the mount is read-only; unmount it, and give the gauge's bus with --bus";
+            Error::host(&name, errno, why)
+        }
+        _ => error.doing("the gauge cannot be polled for a report").into(),
+    })?;
+    let text = gauge.text(FILE).map_err(|error| error.doing("cannot read the report"))?;
     if text.is_empty() {
         return Err(Error::host(name, Errno::EAGAIN, "another request has failed meanwhile; try again"));
     }

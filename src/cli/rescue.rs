@@ -12,12 +12,12 @@ use nix::errno::Errno;
 
 use crate::error::{Error, Result};
 use crate::lock::Lock;
-use crate::mounted;
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gaugefs_host::input;
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Gauge;
@@ -72,12 +72,12 @@ fn chips() -> PossibleValuesParser {
 impl Rescue {
     pub(super) fn run(self) -> Result<ExitCode> {
         let chip = Chip::by_name(&self.chip).expect("clap accepts only names of chips");
-        let name = mounted::name(&self.file);
+        let name = input::name(&self.file);
         if self.file.as_os_str() == "-" && !self.yes {
             let why = "it has the file, so the question cannot be answered there; pass --yes";
             return Err(Error::new(name, Cause::Invalid(why.into())));
         }
-        let bytes = mounted::read_file(&self.file, image::LONGEST)
+        let bytes = input::read_file(&self.file, image::LONGEST)
             .map_err(|error| Error::io(&name, "cannot be read", &error))?;
         let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
         let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;

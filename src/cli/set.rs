@@ -1,17 +1,15 @@
 //! `gaugefs set`.
 
 use std::ffi::OsString;
-use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Args, ValueHint};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::trouble;
+use super::{mounted, trouble};
 use crate::error::{Cause, Error, Result};
-use crate::mounted;
-use ti_gauge::chip::Row;
+use gaugefs_client::Gauge;
 use ti_gauge::image::Changes;
 
 const SET: &str = "\
@@ -72,18 +70,17 @@ fn parsed(words: &[String]) -> Result<Vec<Assignment>> {
     Ok(assignments)
 }
 
-fn set(gauge: &Path, assignments: &[Assignment], dry_run: bool, report: &mut Report) -> Result<u8> {
-    let chip = mounted::chip(gauge)?;
+fn set(gauge: &Gauge, assignments: &[Assignment], dry_run: bool, report: &mut Report) -> Result<u8> {
+    let chip = gauge.chip()?;
     // What is refused leaves the gauge alone.
-    let wanted = assignment::image(chip, assignments)?;
+    let wanted = assignment::wanted(chip, assignments)?;
     mounted::poll(gauge)?;
     report.identify(gauge);
-    let rows: Vec<Row> = wanted.entries.iter().map(|entry| (entry.subclass, entry.parameter)).collect();
-    let stored = mounted::values(gauge, chip, &rows)?;
+    let stored = gauge.values(chip, &wanted.rows())?;
     // Whether unproven ones may be written is the mount's to decide.
-    let Changes { changes, .. } = stored.changes(&wanted, &[], true)?;
+    let Changes { changes, .. } = stored.changes(wanted.image(), &[], true)?;
     if !dry_run {
-        mounted::apply(gauge, &changes, &[])?;
+        gauge.apply(&changes, &[])?;
     }
     report.change(&changes, &[]);
     Ok(report.done(dry_run))

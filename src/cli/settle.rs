@@ -1,13 +1,14 @@
 //! `gaugefs settle`: shows an interrupted write, and carries out what somebody decides about it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
 
+use super::mounted;
 use crate::error::Result;
-use crate::mounted;
 use crate::output::print;
+use gaugefs_client::{Decision, Gauge};
 
 const SETTLE: &str = "\
 A write that was interrupted is settled by itself where the gauge is certainly the one it was begun on.
@@ -43,36 +44,27 @@ pub(super) struct Settle {
 }
 
 impl Settle {
-    pub(super) fn run(mut self) -> Result<ExitCode> {
-        self.gauge = mounted::gauge(&self.gauge)?;
-        let word = match (self.undo, self.finish, self.discard) {
-            (true, _, _) => "undo",
-            (_, true, _) => "finish",
-            (_, _, true) => "discard",
-            _ => "show",
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let gauge = Gauge::open(&self.gauge)?;
+        let decision = match (self.undo, self.finish, self.discard) {
+            (true, _, _) => Some(Decision::Undo),
+            (_, true, _) => Some(Decision::Finish),
+            (_, _, true) => Some(Decision::Discard),
+            _ => None,
         };
         // A journal can be discarded without its gauge.
         if !self.discard {
-            mounted::poll(&self.gauge)?;
+            mounted::poll(&gauge)?;
         }
-        let words = self.serial.map_or(word.to_string(), |serial| format!("{word} {serial}"));
-        let told = exchange(&self.gauge, &words)?;
+        let Some(decision) = decision else {
+            let pending = gauge.unsettled()?;
+            let told = pending.as_deref().unwrap_or("nothing to settle");
+            print(&format!("{}\n", told.trim_end()))?;
+            return Ok(if pending.is_some() { ExitCode::FAILURE } else { ExitCode::SUCCESS });
+        };
+        let told = gauge.settle(decision, self.serial.as_deref())?;
         // What was decided is done, whether it can be printed or not.
-        print(&format!("{}\n", told.trim_end())).map_err(|error| match word {
-            "show" => error,
-            _ => error.within(told.trim_end()),
-        })?;
-        let is_pending = word == "show" && told.trim() != "nothing to settle";
-        Ok(if is_pending { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+        print(&format!("{}\n", told.trim_end())).map_err(|error| error.within(told.trim_end()))?;
+        Ok(ExitCode::SUCCESS)
     }
-}
-
-/// Writes a word to `gauge/settle` and reads the answer.
-fn exchange(gauge: &Path, word: &str) -> Result<String> {
-    const FILE: &str = "gauge/settle";
-    mounted::has(gauge, FILE, "data flash")?;
-    mounted::send(gauge, FILE, word.as_bytes()).map_err(|failure| failure.told("cannot be settled"))?;
-    let told = mounted::text(gauge, FILE);
-    let told = told.map_err(|failure| failure.told("cannot read what is to settle"))?;
-    Ok(mounted::with_gauge(&told, gauge))
 }

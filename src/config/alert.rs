@@ -7,7 +7,7 @@ use clap::{Arg, Args, Command};
 use serde::Deserialize;
 
 use super::{from_toml, values};
-use crate::condition::Condition;
+use gaugefs_client::condition::Condition;
 
 // No documentation here: clap would take it for the description of the subcommand.
 
@@ -16,10 +16,11 @@ use crate::condition::Condition;
 pub(crate) struct AlertOptions {
     /// When the alert is raised, such as 'capacity<20'
     #[arg(value_name = "CONDITION", required = false, required_unless_present = "config")]
+    #[serde(deserialize_with = "from_toml::condition")]
     pub(crate) when: Condition,
     /// When it is cleared, and can be raised again [default: when CONDITION is false]
     #[arg(long, value_name = "CONDITION")]
-    #[serde(default)]
+    #[serde(default, deserialize_with = "from_toml::clear")]
     pub(crate) clear: Option<Condition>,
     /// Seconds for which CONDITION must be true in every poll [default: 0]
     #[arg(id = "for", long, value_name = "SECONDS", value_parser = values::hold)]
@@ -55,17 +56,5 @@ fn word_of_program(word: &str) -> Result<String, String> {
             "--{name} is an option of `gaugefs watch`; end CMD with `;` (in a shell, \\;) or put --{name} before it. If it \
              is meant for CMD, write sh -c 'CMD --{name} ...'"
         )),
-    }
-}
-
-impl AlertOptions {
-    /// Its name in messages.
-    pub(crate) fn shown(&self) -> String {
-        self.name.clone().unwrap_or_else(|| self.when.to_string())
-    }
-
-    /// The files that it compares.
-    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.when.names().chain(self.clear.iter().flat_map(Condition::names))
     }
 }

@@ -15,8 +15,7 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::{AlertOptions, GaugeOptions, MountOptions, make_absolute, values};
-use crate::daemon::Source;
+use super::{AlertOptions, GaugeOptions, MountOptions, Source, make_absolute, values};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 

@@ -7,6 +7,7 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::values::{self, Key};
+use gaugefs_client::condition::Condition;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 
@@ -53,6 +54,14 @@ pub(super) fn address<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u8>, 
 
 pub(super) fn celsius<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
     word(from, values::celsius)
+}
+
+pub(super) fn condition<'de, D: Deserializer<'de>>(from: D) -> Result<Condition, D::Error> {
+    String::deserialize(from)?.parse().map_err(D::Error::custom)
+}
+
+pub(super) fn clear<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Condition>, D::Error> {
+    condition(from).map(Some)
 }
 
 pub(super) fn divider<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u16>, D::Error> {

@@ -8,6 +8,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
 use gauge_bus::GAUGE_ADDRESS;
+use gaugefs_host::seconds;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
@@ -75,15 +76,6 @@ pub(crate) fn address(text: &str) -> Result<u8, String> {
             Err(format!("{FORM}; {text} is the 8-bit form of 0x{:02x}: write that", wire >> 1))
         }
         _ => Err(FORM.into()),
-    }
-}
-
-/// A time in seconds, or with a unit such as `2min`.
-pub(crate) fn seconds(text: &str, (least, most): (f64, f64)) -> Result<Duration, String> {
-    let seconds = text.parse().ok().or_else(|| unit::measured(text, "s"));
-    match seconds.filter(|seconds| (least..=most).contains(seconds)) {
-        Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
-        None => Err(format!("expected {least} to {most} seconds, or a time such as 2min")),
     }
 }
 

@@ -10,8 +10,8 @@ use jiff::Timestamp;
 use nix::errno::Errno;
 
 use super::journal_dir;
-use super::source::{Opened, SimKnobs, Source};
-use crate::config::GaugeOptions;
+use super::source::{Opened, SimKnobs};
+use crate::config::{GaugeOptions, Source};
 use crate::error::{Cause, Error, Result};
 use crate::folders;
 use crate::fs::{Knobs, MountedGauge};

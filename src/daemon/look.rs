@@ -5,6 +5,7 @@
 //! return in time.
 
 use std::ffi::OsStr;
+use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
@@ -17,10 +18,9 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::statvfs::statvfs;
 use serde::{Deserialize, Serialize};
 
-use super::mountpoint;
 use crate::error::{Error, Result};
-use crate::mounted;
 use crate::output::print_file;
+use gaugefs_client::{Gauge, mounts};
 
 /// Time limit for a look. A look needs no gauge, so a daemon that works answers at once; a slow machine that is
 /// busy needs some seconds to start the process.
@@ -55,13 +55,13 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    /// Reads the values that cause no transfer.
-    fn read(path: &Path) -> Self {
-        let text = |name: &str| Some(mounted::content(&path.join(name)).ok()?.trim().to_string());
-        let (part, serial) = mounted::pack(path);
+    /// Reads what causes no transfer.
+    fn read(gauge: &Gauge) -> Self {
+        let text = |name: &str| Some(gauge.text(name).ok()?.trim().to_string());
+        let (part, serial) = gauge.pack();
         let capacity = text("capacity").and_then(|text| text.parse().ok());
         let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
-        Self { part, serial, capacity, status, age_ms, path: path.to_string_lossy().into_owned() }
+        Self { part, serial, capacity, status, age_ms, path: gauge.folder().to_string_lossy().into_owned() }
     }
 }
 
@@ -112,18 +112,18 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
 /// soon as it is known.
 pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
-    let path = mountpoint::resolve(path)?;
+    let path = resolve(path)?;
     tell(path.as_os_str().as_bytes())?;
     // Only STATFS is never answered from the kernel's cache.
     let dead =
-        mountpoint::is_ours(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
+        mounts::is_gaugefs(&path) && matches!(statvfs(&path), Err(Errno::ENOTCONN | Errno::ECONNABORTED));
     tell(if dead { b"dead" } else { b"alive" })?;
     if gauges && !dead {
-        let below = match mounted::gauges(&path) {
-            none if none.is_empty() => vec![path],
+        let below = match Gauge::below(&path) {
+            none if none.is_empty() => Gauge::open(&path).into_iter().collect(),
             gauges => gauges,
         };
-        for gauge in below.into_iter().filter(|gauge| mounted::is_gauge(gauge)) {
+        for gauge in below {
             tell(&serde_json::to_vec(&Listed::read(&gauge)).expect("keys are strings, so it cannot fail"))?;
         }
     }
@@ -174,5 +174,24 @@ fn stop(child: &mut Child, late: bool) {
         let _ = child.try_wait();
     } else {
         let _ = child.wait();
+    }
+}
+
+/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
+/// does not answer, so only a child process calls this, or a process whose child has.
+pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
+    let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
+    let absolute = std::path::absolute(path).map_err(failed)?;
+    let plain = absolute.components().collect::<PathBuf>();
+    let (Some(parent), Some(name)) = (plain.parent(), plain.file_name()) else {
+        // The root folder, or a path that ends in `..`.
+        return fs::canonicalize(&plain).map_err(failed);
+    };
+    // A missing parent is created later.
+    let parent = fs::canonicalize(parent).unwrap_or_else(|_| parent.to_path_buf());
+    let path = parent.join(name);
+    match fs::read_link(&path) {
+        Ok(_) => fs::canonicalize(&path).map_err(failed),
+        Err(_) => Ok(path),
     }
 }

@@ -5,9 +5,10 @@
 //! by `look`, with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
 //! without its server, holds up nobody.
 
-use std::ffi::OsString;
+use std::env;
+use std::ffi::OsStr;
 use std::io::ErrorKind;
-use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
@@ -19,17 +20,14 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::look::{self, Found, Look};
-use super::preflight;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
-use crate::{lock, mounted};
+use crate::lock;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
-
-const TABLE: &str = "/proc/self/mountinfo";
-/// The source of every mount of gaugefs, as mountinfo shows it.
-pub const SOURCE: &str = "gaugefs";
+use gaugefs_client::Gauge;
+use gaugefs_client::mounts::{self, Mount, containing, list, topmost};
 
 /// How long an unmount waits for users of the mount, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -51,24 +49,6 @@ pub(super) enum Mounted {
     Other(String),
 }
 
-/// Whether a gaugefs is mounted there, dead or alive.
-pub fn is_ours(path: &Path) -> bool {
-    let Ok(table) = table() else { return false };
-    topmost(&table, path).is_some_and(|mount| ours(&mount.kind, &mount.source))
-}
-
-/// The mount point of the gaugefs that a path belongs to.
-pub fn of(path: &Path) -> Option<PathBuf> {
-    let path = std::path::absolute(path).ok()?;
-    let table = table().ok()?;
-    containing(&table, &path).filter(|mount| ours(&mount.kind, &mount.source)).map(|mount| mount.path)
-}
-
-/// Whether the daemon of the gaugefs that is mounted there has ended.
-pub fn is_dead(mountpoint: &Path) -> bool {
-    examine(mountpoint).is_ok_and(|(_, mounted)| mounted == Mounted::Dead)
-}
-
 /// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
 /// detached first.
 pub fn prepare(path: &Path) -> Result<PathBuf> {
@@ -88,7 +68,7 @@ pub fn check(path: &Path) -> Result<PathBuf> {
 
 fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
     let subject = path.display().to_string();
-    if let Some(around) = path.parent().and_then(of) {
+    if let Some(around) = path.parent().and_then(mounts::of) {
         let why = format!(
             "inside the gaugefs that is mounted at {}; choose a folder outside of it",
             shown(&around)
@@ -139,7 +119,7 @@ fn may_be_made(path: &Path) -> Result<()> {
         return Err(forbidden(path, CANNOT_CREATE, Errno::ENOTDIR));
     }
     if let Some(mount) =
-        containing(&table()?, there).filter(|mount| there != path && NO_FOLDERS.contains(&&*mount.kind))
+        containing(table()?, there).filter(|mount| there != path && NO_FOLDERS.contains(&&*mount.kind))
     {
         let why = format!("{CANNOT_CREATE}: nobody can in a {}; choose another place", mount.kind);
         return Err(Error::host(path.display().to_string(), Errno::EPERM, why));
@@ -252,7 +232,7 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     if !path.ends_with("class/power_supply") {
         return Ok(None);
     }
-    let is_theirs = containing(&table()?, path).is_some_and(|mount| mount.kind == "sysfs");
+    let is_theirs = containing(table()?, path).is_some_and(|mount| mount.kind == "sysfs");
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
@@ -271,11 +251,14 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
     let mut remains = Vec::new();
     let (path, mounted) = examine(path)?;
     let subject = path.display().to_string();
-    let mount = topmost(&table()?, &path).filter(|mount| ours(&mount.kind, &mount.source));
+    let mount = topmost(table()?, &path).filter(Mount::is_gaugefs);
     let (owner, connection) = mount.map(|mount| (mount.owner, mount.connection)).unwrap_or_default();
     let elsewhere = connection.map_or_else(Vec::new, |connection| Elsewhere::all(connection, &path));
-    if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid()) {
-        let name = User::from_uid(owner).ok().flatten().map_or_else(|| owner.to_string(), |user| user.name);
+    if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid().as_raw()) {
+        let name = User::from_uid(Uid::from_raw(owner))
+            .ok()
+            .flatten()
+            .map_or_else(|| owner.to_string(), |user| user.name);
         let why =
             format!("mounted by user {name}, who may unmount it, as root may: sudo gaugefs umount {subject}");
         return Err(Error::new(subject, Cause::NotPermitted(why)));
@@ -351,10 +334,11 @@ impl Elsewhere {
 
 /// The mount points of a connection in the view of a process; `None` is this process.
 fn mounts_of(process: Option<i32>, connection: u64) -> Vec<PathBuf> {
-    let table = process.map_or_else(|| TABLE.into(), |process| format!("/proc/{process}/mountinfo"));
-    let table = regular::read(Path::new(&table), regular::SYSTEM).unwrap_or_default();
-    let mounts = entries(&table)
-        .filter(|mount| mount.connection == Some(connection) && ours(&mount.kind, &mount.source));
+    let process = process.map_or_else(|| "self".to_string(), |process| process.to_string());
+    let table = Path::new("/proc").join(process).join("mountinfo");
+    let table = regular::read(&table, regular::SYSTEM).unwrap_or_default();
+    let mounts =
+        mounts::parse(&table).filter(|mount| mount.connection == Some(connection) && mount.is_gaugefs());
     mounts.map(|mount| mount.path).collect()
 }
 
@@ -372,17 +356,13 @@ impl fmt::Display for Elsewhere {
 
 /// Lets the daemon of a mount pay what it owes to its gauges, and returns what remains.
 fn owed(path: &Path) -> Vec<String> {
-    let is_owed = |gauge: &Path| mounted::text(gauge, "gauge/owed").is_ok_and(|owed| owed.trim() == "1");
     let mut remains = Vec::new();
-    for gauge in fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()) {
-        if !is_owed(&gauge) {
-            continue;
-        }
+    for gauge in Gauge::below(path).into_iter().filter(Gauge::is_owed) {
         // Before it shows what is owed, it tries to pay it.
-        let _ = mounted::send(&gauge, "gauge/settle", b"show");
-        if is_owed(&gauge) {
-            let why = mounted::text(&gauge, "gauge/last_error").unwrap_or_default();
-            remains.push(format!("{}: {}", shown(&gauge), why.trim()));
+        let _ = gauge.send("gauge/settle", b"show");
+        if gauge.is_owed() {
+            let why = gauge.text("gauge/last_error").unwrap_or_default();
+            remains.push(format!("{}: {}", shown(gauge.folder()), why.trim()));
         }
     }
     remains
@@ -405,7 +385,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
     let subject = path.display().to_string();
-    let mut command = Command::new(preflight::helper().unwrap_or_else(|| "fusermount3".into()));
+    let mut command = Command::new(helper().unwrap_or_else(|| "fusermount3".into()));
     command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
     let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)
@@ -435,7 +415,7 @@ fn force(path: &Path) -> Result<()> {
     }
     // Users have no MNT_FORCE, but the same for the connections of their own mounts. Where this is not
     // available the mount is removed, and processes that wait for the daemon keep waiting.
-    if let Some(connection) = topmost(&table()?, path).and_then(|mount| mount.connection) {
+    if let Some(connection) = topmost(table()?, path).and_then(|mount| mount.connection) {
         let _ = fs::write(format!("/sys/fs/fuse/connections/{connection}/abort"), "1");
     }
     detach(path, true)
@@ -449,25 +429,6 @@ fn failed(path: &Path, errno: Errno) -> Error {
     Error::io(path.display().to_string(), "cannot unmount it", &errno.into())
 }
 
-/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
-/// does not answer, so only a child process calls this, or a process whose child has.
-pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
-    let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
-    let absolute = std::path::absolute(path).map_err(failed)?;
-    let plain = absolute.components().collect::<PathBuf>();
-    let (Some(parent), Some(name)) = (plain.parent(), plain.file_name()) else {
-        // The root folder, or a path that ends in `..`.
-        return fs::canonicalize(&plain).map_err(failed);
-    };
-    // A missing parent is created later.
-    let parent = fs::canonicalize(parent).unwrap_or_else(|_| parent.to_path_buf());
-    let path = parent.join(name);
-    match fs::read_link(&path) {
-        Ok(_) => fs::canonicalize(&path).map_err(failed),
-        Err(_) => Ok(path),
-    }
-}
-
 /// The full path, and what is mounted there.
 fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
     let Found { path: found, dead, late, .. } = look::at(path)?;
@@ -479,12 +440,12 @@ fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
             return Err(Error::host(path.display().to_string(), Errno::ETIMEDOUT, why));
         }
         // The child has failed, so this reports why.
-        None => resolve(path)?,
+        None => look::resolve(path)?,
     };
-    let mounted = match (topmost(&table()?, &path), dead) {
+    let mounted = match (topmost(table()?, &path), dead) {
         (None, _) => Mounted::Nothing,
-        (Some(Entry { kind, source, .. }), _) if !ours(&kind, &source) => {
-            Mounted::Other(format!("{kind} ({source})"))
+        (Some(mount), _) if !mount.is_gaugefs() => {
+            Mounted::Other(format!("{} ({})", mount.kind, mount.source))
         }
         (_, Some(true)) => Mounted::Dead,
         (_, None) if late => Mounted::Hung,
@@ -494,83 +455,8 @@ fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
 }
 
 /// The mounts of this process.
-fn table() -> Result<Vec<u8>> {
-    regular::read(Path::new(TABLE), regular::SYSTEM)
-        .map_err(|error| Error::io(TABLE, "cannot read it", &error))
-}
-
-/// Whether a file system of that type and source is a gaugefs.
-pub fn ours(kind: &str, source: &str) -> bool {
-    source == SOURCE && (kind == "fuse" || kind.starts_with("fuse."))
-}
-
-/// The mount points of all gaugefs mounts.
-pub fn list() -> Vec<PathBuf> {
-    let table = table().unwrap_or_default();
-    entries(&table).filter(|mount| ours(&mount.kind, &mount.source)).map(|mount| mount.path).collect()
-}
-
-/// A line of mountinfo.
-#[derive(Debug)]
-pub struct Entry {
-    /// The mount point.
-    pub path: PathBuf,
-    /// Its file system.
-    pub kind: String,
-    /// The mounted device or program.
-    pub source: String,
-    /// The number of its FUSE connection, if it is a FUSE mount.
-    connection: Option<u64>,
-    /// The user who has mounted it, if it is a FUSE mount.
-    owner: Option<Uid>,
-}
-
-/// The file system that was mounted last at a path.
-fn topmost(table: &[u8], path: &Path) -> Option<Entry> {
-    entries(table).filter(|mount| mount.path == path).last()
-}
-
-/// The file system that a path belongs to.
-fn containing(table: &[u8], path: &Path) -> Option<Entry> {
-    let mounts = entries(table).filter(|mount| path.starts_with(&mount.path));
-    mounts.max_by_key(|mount| mount.path.components().count())
-}
-
-/// The lines of mountinfo.
-pub fn entries(table: &[u8]) -> impl Iterator<Item = Entry> {
-    table.split(|&byte| byte == b'\n').filter_map(|line| {
-        let mut fields = line.split(|&byte| byte == b' ');
-        // A file system without a block device has the major number 0, and FUSE names a connection after the
-        // whole number.
-        let connection =
-            fields.nth(2)?.strip_prefix(b"0:").and_then(|minor| str::from_utf8(minor).ok()?.parse().ok());
-        let path = unescape(fields.nth(1)?);
-        let mut rest = fields.skip_while(|field| *field != b"-").skip(1);
-        let mut text = || Some(unescape(rest.next()?).to_string_lossy().into_owned());
-        let (kind, source, options) = (text()?, text()?, text().unwrap_or_default());
-        let owner = options.split(',').find_map(|option| option.strip_prefix("user_id=")?.parse().ok());
-        Some(Entry { path: path.into(), kind, source, connection, owner: owner.map(Uid::from_raw) })
-    })
-}
-
-/// In mountinfo space, tab, newline and backslash are written as three octal digits.
-fn unescape(field: &[u8]) -> OsString {
-    let mut bytes = Vec::with_capacity(field.len());
-    let mut rest = field;
-    while let Some((&byte, after)) = rest.split_first() {
-        let digits = after.get(..3).and_then(|digits| std::str::from_utf8(digits).ok());
-        match digits.and_then(|digits| u8::from_str_radix(digits, 8).ok()) {
-            Some(escaped) if byte == b'\\' => {
-                bytes.push(escaped);
-                rest = &after[3..];
-            }
-            _ => {
-                bytes.push(byte);
-                rest = after;
-            }
-        }
-    }
-    OsString::from_vec(bytes)
+fn table() -> Result<Vec<Mount>> {
+    mounts::all().map_err(|error| Error::io("/proc/self/mountinfo", "cannot read it", &error))
 }
 
 /// The processes that have something open there, as far as this user may see them, without this one.
@@ -596,38 +482,20 @@ fn users(path: &Path) -> Vec<String> {
     named.collect()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
+pub(super) const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
 
-    const LINES: &[u8] = b"\
-22 1 8:1 / / rw,relatime shared:1 - ext4 /dev/sda1 rw\n\
-40 22 0:36 / /mnt/a\\040b rw,nosuid shared:3 master:1 - fuse.gaugefs gaugefs rw,user_id=0\n\
-41 22 0:37 / /mnt/x rw - tmpfs none rw\n\
-42 41 0:38 / /mnt/x rw - fuse gaugefs rw\n\
-43 22 0:39 / /mnt/y rw - fuse.sshfs host:/ rw\n";
-
-    #[test]
-    fn the_topmost_mount_of_mountinfo_counts() {
-        let at = |path: &str| topmost(LINES, Path::new(path)).map(|mount| ours(&mount.kind, &mount.source));
-        assert_eq!(at("/mnt/a b"), Some(true));
-        assert_eq!(at("/mnt/x"), Some(true));
-        assert_eq!(at("/mnt/y"), Some(false));
-        assert_eq!(at("/mnt/z"), None);
-        assert_eq!(topmost(LINES, Path::new("/mnt/x")).and_then(|mount| mount.connection), Some(38));
-    }
-
-    #[test]
-    fn a_path_belongs_to_the_innermost_mount() {
-        let kind = |path: &str| containing(LINES, Path::new(path)).map(|mount| mount.kind);
-        assert_eq!(kind("/etc").as_deref(), Some("ext4"));
-        assert_eq!(kind("/mnt/xy").as_deref(), Some("ext4"));
-        assert_eq!(kind("/mnt/x/y").as_deref(), Some("fuse"));
-    }
-
-    #[test]
-    fn escapes_are_undone() {
-        assert_eq!(unescape(b"/a\\040b\\134c\\"), OsString::from("/a b\\c\\"));
-        assert_eq!(unescape(b"\\"), OsString::from("\\"));
+/// The program that mounts and unmounts for users other than root.
+pub(super) fn helper() -> Option<PathBuf> {
+    let path = env::var_os("PATH").unwrap_or_default();
+    let folders: Vec<_> = env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]).collect();
+    // A name with a slash is taken as it is.
+    let find = |name: &OsStr| folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
+    match env::var_os("FUSERMOUNT_PATH") {
+        Some(name) if name.as_bytes().contains(&b'/') => {
+            Some(name.into()).filter(|path: &PathBuf| path.is_file())
+        }
+        Some(name) => find(&name),
+        None => HELPERS.iter().find_map(|name| find(OsStr::new(name))),
     }
 }

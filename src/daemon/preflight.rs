@@ -3,19 +3,16 @@
 //! functions that open them.
 
 use std::collections::HashSet;
-use std::env;
-use std::ffi::OsStr;
 use std::fs::File;
-use std::os::unix::ffi::OsStrExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
 use super::gauges::{check_trace, keys, saved};
-use super::{Source, journal_dir, log, mountpoint};
-use crate::config::{GaugeOptions, MountOptions, Setup};
+use super::{journal_dir, log, mountpoint};
+use crate::config::{GaugeOptions, MountOptions, Setup, Source};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
@@ -25,9 +22,6 @@ const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
 /// Its line that lets ordinary users open their mounts to others.
 const SHARED: &str = "user_allow_other";
-/// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
-const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
-
 /// The problems of the mount as a whole, whatever its gauges are. `names` are those of the gauges, `taken` those of the
 /// kernel's supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
 pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_service: bool) -> Vec<Error> {
@@ -94,28 +88,13 @@ pub(super) fn device() -> Result<()> {
     Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.cause())))
 }
 
-/// The program that mounts and unmounts for users other than root.
-pub(super) fn helper() -> Option<PathBuf> {
-    let path = env::var_os("PATH").unwrap_or_default();
-    let folders: Vec<_> = env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]).collect();
-    // A name with a slash is taken as it is.
-    let find = |name: &OsStr| folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
-    match env::var_os("FUSERMOUNT_PATH") {
-        Some(name) if name.as_bytes().contains(&b'/') => {
-            Some(name.into()).filter(|path: &PathBuf| path.is_file())
-        }
-        Some(name) => find(&name),
-        None => HELPERS.iter().find_map(|name| find(OsStr::new(name))),
-    }
-}
-
 fn can_mount() -> Result<()> {
-    if geteuid().is_root() || helper().is_some() {
+    if geteuid().is_root() || mountpoint::helper().is_some() {
         return Ok(());
     }
     let why = "not found, and only root can mount without it; install the package fuse3 (sudo apt-get install fuse3), or \
                run gaugefs with sudo";
-    Err(Error::host(HELPERS[0], Errno::ENOENT, why))
+    Err(Error::host(mountpoint::HELPERS[0], Errno::ENOENT, why))
 }
 
 /// Whether a group can be given access. The kernel opens a mount to others than its owner only if root has mounted it,

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use super::gauges::Opening;
-use super::source::Source;
-use crate::config::GaugeOptions;
+use crate::config::{GaugeOptions, Source};
 use crate::error::{Error, Result};
 use crate::owner::operations;
 use crate::report;

@@ -24,6 +24,7 @@ use super::mountpoint;
 use crate::config::Setup;
 use crate::error::{Error, Result};
 use gauge_bus::clock::Clock;
+use gaugefs_client::mounts;
 
 const DEVICE: &str = "/dev/fuse";
 /// Device numbers of `/dev/fuse`, which are the same on every machine.
@@ -73,7 +74,7 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
         format!("fd={},rootmode=40000,user_id=0,group_id=0,default_permissions{others}", device.as_raw_fd());
     let mut flags = MsFlags::MS_NOSUID | MsFlags::MS_NODEV | MsFlags::MS_NOEXEC;
     flags.set(MsFlags::MS_RDONLY, setup.mount.read_only);
-    let mounted = mount(Some(mountpoint::SOURCE), &mountpoint, Some("fuse.gaugefs"), flags, Some(&*data));
+    let mounted = mount(Some(mounts::SOURCE), &mountpoint, Some("fuse.gaugefs"), flags, Some(&*data));
     mounted.map_err(|errno| Error::io(mountpoint.display().to_string(), "cannot mount it", &errno.into()))
 }
 

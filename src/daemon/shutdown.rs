@@ -12,6 +12,7 @@ use crate::fuse;
 use crate::lock;
 use crate::output::say;
 use crate::owner::{Handle, operations as op};
+use gaugefs_client::mounts;
 
 /// The phase of a mount.
 #[derive(Default)]
@@ -88,11 +89,11 @@ fn end(signal: Signal, phase: &mut Phase) {
             mountpoint::unmake();
             let ended = answer(handles, announcer);
             // Somebody else may have detached it meanwhile.
-            let remains = detached.is_err() && mountpoint::is_ours(path);
+            let remains = detached.is_err() && mounts::is_gaugefs(path);
             std::process::exit(i32::from(remains || ended.is_err()));
         }
         // Somebody else has detached it, but a file is still open.
-        Err(_) if !mountpoint::is_ours(path) => {
+        Err(_) if !mounts::is_gaugefs(path) => {
             mountpoint::unmake();
             let ended = answer(handles, announcer);
             std::process::exit(i32::from(ended.is_err()));

@@ -1,14 +1,12 @@
-//! Opening a gauge: a simulated one, a recording, or one on a bus.
+//! Opening a gauge where the configuration has it: a simulated one, a recording, or one on a bus.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use super::mountpoint;
-use crate::config::GaugeOptions;
+use crate::config::Source;
 use crate::error::{Cause, Error, Result};
 use crate::fs::Knobs;
 use crate::lock::{self, Lock};
@@ -17,38 +15,13 @@ use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::{self, Sim, SimBus};
+use gaugefs_client::mounts;
 use ti_gauge::chip::{Chip, SealStatus, Tier};
 use ti_gauge::probe::{self, Target};
 use ti_gauge::registers::bursts;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
-
-/// The place of a gauge.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Source<'a> {
-    /// Simulated in this process.
-    Sim {
-        chip: &'static Chip,
-        /// File that keeps its flash.
-        state: Option<&'a Path>,
-        /// Unseal key of a new one.
-        key: Option<[u16; 2]>,
-    },
-    /// In a file that `--trace` wrote.
-    Recording(&'a Path),
-    /// On a bus.
-    Bus {
-        /// The adapter's node.
-        bus: &'a Path,
-        /// Its 7-bit address.
-        address: u8,
-        /// `None` if the gauge is asked.
-        chip: Option<&'static Chip>,
-        /// Write one byte a transfer, also while the gauge is asked.
-        byte_writes: bool,
-    },
-}
 
 /// A gauge that is reached and locked, and nothing more.
 pub(crate) struct Opened {
@@ -71,60 +44,14 @@ pub(crate) struct Opened {
     pub(crate) missing: Option<Error>,
 }
 
-impl fmt::Display for Source<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Sim { state: Some(state), .. } => write!(f, "simulated gauge kept in {}", state.display()),
-            Self::Sim { .. } => f.write_str("simulated gauge"),
-            Self::Recording(path) => write!(f, "recording {}", path.display()),
-            Self::Bus { bus, address, .. } => write!(f, "{} address 0x{address:02x}", bus.display()),
-        }
-    }
-}
-
-impl<'a> Source<'a> {
-    /// The source that the options name.
-    pub(crate) fn of(gauge: &'a GaugeOptions) -> Self {
-        match (gauge.sim, &gauge.replay, &gauge.bus) {
-            (Some(chip), _, _) => {
-                let key = gauge.sim_key.as_ref().map(|key| key.0);
-                Self::Sim { chip, state: gauge.sim_state.as_deref(), key }
-            }
-            (None, Some(file), _) => Self::Recording(file),
-            (None, None, Some(bus)) => {
-                let address = gauge.address.unwrap_or(GAUGE_ADDRESS);
-                let byte_writes = gauge.byte_writes.unwrap_or_default();
-                Self::Bus { bus, address, chip: gauge.chip, byte_writes }
-            }
-            (None, None, None) => unreachable!("the command line and the configuration demand a source"),
-        }
-    }
-
-    /// Describes the source without the names of files.
-    pub(crate) fn place(self) -> String {
-        match self {
-            Self::Sim { .. } => "simulated gauge".into(),
-            Self::Recording(_) => "recording".into(),
-            Self::Bus { .. } => self.to_string(),
-        }
-    }
-
-    /// The chip, if the options name it.
-    pub(crate) fn chip(self) -> Option<&'static Chip> {
-        match self {
-            Self::Sim { chip, .. } => Some(chip),
-            Self::Bus { chip, .. } => chip,
-            Self::Recording(_) => None,
-        }
-    }
-
-    /// Returns the error that [`open`](Self::open) would return, as far as that is known without a change or a
-    /// transfer. Locks the gauge for a moment.
+impl Source<'_> {
+    /// What [`open`](Self::open) would find, as far as that can be seen without a change and without a transfer. The
+    /// gauge is locked for a moment.
     pub(crate) fn check(self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
             Self::Sim { chip, state: Some(path), .. } => {
                 let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
-                Ok(Sim::check_state(chip.name, path)?)
+                Sim::check_state(chip.name, path).map_err(of_sim)
             }
             Self::Sim { .. } => Ok(()),
             Self::Recording(path) => recorded(path).map(drop),
@@ -143,7 +70,7 @@ impl<'a> Source<'a> {
             Self::Sim { chip, state, key } => {
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
-                state.map_or(Ok(()), |path| Sim::check_state(chip.name, path))?;
+                state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
                 let (sim, bus) = power_up(chip, state, key, clock)?;
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
@@ -169,7 +96,19 @@ impl<'a> Source<'a> {
 
 /// Whether the daemon that holds a lock is about to end: its mount is gone.
 fn is_ending(mountpoint: &Path) -> bool {
-    !mountpoint::is_ours(mountpoint)
+    !mounts::is_gaugefs(mountpoint)
+}
+
+/// The simulator's error.
+pub fn of_sim(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Error {
+    use gauge_sim::Kind;
+    let cause = match kind {
+        Kind::Invalid => Cause::Invalid(text),
+        Kind::OutOfRange => Cause::OutOfRange(text),
+        Kind::NotPermitted => Cause::NotPermitted(text),
+        Kind::Io(kind) => Cause::Io(kind, text),
+    };
+    Error::new(subject, cause)
 }
 
 /// A simulated gauge that answers.
@@ -182,7 +121,7 @@ fn power_up(
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
     let options =
         gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed, envelope: None };
-    let sim = Sim::new(chip.name, &options, clock.clone())?;
+    let sim = Sim::new(chip.name, &options, clock.clone()).map_err(of_sim)?;
     let mut bus = sim.bus();
     let start = clock.now();
     while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
@@ -311,6 +250,6 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        Ok(self.0.set(name, text)?)
+        self.0.set(name, text).map_err(of_sim)
     }
 }

@@ -70,8 +70,8 @@ struct Row {
 
 enum Show {
     Text(fn(&Reading<'_>) -> Option<&'static str>),
-    /// A number of this unit; of none if that is empty.
-    Number(&'static str, fn(&Reading<'_>) -> Option<i64>),
+    /// A number in the unit of the attribute.
+    Number(fn(&Reading<'_>) -> Option<i64>),
     /// A word in four hexadecimal digits, as the kernel's drivers show serial numbers.
     Hex(fn(&Reading<'_>) -> Option<i64>),
 }
@@ -80,15 +80,15 @@ const fn text(name: &'static str, show: fn(&Reading<'_>) -> Option<&'static str>
     Row { name, show: Show::Text(show) }
 }
 
-const fn number(name: &'static str, unit: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
-    Row { name, show: Show::Number(unit, show) }
+const fn number(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
+    Row { name, show: Show::Number(show) }
 }
 
 const fn hex(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
     Row { name, show: Show::Hex(show) }
 }
 
-/// All attributes, in the order in which `uevent` lists them.
+/// All attributes, in the order in which `uevent` lists them: those of `gaugefs_client::names`, which has their units.
 static ATTRIBUTES: &[Row] = &[
     text("type", |_| Some("Battery")),
     text("status", |reading| reading.status()),
@@ -96,38 +96,38 @@ static ATTRIBUTES: &[Row] = &[
     text("health", |reading| reading.health()),
     text("technology", |reading| Some(reading.technology())),
     text("scope", |_| Some("System")),
-    number("capacity", "%", |reading| reading.value(Role::Capacity)),
+    number("capacity", |reading| reading.value(Role::Capacity)),
     text("capacity_level", |reading| reading.capacity_level()),
-    number("capacity_error_margin", "%", |reading| reading.value(Role::CapacityErrorMargin)),
-    number("voltage_now", "uV", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
-    number("voltage_min_design", "uV", |reading| reading.design_voltage(Role::VoltageMinDesign)),
-    number("voltage_max_design", "uV", |reading| reading.design_voltage(Role::VoltageMaxDesign)),
-    number("current_now", "uA", |reading| reading.current(reading.current_now()?)),
-    number("current_avg", "uA", |reading| reading.current(Role::CurrentAvg)),
-    number("charge_now", "uAh", |reading| reading.micro(Role::ChargeNow, Kind::Charge)),
-    number("charge_full", "uAh", |reading| reading.micro(Role::ChargeFull, Kind::Charge)),
-    number("charge_full_design", "uAh", |reading| reading.charge_full_design()),
-    number("charge_counter", "uAh", |reading| reading.micro(Role::ChargeCounter, Kind::Charge)),
-    number("constant_charge_voltage", "uV", |reading| reading.charge_voltage()),
-    number("constant_charge_current", "uA", |reading| reading.micro(Role::ChargeCurrent, Kind::Current)),
-    number("energy_now", "uWh", |reading| reading.energy(Role::EnergyNow)),
-    number("power_avg", "uW", |reading| reading.power()),
+    number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
+    number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
+    number("voltage_min_design", |reading| reading.design_voltage(Role::VoltageMinDesign)),
+    number("voltage_max_design", |reading| reading.design_voltage(Role::VoltageMaxDesign)),
+    number("current_now", |reading| reading.current(reading.current_now()?)),
+    number("current_avg", |reading| reading.current(Role::CurrentAvg)),
+    number("charge_now", |reading| reading.micro(Role::ChargeNow, Kind::Charge)),
+    number("charge_full", |reading| reading.micro(Role::ChargeFull, Kind::Charge)),
+    number("charge_full_design", |reading| reading.charge_full_design()),
+    number("charge_counter", |reading| reading.micro(Role::ChargeCounter, Kind::Charge)),
+    number("constant_charge_voltage", |reading| reading.charge_voltage()),
+    number("constant_charge_current", |reading| reading.micro(Role::ChargeCurrent, Kind::Current)),
+    number("energy_now", |reading| reading.energy(Role::EnergyNow)),
+    number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
-    number("temp", "0.1°C", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
-    number("internal_resistance", "uohm", |reading| reading.resistance()),
-    number("time_to_empty_now", "s", |reading| reading.seconds(reading.time_to_empty_now()?)),
-    number("time_to_empty_avg", "s", |reading| reading.seconds(Role::TimeToEmptyAvg)),
-    number("time_to_full_now", "s", |reading| reading.seconds(Role::TimeToFullNow)),
-    number("cycle_count", "", |reading| reading.value(Role::CycleCount)),
-    number("state_of_health", "%", |reading| {
+    number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
+    number("internal_resistance", |reading| reading.resistance()),
+    number("time_to_empty_now", |reading| reading.seconds(reading.time_to_empty_now()?)),
+    number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),
+    number("time_to_full_now", |reading| reading.seconds(Role::TimeToFullNow)),
+    number("cycle_count", |reading| reading.value(Role::CycleCount)),
+    number("state_of_health", |reading| {
         reading.value(Role::StateOfHealth).filter(|_| reading.computes_health() == Some(true))
     }),
     text("manufacturer", |_| Some("Texas Instruments")),
     text("model_name", |reading| Some(reading.model)),
     hex("serial_number", |reading| reading.value(Role::SerialNumber)),
-    number("manufacture_year", "", |reading| Some(reading.manufactured()?[0])),
-    number("manufacture_month", "", |reading| Some(reading.manufactured()?[1])),
-    number("manufacture_day", "", |reading| Some(reading.manufactured()?[2])),
+    number("manufacture_year", |reading| Some(reading.manufactured()?[0])),
+    number("manufacture_month", |reading| Some(reading.manufactured()?[1])),
+    number("manufacture_day", |reading| Some(reading.manufactured()?[2])),
 ];
 
 /// The kernel's names for chemistries, by the short names that Smart Battery Data has for them.
@@ -168,24 +168,11 @@ impl Attribute {
         self.row().name
     }
 
-    /// Whether its text is a number in decimal.
-    pub(crate) fn is_number(self) -> bool {
-        matches!(self.row().show, Show::Number(..))
-    }
-
-    /// The unit of that number; empty if it has none.
-    pub(crate) fn unit(self) -> &'static str {
-        match self.row().show {
-            Show::Number(unit, _) => unit,
-            Show::Text(_) | Show::Hex(_) => "",
-        }
-    }
-
     /// Its text without a newline; `None` where the gauge does not have it, or does not have it now.
     pub(super) fn text(self, reading: &Reading<'_>) -> Option<String> {
         match self.row().show {
             Show::Text(show) => show(reading).map(str::to_string),
-            Show::Number(_, show) => show(reading).map(|number| number.to_string()),
+            Show::Number(show) => show(reading).map(|number| number.to_string()),
             Show::Hex(show) => show(reading).map(|word| format!("{word:04x}")),
         }
     }

@@ -13,8 +13,7 @@ use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, 
 use crate::owner::{Answers, Done, Operation, Spoken, operations as op};
 use crate::report;
 use ti_gauge::authentication;
-use ti_gauge::chip::{Bit, Chip, Register, Role, Tier, snake_case};
-use ti_gauge::gauge::Statistics;
+use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
 
 /// One file.
 struct File {
@@ -23,22 +22,14 @@ struct File {
     show: Show,
     /// What is done with what is written to it.
     operation: Option<&'static dyn Spoken>,
-    /// The unit of its number; empty if it has none.
-    unit: &'static str,
 }
 
 /// The whole text of a file; `None` while there is no such file. The text of a file that is only written is
 /// empty.
 type Show = fn(&Supply) -> Option<String>;
 
-impl File {
-    const fn in_unit(self, unit: &'static str) -> Self {
-        Self { unit, ..self }
-    }
-}
-
 const fn file(name: &'static str, mode: Mode, show: Show) -> File {
-    File { name, mode, show, operation: None, unit: "" }
+    File { name, mode, show, operation: None }
 }
 
 /// The file of an operation.
@@ -70,11 +61,9 @@ static FILES: &[File] = &[
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
-    asks(&op::POLL_INTERVAL, Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64()))
-        .in_unit("s"),
+    asks(&op::POLL_INTERVAL, Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())),
     asks(&op::REFRESH, Mode::Write, |_| empty()),
-    file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis())))
-        .in_unit("ms"),
+    file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
     file("last_error", Mode::Public, last_error),
 ];
 
@@ -106,37 +95,6 @@ pub enum GaugeItem {
     Group(u8),
     /// A row of `GROUPS`, and the number of a file in it.
     Member(u8, u8),
-}
-
-/// A file of `gauge/` with a text of its own.
-pub(crate) struct Named {
-    /// Its path in `gauge/`.
-    pub(crate) name: String,
-    /// The unit of its number; empty if it has none.
-    pub(crate) unit: &'static str,
-    /// The names of the bits that one of flags shows.
-    pub(crate) bits: &'static [Bit],
-}
-
-/// The files of `gauge/` with a text of their own, on one chip or on any.
-pub(crate) fn named_files() -> impl Iterator<Item = Named> {
-    let plain = |name: String, unit| Named { name, unit, bits: &[] };
-    let fixed = FILES.iter().filter(|file| matches!(file.mode, Mode::Public | Mode::ReadWrite));
-    let fixed = fixed.map(move |file| plain(file.name.to_string(), file.unit));
-    let counters = Statistics::default().list();
-    let counters = counters.into_iter().map(move |(name, _)| plain(format!("statistics/{name}"), ""));
-    let of_chips = Chip::all().flat_map(move |chip| {
-        let registers = chip.registers.iter().filter(|register| register.tier != Tier::Window);
-        let registers = registers.flat_map(move |register| {
-            let name = snake_case(register.name);
-            let number = plain(format!("registers/{name}"), register.unit);
-            let flags = (!register.bits.is_empty()).then_some(Named { name, unit: "", bits: register.bits });
-            flags.into_iter().chain([number])
-        });
-        let status = Named { name: "control_status".to_string(), unit: "", bits: chip.control_status };
-        registers.chain([status])
-    });
-    fixed.chain(counters).chain(of_chips)
 }
 
 /// The folders in which files come and go with what the gauge reports.
@@ -391,6 +349,13 @@ mod tests {
                 assert!(names.insert(name.clone()), "{}: gauge/{name}", chip.name);
             }
         }
+    }
+
+    #[test]
+    fn programs_that_read_a_mount_know_every_file_with_a_text() {
+        let shown = FILES.iter().filter(|file| matches!(file.mode, Mode::Public | Mode::ReadWrite));
+        let shown: Vec<_> = shown.map(|file| file.name).collect();
+        assert_eq!(gaugefs_client::names::fixed_files().collect::<Vec<_>>(), shown);
     }
 
     #[test]

@@ -20,9 +20,9 @@ use ti_gauge::value::Value;
 use super::record::{Entry, Event};
 use super::target::{self, Flash, Place};
 use super::{Bench, Slot, Station, serial};
+use crate::chemistry;
 use crate::config::{Date, Seen, Unsettled};
 use crate::error::{Cause, Error, Result};
-use crate::mounted;
 use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
 
 /// How often a pack that was just connected is tried, and the time between.
@@ -265,7 +265,7 @@ impl Task<'_> {
             let id = id.map_or(String::new(), |id| format!("0x{id:04x}"));
             let gauge = &mut self.gauge;
             let told = "set same-chemistry = true in the station's file";
-            mounted::same_chemistry("chemistry", flash.chip, sum, (&id, told), |code| {
+            chemistry::check("chemistry", flash.chip, sum, (&id, told), |code| {
                 gauge.ask(&op::CONTROL, code)?;
                 let answer = gauge.handle.published().control.filter(|(asked, _)| *asked == code);
                 answer.map(|(_, answer)| answer).ok_or_else(|| refuse("chemistry", "no answer".into()))

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{Bench, Plan, STEADY, Slot};
-use crate::config::GaugeOptions;
-use crate::daemon::Source;
+use crate::config::{GaugeOptions, Source};
 use crate::error::{Error, Result};
 use crate::lock::Lock;
 use gauge_bus::clock::Clock;

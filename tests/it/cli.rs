@@ -862,7 +862,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         "{}",
         ran.err
     );
-    assert!(!gaugefs::daemon::mountpoint::is_ours(Path::new(&at)), "it is unmounted all the same");
+    assert!(!gaugefs_client::mounts::is_gaugefs(Path::new(&at)), "it is unmounted all the same");
     assert!(is_journal("first"), "the next start finds it");
 
     for by_signal in [true, false] {

@@ -3,10 +3,12 @@
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
 mod cli;
+mod client;
 mod config;
 mod doctor;
 mod documents;
 mod ends;
+mod house;
 mod input;
 mod keys;
 mod listing;
@@ -35,4 +37,7 @@ mod service;
 mod setting;
 mod simulator;
 mod swapped;
+#[allow(dead_code, reason = "a program has a main function")]
+#[path = "../../crates/gaugefs-client/examples/terminate_voltage.rs"]
+mod terminate_voltage;
 mod transaction;

@@ -10,7 +10,7 @@ use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use crate::room::{CHIP, Folder, Foreground, can_mount, command, gaugefs, run, stop};
+use crate::room::{CHIP, Folder, can_mount, command, gaugefs, run};
 
 /// Each command, with arguments that make it print something, or `None` where it prints nothing, or only with hardware.
 fn printing<'a>(
@@ -460,6 +460,7 @@ mod screen {
     use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 
     use super::*;
+    use crate::room::{Foreground, stop};
 
     fn ends(mut child: Child, what: &str) -> Option<i32> {
         let start = Instant::now();

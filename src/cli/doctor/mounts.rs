@@ -6,10 +6,10 @@ use std::path::Path;
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use crate::daemon::look::Look;
-use crate::daemon::mountpoint::{Entry, entries, ours};
 use crate::error::shown;
 use crate::lock::{holding, mountpoint_of, process};
 use gauge_bus::regular;
+use gaugefs_client::mounts::{Mount, parse};
 
 /// Folder in which the services mount.
 const PLACE: &str = "/run/gaugefs";
@@ -18,21 +18,21 @@ const JOURNALS: &str = "/var/lib/gaugefs";
 
 pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = regular::read(&host.at("/proc/self/mountinfo"), regular::SYSTEM).unwrap_or_default();
-    let all: Vec<_> = entries(&table).collect();
+    let all: Vec<_> = parse(&table).collect();
     // Daemons that do not answer are waited for at the same time.
-    let look = |mount: &Entry| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();
-    let looks = all.iter().map(|mount| ours(&mount.kind, &mount.source).then(|| look(mount)).flatten());
+    let look = |mount: &Mount| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();
+    let looks = all.iter().map(|mount| mount.is_gaugefs().then(|| look(mount)).flatten());
     let looks: Vec<_> = looks.collect();
     let mut findings = Vec::new();
-    for (index, (Entry { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
+    for (index, (mount @ Mount { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
         let what = shown(path);
         let above = all[index + 1..].iter().find(|above| above.path == *path);
-        if !ours(kind, source) {
+        if !mount.is_gaugefs() {
             if path.starts_with(PLACE) {
                 let says = format!("{kind} ({source}) is mounted where the service mounts gauges");
                 findings.push(problem(&what, says, format!("Unmount it as root: umount {what}")));
             }
-        } else if let Some(Entry { kind, source, .. }) = above {
+        } else if let Some(Mount { kind, source, .. }) = above {
             let says = format!("a gaugefs is hidden below {kind} ({source})");
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
@@ -51,11 +51,10 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             });
         }
     }
-    if !all.iter().any(|mount| ours(&mount.kind, &mount.source)) {
+    if !all.iter().any(Mount::is_gaugefs) {
         findings.push(ok("mounts", "no gaugefs is mounted"));
     }
-    let mounted =
-        |path: &Path| all.iter().any(|mount| mount.path == path && ours(&mount.kind, &mount.source));
+    let mounted = |path: &Path| all.iter().any(|mount| mount.path == path && mount.is_gaugefs());
     findings.extend(locks(host, &mounted));
     findings.extend(journals(host));
     findings

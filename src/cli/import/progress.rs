@@ -1,12 +1,11 @@
 //! A progress bar on the terminal, while an import programs blocks.
 
-use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crate::mounted;
 use crate::output::{errors_are_seen, print_error};
+use gaugefs_client::Gauge;
 
 /// Time between two reads of `df/transaction`, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(100);
@@ -18,16 +17,16 @@ pub(super) struct Bar(Option<(Sender<()>, JoinHandle<()>)>);
 
 impl Bar {
     /// Starts the bar, unless standard error is not a terminal.
-    pub(super) fn start(gauge: &Path) -> Self {
+    pub(super) fn start(gauge: &Gauge) -> Self {
         if !errors_are_seen() {
             return Self(None);
         }
-        let file = gauge.join("df/transaction");
+        let gauge = gauge.clone();
         let (end, ended) = mpsc::channel::<()>();
         let thread = std::thread::spawn(move || {
             let mut shown = false;
             while ended.recv_timeout(INTERVAL) == Err(RecvTimeoutError::Timeout) {
-                if let Some(bar) = mounted::content(&file).ok().as_deref().and_then(line) {
+                if let Some(bar) = gauge.text("df/transaction").ok().as_deref().and_then(line) {
                     shown = true;
                     print_error(&format!("\r{bar}"));
                 }

@@ -86,6 +86,25 @@ fn every_attribute_is_one_of_the_kernels() {
 }
 
 #[test]
+fn programs_that_read_a_mount_know_every_attribute() {
+    use gaugefs_client::names::{self, Kind};
+    let kind = |row: &Row| match row.show {
+        Show::Text(_) => "text",
+        Show::Number(_) => "number",
+        Show::Hex(_) => "word",
+    };
+    let known = names::attributes().map(|attribute| match attribute.kind {
+        Kind::Text => (attribute.name, "text"),
+        Kind::Number(_) => (attribute.name, "number"),
+        Kind::Hex => (attribute.name, "word"),
+    });
+    assert_eq!(
+        known.collect::<Vec<_>>(),
+        ATTRIBUTES.iter().map(|row| (row.name, kind(row))).collect::<Vec<_>>()
+    );
+}
+
+#[test]
 fn names_are_unique() {
     let names: BTreeSet<_> = Attribute::all().map(Attribute::name).collect();
     assert_eq!(names.len(), ATTRIBUTES.len());

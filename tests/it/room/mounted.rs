@@ -40,7 +40,7 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        Ok(self.sim.set(name, text)?)
+        self.sim.set(name, text).map_err(gaugefs::daemon::of_sim)
     }
 }
 

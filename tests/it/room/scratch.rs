@@ -93,8 +93,7 @@ impl Drop for Folder {
         let mut left = Vec::new();
         for name in ["m", "n"].map(|name| self.file(name)) {
             // Whoever looks at all mounts, as `gaugefs doctor` of another test does, uses this one for a moment.
-            let (is_there, start) =
-                (|| gaugefs::daemon::mountpoint::is_ours(Path::new(&name)), Instant::now());
+            let (is_there, start) = (|| gaugefs_client::mounts::is_gaugefs(Path::new(&name)), Instant::now());
             while gaugefs(&["umount", &name]).code == Some(0)
                 || is_there() && start.elapsed() < Duration::from_secs(30)
             {}

@@ -1,0 +1,162 @@
+//! Some files of a gauge, read after each poll.
+//!
+//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of their own reads them, and whoever waits
+//! for it is told that it is silent.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+use nix::fcntl::{OFlag, openat};
+use nix::sys::stat::Mode;
+
+use gauge_bus::clock::{Clock, RealClock};
+
+use crate::condition::Texts;
+use crate::error::{Error, Result};
+use crate::gauge::Gauge;
+use crate::hang::thread;
+pub use crate::hang::{PATIENCE, SILENT};
+use crate::sample::{self, if_readable, of_one_poll, text};
+use crate::watch::{INTERVAL, supplies, trouble};
+
+/// What a thread that follows a gauge reports.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// The gauge, by its number.
+    pub gauge: usize,
+    /// Its files; what is missing of them, or why there are none.
+    pub texts: Result<Texts, String>,
+    /// Time until the next report.
+    pub next: Duration,
+}
+
+/// The attributes of a gauge and other files of its folder.
+pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
+    let mut texts: Texts = sample::attributes(folder)?.into_iter().collect();
+    // The folder of the last file: those of one folder are named one after the other.
+    let mut parent: Option<(&str, File)> = None;
+    for (path, name) in names.iter().filter_map(|path| Some((path, path.rsplit_once('/')?))) {
+        let (inside, name) = name;
+        if parent.as_ref().is_none_or(|(open, _)| *open != inside) {
+            parent = if_readable(File::open(folder.join(inside)))?.map(|open| (inside, open));
+        }
+        let Some((_, open)) = &parent else { continue };
+        texts.extend(if_readable(text_in(open, name))?.map(|text| (path.clone(), text)));
+    }
+    Ok(texts)
+}
+
+/// The one line of a file in an open folder. The daemon gets three messages for it: each folder of a whole path, the
+/// file's length and a second read would be one more, and there may be a thousand gauges.
+fn text_in(folder: &File, name: &str) -> io::Result<String> {
+    let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
+    // More than any text of one line has.
+    let mut bytes = [0; 16384];
+    let length = File::from(file).read(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes[..length]).trim_end().to_string())
+}
+
+/// Files of one gauge, poll by poll.
+#[derive(Debug)]
+pub struct Follow {
+    seen: Receiver<Seen>,
+    /// When the daemon counts as silent, unless something is heard of it.
+    due: Instant,
+}
+
+impl Follow {
+    /// Begins to follow a folder: its attributes, and these other files. They are read in this order, and those of one
+    /// folder best one after the other.
+    pub fn start(folder: &Path, names: Vec<String>) -> Result<Self> {
+        let (sender, seen) = mpsc::channel::<Seen>();
+        to_channel(0, folder.to_path_buf(), names, sender)?;
+        Ok(Self { seen, due: Instant::now() + PATIENCE })
+    }
+
+    /// Waits for the next poll, and returns the attributes and the files that are followed; or why there are none: the gauge
+    /// is gone, the mount has ended, or its daemon does not answer, and that again and again while it lasts. `None` after
+    /// the time limit.
+    pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
+        let silent = self.due.saturating_duration_since(Instant::now());
+        let patience = limit.map_or(silent, |limit| limit.min(silent));
+        match self.seen.recv_timeout(patience) {
+            Ok(Seen { texts, next, .. }) => {
+                self.due = Instant::now() + next + PATIENCE;
+                Some(texts)
+            }
+            Err(RecvTimeoutError::Timeout) if patience < silent => None,
+            // The thread ends only with its receiver.
+            Err(_) => {
+                self.due = Instant::now() + PATIENCE;
+                Some(Err(SILENT.into()))
+            }
+        }
+    }
+}
+
+/// Follows a gauge from a thread of its own, which reports to a channel. It ends with its receiver.
+pub fn to_channel<T: From<Seen> + Send + 'static>(
+    gauge: usize,
+    folder: PathBuf,
+    names: Vec<String>,
+    to: Sender<T>,
+) -> Result<()> {
+    let work = move || {
+        loop {
+            let (texts, next) = match of_one_poll(&folder, |_| all(&folder, &names)) {
+                Ok(texts) if texts.get("present").is_some_and(|text| text == "1") => {
+                    (Ok(texts), next_poll(&folder))
+                }
+                Ok(_) => (Err("the gauge does not answer".into()), None),
+                Err(error) => (Err(trouble(&folder, &error)), None),
+            };
+            let next = next.unwrap_or(INTERVAL);
+            if to.send(Seen { gauge, texts, next }.into()).is_err() {
+                return;
+            }
+            RealClock::new().sleep(next);
+        }
+    };
+    thread(work)
+}
+
+impl Gauge {
+    /// Follows files of its folder, poll by poll.
+    pub fn follow<Name: Into<String>>(&self, files: impl IntoIterator<Item = Name>) -> Result<Follow> {
+        Follow::start(self.folder(), files.into_iter().map(Into::into).collect())
+    }
+}
+
+/// Time until the next poll can be read; `None` for a user who may not read the interval.
+fn next_poll(folder: &Path) -> Option<Duration> {
+    let number = |name: &str| text(&folder.join(name)).ok()??.parse::<f64>().ok();
+    let left = number("gauge/poll_interval")? - number("gauge/age_ms")? / 1000.0;
+    Some(Duration::try_from_secs_f64(left).unwrap_or_default() + sample::SETTLED)
+}
+
+/// The gauges at a path, which is a mount point or a gauge's folder; an error after 5 s without an answer.
+pub fn supplies_at(path: &Path) -> Result<Vec<PathBuf>> {
+    let name = path.display().to_string();
+    // Symbolic links are not resolved: that may hang.
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let (sender, found) = mpsc::channel();
+    thread(move || {
+        let found = supplies(&path).map_err(|error| trouble(&path, &error));
+        // It cannot be heard any more after 5 s.
+        let _ = sender.send(found);
+    })?;
+    match found.recv_timeout(PATIENCE) {
+        Ok(Ok(gauges)) => Ok(gauges),
+        Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),
+        Err(_) => Err(Error::host(name, Errno::ETIMEDOUT, SILENT)),
+    }
+}
+
+/// The name of a gauge's folder.
+pub fn folder_name(gauge: &Path) -> String {
+    gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

@@ -1,0 +1,413 @@
+//! The folder of a mounted gauge.
+
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+
+use gauge_bus::regular;
+use nix::errno::Errno;
+use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
+use ti_gauge::dataflash::Place;
+use ti_gauge::error::Cause;
+use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
+use ti_gauge::text;
+
+use crate::error::{Error, Result};
+use crate::file::{self, GaugeFile, LONGEST, is_dead};
+use crate::hang;
+use crate::mounts;
+use crate::names;
+use crate::place::{self, EVERY, not_a_gauge, shown, with_path};
+use crate::sample::Sample;
+use crate::value::Value;
+use ti_gauge::notation;
+
+/// What `gauge/settle` shows where nothing was interrupted.
+const SETTLED: &str = "nothing to settle";
+
+/// A mounted gauge, by its folder.
+///
+/// Each method is a few calls to files of the folder, which the daemon of the mount answers. If that hangs, so do they:
+/// a program that must go on meanwhile calls them with [`within`](crate::within), or lets
+/// [`follow`](Self::follow) and [`Watch`](crate::watch::Watch) read, which have threads of their own.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gauge {
+    folder: PathBuf,
+}
+
+/// What a person decides about a write that was interrupted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decision {
+    /// Write the old values.
+    Undo,
+    /// Write the new values.
+    Finish,
+    /// Leave data flash as it is; the journal is kept under another name.
+    Discard,
+}
+
+impl Gauge {
+    /// The mounted gauge at a path: its folder, or the mount point of only one gauge.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let Err(error) = fs::metadata(path.join(EVERY)) else { return Ok(Self::of(path)) };
+        if is_dead(&error) {
+            return Err(not_a_gauge(path));
+        }
+        match &Self::below(path)[..] {
+            [] if [Errno::ENOENT, Errno::ENOTDIR]
+                .contains(&Errno::from_raw(error.raw_os_error().unwrap_or(0))) =>
+            {
+                Err(not_a_gauge(path))
+            }
+            [] => Err(Error::io(path.display().to_string(), "cannot be examined", error)),
+            [gauge] => Ok(gauge.clone()),
+            several => {
+                let names: Vec<_> = several.iter().map(|gauge| shown(&gauge.folder)).collect();
+                let why = format!("{} gauges are mounted there; name one: {}", names.len(), names.join(", "));
+                Err(invalid(path.display().to_string(), why).into())
+            }
+        }
+    }
+
+    /// All mounted gauges, of all mounts that this user may read and whose daemons answer in time.
+    pub fn find() -> Result<Vec<Self>> {
+        let (sender, found) = mpsc::channel();
+        let mounts = mounts::list();
+        for mount in mounts {
+            let sender = sender.clone();
+            hang::thread(move || {
+                // It cannot be heard any more after some seconds.
+                let _ = sender.send(Self::below(&mount));
+            })?;
+        }
+        drop(sender);
+        let mut gauges = Vec::new();
+        while let Ok(below) = found.recv_timeout(hang::PATIENCE) {
+            gauges.extend(below);
+        }
+        gauges.sort_by(|one: &Self, other| one.folder.cmp(&other.folder));
+        gauges.dedup();
+        Ok(gauges)
+    }
+
+    /// The gauges below a mount point.
+    pub fn below(mountpoint: &Path) -> Vec<Self> {
+        place::gauges_below(mountpoint).iter().map(|folder| Self::of(folder)).collect()
+    }
+
+    /// Whether a path is the folder of a mounted gauge.
+    pub fn is_at(path: &Path) -> bool {
+        place::is_gauge(path)
+    }
+
+    /// The gauge of a folder, which may not be there, or not any more.
+    pub(crate) fn of(folder: &Path) -> Self {
+        Self { folder: folder.into() }
+    }
+
+    /// Its folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The name of its folder, with symbolic links resolved.
+    pub fn name(&self) -> String {
+        folder_name(&self.folder)
+    }
+
+    /// The text of a file of its folder, such as `status` or `gauge/flags`.
+    pub fn text(&self, file: &str) -> Result<String> {
+        file::text(&self.folder, file)
+    }
+
+    /// What a file of its folder says, with its unit: an attribute such as `voltage_now`, or a file of `gauge/` such as
+    /// `gauge/registers/voltage`.
+    pub fn value(&self, file: &str) -> Result<Value> {
+        let own = || match file.strip_prefix("gauge/registers/") {
+            // Parts differ in the unit of a register.
+            Some(name) => {
+                let register = |chip: &Chip| chip.registers.iter().find(|row| snake_case(row.name) == name);
+                self.chip().ok().and_then(register).map_or("", |row| row.unit)
+            }
+            None => names::unit(file).unwrap_or(""),
+        };
+        let text = self.text(file).map_err(|error| error.doing("cannot be read"))?;
+        Ok(Value { text: text.trim_end().into(), unit: own() })
+    }
+
+    /// All values of one poll. If there was a poll just now, it waits a fraction of a second first.
+    pub fn sample(&self) -> Result<Sample> {
+        Sample::read(&self.folder).map_err(|error| match is_dead(&error) {
+            true => not_a_gauge(&self.folder),
+            false => Error::io(self.folder.display().to_string(), "cannot be read", error),
+        })
+    }
+
+    /// The write that was interrupted and waits for a decision: its parameters with old, new and present values. `None`
+    /// if there is none. Before it shows that, the daemon tries to settle it.
+    pub fn unsettled(&self) -> Result<Option<String>> {
+        Some(self.settling("show")?).filter(|told| told.trim() != SETTLED).map(Ok).transpose()
+    }
+
+    /// Carries out what somebody has decided about the write that was interrupted, and returns what was done. What is
+    /// written is what [`unsettled`](Self::unsettled) has shown. `serial` is the serial number of a pack that is not the
+    /// one the write was begun on.
+    pub fn settle(&self, decision: Decision, serial: Option<&str>) -> Result<String> {
+        let word = match decision {
+            Decision::Undo => "undo",
+            Decision::Finish => "finish",
+            Decision::Discard => "discard",
+        };
+        self.settling(&serial.map_or(word.to_string(), |serial| format!("{word} {serial}")))
+    }
+
+    /// Writes a word to `gauge/settle` and reads the answer.
+    fn settling(&self, word: &str) -> Result<String> {
+        const FILE: &str = "gauge/settle";
+        self.check_has(FILE, "data flash")?;
+        self.send(FILE, word.as_bytes()).map_err(|error| error.doing("cannot be settled"))?;
+        let told = self.text(FILE).map_err(|error| error.doing("cannot read what is to settle"))?;
+        Ok(with_path(&told, &self.folder))
+    }
+
+    /// Whether something is owed: a seal, or a write that is neither done nor undone.
+    pub fn is_owed(&self) -> bool {
+        self.text("gauge/owed").is_ok_and(|owed| owed.trim() == "1")
+    }
+
+    /// Writes a request to a file of its folder, and waits for the outcome.
+    pub fn send(&self, file: &str, request: &[u8]) -> Result<()> {
+        file::send(&self.folder, file, request)
+    }
+
+    /// Opens a file of its folder to write several requests to it.
+    pub fn open_to_write(&self, file: &str) -> Result<GaugeFile> {
+        GaugeFile::to_write(&self.folder, file)
+    }
+
+    /// Makes sure that it is a gauge, and that its part has a file, without which it has no `what`.
+    pub fn check_has(&self, file: &str, what: &str) -> Result<()> {
+        match fs::symlink_metadata(self.folder.join(file)) {
+            Ok(_) => Ok(()),
+            Err(_) if !self.folder.join("uevent").exists() => Err(not_a_gauge(&self.folder)),
+            Err(_) => {
+                let why =
+                    format!("gaugefs knows no {what} of this part; `gaugefs chips` lists what works on each");
+                Err(Error::host(self.folder.display().to_string(), Errno::ENOENT, why))
+            }
+        }
+    }
+
+    /// Its part, without a transfer. An error if nothing is known of its data flash.
+    pub fn chip(&self) -> Result<&'static Chip> {
+        self.check_has("df/index", "data flash")?;
+        self.part()
+    }
+
+    fn part(&self) -> Result<&'static Chip> {
+        let model = self.text("model_name").map_err(|error| error.doing("its part is unknown"))?;
+        Ok(CHIPS.iter().copied().find(|chip| chip.model == model.trim()).ok_or_else(|| {
+            let why = format!("no gauge that gaugefs knows: {}", model.trim());
+            self.within(ti_gauge::error::Error::new("model_name", Cause::Gone(why)))
+        })?)
+    }
+
+    fn within(&self, error: ti_gauge::error::Error) -> ti_gauge::error::Error {
+        error.within(&self.folder.display().to_string())
+    }
+
+    /// Polls the gauge now, and drops the values that were kept of its data flash: another pack may have taken the place of
+    /// the one that was there at the last poll. A user who may not do that gets the values of the last poll, and their age.
+    pub fn poll(&self) -> Result<Polled> {
+        let refused = match self.send("gauge/refresh", b"1\n") {
+            Ok(()) => None,
+            Err(error) if error.is_unopened() && error.is(&[Errno::ENOENT, Errno::ENOTDIR]) => {
+                return Err(not_a_gauge(&self.folder));
+            }
+            Err(error) if error.is_unopened() && error.is(&[Errno::EACCES, Errno::EPERM, Errno::EROFS]) => {
+                error.errno()
+            }
+            Err(error) => return Err(error.doing("gauge/refresh: the gauge cannot be polled")),
+        };
+        Ok(Polled { identity: self.identity(), refused })
+    }
+
+    /// Which gauge it is, without a transfer: its part, and its serial number, for parts that show one.
+    pub fn pack(&self) -> (Option<String>, Option<String>) {
+        let model = self.text("model_name").ok().map(|model| model.trim().to_string());
+        (model, self.part().ok().and_then(|chip| self.serial(chip)))
+    }
+
+    /// The serial number in the register that distinguishes packs.
+    fn serial(&self, chip: &Chip) -> Option<String> {
+        let register = chip.register_at(chip.serial_register()?)?;
+        let word = self.text(&format!("gauge/registers/{}", snake_case(register.name))).ok()?;
+        Some(format!("0x{:04x}", word.trim().parse::<u16>().ok()?))
+    }
+
+    /// The part, what distinguishes the pack, and when it was polled.
+    fn identity(&self) -> String {
+        let text = |name: &str| Some(self.text(name).ok()?.trim().to_string());
+        let model = text("model_name").unwrap_or("unknown part".into());
+        let chip = self.part().ok();
+        let pack = chip.and_then(|chip| Some((chip, chip.preflight.pack.as_ref()?)));
+        let pack = pack.and_then(|(chip, pack)| match pack.word {
+            Word::Register(_) => Some(format!("{} {}", pack.name, self.serial(chip)?)),
+            Word::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
+            Word::ControlStatus => None,
+        });
+        let pack = pack.unwrap_or("no serial number".into());
+        let age = text("gauge/age_ms").and_then(|age| age.parse::<f64>().ok());
+        let age = age.map_or("age unknown".into(), |age| format!("polled {:.1} s ago", age / 1000.0));
+        format!("{model}, {pack}, {age}")
+    }
+
+    /// The values of some parameters.
+    pub fn values(&self, chip: &'static Chip, rows: &[Row]) -> Result<Image> {
+        let mut image = Image::new(chip, None);
+        for &row in rows {
+            let name = chip.name_of(row);
+            let (subclass, parameter) = row;
+            if subclass.kind == Kind::Security {
+                let why = Cause::NotPermitted("keys are never read".into());
+                return Err(ti_gauge::error::Error::new(name, why).into());
+            }
+            let read = self.text(&format!("df/by-name/{name}"));
+            let text = read.map_err(|error| error.doing(format!("{name} cannot be read")))?;
+            let value = notation::parse_stored(parameter, text.as_bytes())?;
+            image.entries.push(Entry { subclass, parameter, value, line: 0 });
+        }
+        Ok(image)
+    }
+
+    /// Its configuration: all parameters, from `df/index`. [`poll`](Self::poll) first, so that they are read anew.
+    pub fn configuration(&self) -> Result<Image> {
+        let chip = self.chip()?;
+        let index = self.text("df/index").map_err(|error| error.doing("its data flash cannot be read"))?;
+        let firmware = self.text("gauge/firmware_version").ok().and_then(|text| word(text.trim()));
+        Ok(read(chip, firmware, &index).map_err(|error| self.within(error))?)
+    }
+
+    /// All bytes of a subclass.
+    pub fn raw(&self, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
+        let file = self.folder.join(format!("df/{id}/raw"));
+        regular::read(&file, LONGEST)
+            .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
+    }
+
+    /// What it answers to a subcommand that it answers with a word.
+    pub fn ask(&self, code: u16) -> Result<u16> {
+        let file = "gauge/control";
+        let failed = |error: Error| error.doing("the gauge does not answer the subcommand");
+        self.send(file, format!("0x{code:04x}").as_bytes()).map_err(failed)?;
+        let text = self.text(file).map_err(failed)?;
+        let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
+        Ok(answer.and_then(|(_, answer)| word(answer.trim())).ok_or_else(|| {
+            let why = "holds the answer to another subcommand: somebody else has written it; try again";
+            ti_gauge::error::Error::new(self.folder.join(file).display().to_string(), Cause::Busy(why.into()))
+        })?)
+    }
+
+    /// Writes changes, all of them or none, as one transaction.
+    pub fn apply(&self, changes: &[Difference<'_>], raw: &[RawDifference]) -> Result<()> {
+        if changes.is_empty() && raw.is_empty() {
+            return Ok(());
+        }
+        let mut lines = String::from("begin\n");
+        for Difference { new, .. } in changes {
+            lines += &format!("{} {}\n", Place::of((new.subclass, new.parameter)), new.text());
+        }
+        for RawDifference { new, .. } in raw {
+            lines += &format!("{} {}\n", new.name(), new.text());
+        }
+        lines += "commit\n";
+        let failed = |error: Error| error.doing("nothing was written");
+        let mut file = self.open_to_write("df/transaction").map_err(failed)?;
+        // One write: what is refused of it is refused as a whole, and leaves no transaction open.
+        let mut sent = 0;
+        while sent < lines.len() {
+            sent += file.send(&lines.as_bytes()[sent..]).map_err(|error| {
+                if sent > 0 {
+                    // The first piece has opened it; a commit that failed has ended it already.
+                    let _ = file.send(b"abort\n");
+                }
+                failed(error)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// What a poll has shown: which gauge it is, and when it was polled.
+#[derive(Clone, Debug)]
+pub struct Polled {
+    identity: String,
+    refused: Option<i32>,
+}
+
+impl Polled {
+    /// The errno, if this user may not poll it.
+    pub fn refused(&self) -> Option<i32> {
+        self.refused
+    }
+}
+
+/// One line.
+impl fmt::Display for Polled {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.identity)?;
+        let Some(errno) = self.refused else { return Ok(()) };
+        let desc = Errno::from_raw(errno).desc();
+        write!(f, "; not polled now, and values may be as old: gauge/refresh: {desc}")
+    }
+}
+
+/// The name of a folder, with symbolic links resolved.
+pub fn folder_name(gauge: &Path) -> String {
+    let whole = fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
+    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn invalid(subject: String, why: String) -> ti_gauge::error::Error {
+    ti_gauge::error::Error::new(subject, Cause::Invalid(why))
+}
+
+/// An error about a line of `df/index`.
+fn at_line(line: usize, why: &str) -> ti_gauge::error::Error {
+    invalid(format!("df/index: line {line}"), why.into())
+}
+
+/// A word in hexadecimal, with `0x`.
+fn word(text: &str) -> Option<u16> {
+    text.starts_with("0x").then(|| text::unsigned(text)).flatten()
+}
+
+/// A configuration, from `df/index`.
+fn read(chip: &'static Chip, firmware: Option<u16>, index: &str) -> ti_gauge::error::Result<Image> {
+    let mut image = Image::new(chip, firmware);
+    for (number, line) in (1..).zip(index.lines()).skip(1) {
+        let fields: Vec<&str> = line.split('\t').collect();
+        let [id, offset, .., value] = fields.as_slice() else {
+            return Err(at_line(number, "not a line of df/index"));
+        };
+        let row = chip.row(id, offset);
+        let (subclass, parameter) = row.ok_or_else(|| at_line(number, "not in the table"))?;
+        if subclass.kind == Kind::Security {
+            continue;
+        }
+        if *value == "-" {
+            let text = format!("{}: the gauge does not show its value", parameter.name);
+            image.left_out.push(LeftOut { text, group: None });
+            continue;
+        }
+        let value = notation::parse_stored(parameter, value.as_bytes())?;
+        image.entries.push(Entry { subclass, parameter, value, line: 0 });
+    }
+    if image.entries.is_empty() {
+        let why = "its data flash cannot be read: it is sealed and no key works; mount with --key-file";
+        return Err(ti_gauge::error::Error::new("", Cause::NotPermitted(why.into())));
+    }
+    Ok(image)
+}

@@ -1,0 +1,166 @@
+//! The files of a gauge's folder that have a value: their names, and the units of their numbers.
+
+use ti_gauge::chip::{Bit, Chip, Tier, snake_case};
+use ti_gauge::gauge::Statistics;
+
+/// An attribute: a file of the folder itself, with a name of the kernel's ABI.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attribute {
+    /// Its name.
+    pub name: &'static str,
+    /// What its text is.
+    pub kind: Kind,
+}
+
+/// What the text of an attribute is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A text, such as `Charging`.
+    Text,
+    /// A decimal number in this unit; without a unit if that is empty.
+    Number(&'static str),
+    /// A word in four hexadecimal digits, as the kernel's drivers show serial numbers.
+    Hex,
+}
+
+impl Attribute {
+    /// The unit of its number; empty if it has none.
+    pub fn unit(&self) -> &'static str {
+        match self.kind {
+            Kind::Number(unit) => unit,
+            Kind::Text | Kind::Hex => "",
+        }
+    }
+
+    /// Whether its text is a number in decimal.
+    pub fn is_number(&self) -> bool {
+        matches!(self.kind, Kind::Number(_))
+    }
+}
+
+const fn text(name: &'static str) -> Attribute {
+    Attribute { name, kind: Kind::Text }
+}
+
+const fn number(name: &'static str, unit: &'static str) -> Attribute {
+    Attribute { name, kind: Kind::Number(unit) }
+}
+
+/// All attributes, in the order in which `uevent` lists them.
+static ATTRIBUTES: &[Attribute] = &[
+    text("type"),
+    text("status"),
+    text("present"),
+    text("health"),
+    text("technology"),
+    text("scope"),
+    number("capacity", "%"),
+    text("capacity_level"),
+    number("capacity_error_margin", "%"),
+    number("voltage_now", "uV"),
+    number("voltage_min_design", "uV"),
+    number("voltage_max_design", "uV"),
+    number("current_now", "uA"),
+    number("current_avg", "uA"),
+    number("charge_now", "uAh"),
+    number("charge_full", "uAh"),
+    number("charge_full_design", "uAh"),
+    number("charge_counter", "uAh"),
+    number("constant_charge_voltage", "uV"),
+    number("constant_charge_current", "uA"),
+    number("energy_now", "uWh"),
+    number("power_avg", "uW"),
+    number("temp", "0.1°C"),
+    number("internal_resistance", "uohm"),
+    number("time_to_empty_now", "s"),
+    number("time_to_empty_avg", "s"),
+    number("time_to_full_now", "s"),
+    number("cycle_count", ""),
+    number("state_of_health", "%"),
+    text("manufacturer"),
+    text("model_name"),
+    Attribute { name: "serial_number", kind: Kind::Hex },
+    number("manufacture_year", ""),
+    number("manufacture_month", ""),
+    number("manufacture_day", ""),
+];
+
+/// The files of `gauge/` with a text of their own that every part may have, and the units of their numbers.
+static FILES: &[(&str, &str)] = &[
+    ("control_status", ""),
+    ("device_type", ""),
+    ("firmware_version", ""),
+    ("hardware_version", ""),
+    ("chem_id", ""),
+    ("itpor", ""),
+    ("seal", ""),
+    ("control", ""),
+    ("authenticate", ""),
+    ("auth_order", ""),
+    ("owed", ""),
+    ("settle", ""),
+    ("report", ""),
+    ("voltage_scale", ""),
+    ("current_scale", ""),
+    ("charge_scale", ""),
+    ("energy_scale", ""),
+    ("poll_interval", "s"),
+    ("age_ms", "ms"),
+    ("last_error", ""),
+];
+
+/// A file of `gauge/` with a text of its own.
+#[derive(Clone, Debug)]
+pub struct File {
+    /// Its path in `gauge/`.
+    pub name: String,
+    /// The unit of its number; empty if it has none.
+    pub unit: &'static str,
+    /// The names of the bits that one of flags shows.
+    pub bits: &'static [Bit],
+}
+
+/// All attributes, in the order of `uevent`.
+pub fn attributes() -> impl Iterator<Item = Attribute> {
+    ATTRIBUTES.iter().copied()
+}
+
+/// The attribute of that name.
+pub fn attribute(name: &str) -> Option<Attribute> {
+    attributes().find(|attribute| attribute.name == name)
+}
+
+/// The files of `gauge/` with a text of their own that every part may have.
+pub fn fixed_files() -> impl Iterator<Item = &'static str> {
+    FILES.iter().map(|(name, _)| *name)
+}
+
+/// The files of `gauge/` with a text of their own, on one chip or on any. Where parts differ in the unit of a register,
+/// it is there once for each.
+pub fn files() -> impl Iterator<Item = File> {
+    let plain = |name: String, unit| File { name, unit, bits: &[] };
+    let fixed = FILES.iter().map(move |&(name, unit)| plain(name.to_string(), unit));
+    let counters = Statistics::default().list();
+    let counters = counters.into_iter().map(move |(name, _)| plain(format!("statistics/{name}"), ""));
+    let of_chips = Chip::all().flat_map(move |chip| {
+        let registers = chip.registers.iter().filter(|register| register.tier != Tier::Window);
+        let registers = registers.flat_map(move |register| {
+            let name = snake_case(register.name);
+            let number = plain(format!("registers/{name}"), register.unit);
+            let flags = (!register.bits.is_empty()).then_some(File { name, unit: "", bits: register.bits });
+            flags.into_iter().chain([number])
+        });
+        let status = File { name: "control_status".to_string(), unit: "", bits: chip.control_status };
+        registers.chain([status])
+    });
+    fixed.chain(counters).chain(of_chips)
+}
+
+/// The unit of the number in a file, by its path in the gauge's folder; empty if it has none. `None` for a file that no
+/// gauge has, and for a register, of which parts differ.
+pub(crate) fn unit(file: &str) -> Option<&'static str> {
+    match file.strip_prefix("gauge/") {
+        Some(name) => FILES.iter().find(|(known, _)| *known == name).map(|(_, unit)| *unit),
+        None => attribute(file).map(|attribute| attribute.unit()),
+    }
+}

@@ -1,0 +1,146 @@
+//! Parameters by their names, with values as people write them.
+
+use nix::errno::Errno;
+use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
+use ti_gauge::dataflash::Place;
+use ti_gauge::error::Cause;
+use ti_gauge::image::{Changes, Difference, Entry, Image};
+use ti_gauge::unit;
+
+use crate::error::{Error, Result};
+use crate::gauge::Gauge;
+use crate::value::Value;
+use ti_gauge::notation;
+
+impl Gauge {
+    /// The value of a parameter, by its name or place: `Cell Terminate Voltage`, `80/53`.
+    pub fn parameter(&self, name: &str) -> Result<Value> {
+        let chip = self.chip()?;
+        let image = self.values(chip, &[row(chip, name)?])?;
+        let entry = image.entries.first().expect("the value of that row");
+        Ok(Value { text: entry.shown(), unit: unit::shown(entry.parameter) })
+    }
+
+    /// Writes one parameter, and verifies it: `set("Cell Terminate Voltage", "3100 mV")`. Returns when it is in data flash.
+    pub fn set(&self, name: &str, value: &str) -> Result<()> {
+        let mut transaction = self.transaction()?;
+        transaction.set(name, value)?;
+        transaction.commit().map(drop)
+    }
+
+    /// Several parameters that are written together, all of them or none.
+    pub fn transaction(&self) -> Result<Transaction<'_>> {
+        Ok(Transaction::new(self, self.chip()?))
+    }
+}
+
+/// Finds a parameter by its name or place; otherwise the error suggests the nearest.
+pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
+    chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
+        (Unnamed::Several(names), _) => {
+            let why = format!("several parameters have that name; write one of {}", names.join(", "));
+            ti_gauge::error::Error::new(name, Cause::Invalid(why)).into()
+        }
+        (Unnamed::Unknown, nearest) => {
+            let what = match nearest {
+                Some(row) => format!("did you mean {}?", chip.name_of(row)),
+                None => "`gaugefs get` without a name lists them".into(),
+            };
+            Error::host(name, Errno::ENOENT, format!("a {} has no such parameter; {what}", chip.model))
+        }
+    })
+}
+
+/// Parameters and the values that they are to have. They are checked as far as that is possible without the gauge.
+#[derive(Clone, Debug)]
+pub struct Wanted(Image);
+
+impl Wanted {
+    /// Nothing yet, for that part.
+    pub fn new(chip: &'static Chip) -> Self {
+        Self(Image::new(chip, None))
+    }
+
+    /// Adds a parameter, by its name or place, and its value: a number in its own unit, or with another one, or a date.
+    /// A value that cannot be stored exactly is refused.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<()> {
+        let (subclass, parameter) = row(self.0.chip, name)?;
+        let name = self.0.chip.name_of((subclass, parameter));
+        let refuse = |cause| Err(ti_gauge::error::Error::new(&name, cause).into());
+        if subclass.kind == Kind::Security {
+            return refuse(Cause::NotPermitted("keys are changed with `gaugefs keys change`".into()));
+        }
+        let place = Place::of((subclass, parameter)).into();
+        let value = notation::parse_with_unit(parameter, value);
+        let value = value.map_err(|error| error.about(&name).at_place(place))?;
+        let entry = Entry { subclass, parameter, value, line: 0 };
+        if self.0.entries.iter().any(|other| other.is(&entry)) {
+            return refuse(Cause::Invalid("it is given twice; remove one of the two".into()));
+        }
+        self.0.entries.push(entry);
+        Ok(())
+    }
+
+    /// The parameters.
+    pub fn rows(&self) -> Vec<Row> {
+        self.0.entries.iter().map(|entry| (entry.subclass, entry.parameter)).collect()
+    }
+
+    /// The parameters and their values.
+    pub fn image(&self) -> &Image {
+        &self.0
+    }
+}
+
+/// Several parameters of a gauge that are written together, all of them or none.
+#[derive(Clone, Debug)]
+pub struct Transaction<'a> {
+    gauge: &'a Gauge,
+    wanted: Wanted,
+}
+
+/// A parameter that was changed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Changed {
+    /// Its whole name, as `df/by-name` has it.
+    pub name: String,
+    /// What it was.
+    pub old: String,
+    /// What it is now.
+    pub new: String,
+    /// The unit of both.
+    pub unit: &'static str,
+}
+
+impl<'a> Transaction<'a> {
+    pub(crate) fn new(gauge: &'a Gauge, chip: &'static Chip) -> Self {
+        Self { gauge, wanted: Wanted::new(chip) }
+    }
+
+    /// Adds a parameter and its value, as [`Wanted::set`] takes them. Nothing is written yet.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<&mut Self> {
+        self.wanted.set(name, value)?;
+        Ok(self)
+    }
+
+    /// Writes what the gauge does not have yet, and verifies it. Returns when it is in data flash, with what has changed.
+    /// After an error nothing has changed, unless the error says something else.
+    pub fn commit(self) -> Result<Vec<Changed>> {
+        let stored = self.gauge.values(self.wanted.0.chip, &self.wanted.rows())?;
+        // Whether unproven ones may be written is the mount's to decide.
+        let Changes { changes, .. } = stored.changes(&self.wanted.0, &[], true)?;
+        self.gauge.apply(&changes, &[])?;
+        Ok(changes.iter().map(Changed::of).collect())
+    }
+}
+
+impl Changed {
+    fn of(change: &Difference<'_>) -> Self {
+        Self {
+            name: change.name.clone(),
+            old: change.old.shown(),
+            new: change.new.shown(),
+            unit: unit::shown(change.new.parameter),
+        }
+    }
+}

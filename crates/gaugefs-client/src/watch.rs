@@ -1,0 +1,343 @@
+//! Samples mounted gauges repeatedly, in one thread per mount.
+//!
+//! If a daemon hangs, a read of its files blocks, perhaps for ever. So only these threads read them; their
+//! owner notices that a mount has stopped reporting.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+
+use ti_gauge::chip::{Chip, Parameter, Subclass, kebab_case};
+use ti_gauge::learning::Limits;
+
+use crate::error::{Error, Result};
+use crate::file::{content, send, text};
+use crate::hang::{PATIENCE, SILENT, thread};
+use crate::mounts;
+use crate::place::died;
+use crate::sample::Sample;
+
+/// TI's name for the subclass with the values that a gauge has learned.
+const STATE: &str = "State";
+/// Time between two samples if the time of the next poll is not known.
+pub const INTERVAL: Duration = Duration::from_secs(1);
+
+/// What a thread can be asked to do.
+pub enum Order {
+    /// Poll this gauge now, through `gauge/refresh`.
+    Refresh(PathBuf),
+    /// Read the learned values of this gauge from data flash.
+    ReadLearned(PathBuf),
+    /// Read the thresholds of learning of this gauge from data flash.
+    ReadLimits(PathBuf),
+}
+
+/// What a thread reports.
+pub struct Report {
+    /// The mount, as an index of [`Watch::roots`].
+    pub root: usize,
+    /// A gauge's folder; the root itself if there is no gauge in it.
+    pub gauge: PathBuf,
+    /// What was seen of it.
+    pub seen: Seen,
+}
+
+/// The contents of a report.
+pub enum Seen {
+    /// The values of a poll.
+    Sample(Box<Sample>),
+    /// There is no sample, for this reason.
+    Trouble(String),
+    /// The outcome of [`Order::ReadLearned`].
+    Learned(Result<Vec<Learned>, String>),
+    /// The outcome of [`Order::ReadLimits`]; also sent with [`Seen::Learned`] if the gauge is unsealed.
+    Limits(Limits),
+    /// Why an order failed.
+    Refused(String),
+}
+
+/// One parameter that the gauge itself rewrites.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Learned {
+    /// TI's name.
+    pub name: &'static str,
+    /// Its text.
+    pub value: String,
+    /// The unit of its number; empty if it has none.
+    pub unit: &'static str,
+}
+
+/// The threads and the channels to them.
+pub struct Watch {
+    /// What is watched: mount points, or the folder that the user named.
+    pub roots: Vec<PathBuf>,
+    orders: Vec<Sender<Order>>,
+    /// Where the reports of all threads arrive.
+    pub reports: Receiver<Report>,
+    sender: Sender<Report>,
+    /// Since when each thread has been reading its mount, in the order of `roots`.
+    reads: Vec<Reading>,
+    every: Option<Duration>,
+    named: bool,
+}
+
+/// Since when a thread reads; `None` while it waits for the next poll.
+type Reading = Arc<Mutex<Option<Instant>>>;
+
+fn set(reading: &Reading, since: Option<Instant>) {
+    // A panic cannot leave it half changed.
+    *reading.lock().unwrap_or_else(PoisonError::into_inner) = since;
+}
+
+impl Watch {
+    /// Watches a mount point or a gauge's folder, or else every gaugefs that is mounted. Without an interval,
+    /// it takes one sample after each poll.
+    pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
+        let (sender, reports) = mpsc::channel();
+        let (roots, orders, reads) = (Vec::new(), Vec::new(), Vec::new());
+        let mut watch = Self { roots, orders, reports, sender, reads, every, named: named.is_some() };
+        match named {
+            // Symbolic links are not resolved: that may hang.
+            Some(path) => watch.add(std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf()))?,
+            None => watch.find_mounts()?,
+        }
+        if watch.roots.is_empty() {
+            let why = "no gaugefs is mounted; to mount one, see: gaugefs mount --help";
+            return Err(Error::host("", Errno::ENOENT, why));
+        }
+        Ok(watch)
+    }
+
+    /// The next report within a time limit. A mount that does not answer for too long is reported as that, and again
+    /// each time after as long.
+    pub fn next(&self, limit: Duration) -> Option<Report> {
+        let end = Instant::now() + limit;
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            match self.reports.recv_timeout(left.min(INTERVAL)) {
+                Ok(report) => return Some(report),
+                // It cannot be disconnected: there is a sender here.
+                Err(_) => {
+                    let is_silent = |reading: &Reading| {
+                        let since = *reading.lock().unwrap_or_else(PoisonError::into_inner);
+                        since.is_some_and(|since| since.elapsed() >= PATIENCE)
+                    };
+                    if let Some(root) = self.reads.iter().position(is_silent) {
+                        set(&self.reads[root], Some(Instant::now()));
+                        let seen = Seen::Trouble(SILENT.into());
+                        return Some(Report { root, gauge: self.roots[root].clone(), seen });
+                    }
+                    if left.is_zero() {
+                        return None;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds new mounts, unless the user named one.
+    pub fn find_mounts(&mut self) -> Result<()> {
+        if self.named {
+            return Ok(());
+        }
+        for path in mounts::list() {
+            if !self.roots.contains(&path) {
+                self.add(path)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, path: PathBuf) -> Result<()> {
+        let (orders, received) = mpsc::channel();
+        let (root, reports, every) = (self.roots.len(), self.sender.clone(), self.every);
+        let (folder, reading) = (path.clone(), Reading::default());
+        self.reads.push(reading.clone());
+        thread(move || watch(root, &folder, every, &received, &reports, &reading))?;
+        self.roots.push(path);
+        self.orders.push(orders);
+        Ok(())
+    }
+
+    /// Gives an order. Its result is a report.
+    pub fn order(&self, root: usize, order: Order) {
+        // It cannot fail: the threads end only with the watch.
+        let _ = self.orders[root].send(order);
+    }
+}
+
+/// Takes samples and follows orders until the reports have no receiver.
+fn watch(
+    root: usize,
+    path: &Path,
+    every: Option<Duration>,
+    orders: &Receiver<Order>,
+    reports: &Sender<Report>,
+    reading: &Reading,
+) {
+    let report = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
+    loop {
+        let mut next = INTERVAL;
+        set(reading, Some(Instant::now()));
+        let listening = match supplies(path) {
+            Ok(gauges) => gauges.iter().all(|gauge| {
+                let sample = Sample::read(gauge);
+                // There may be many, each of which takes a moment.
+                set(reading, Some(Instant::now()));
+                let seen = match sample {
+                    Ok(sample) => {
+                        next = sample
+                            .next_poll()
+                            .map_or(next, |soon| if gauges.len() > 1 { soon.min(next) } else { soon });
+                        Seen::Sample(Box::new(sample))
+                    }
+                    Err(error) => Seen::Trouble(trouble(path, &error)),
+                };
+                report(gauge, seen)
+            }),
+            Err(error) => report(path, Seen::Trouble(trouble(path, &error))),
+        };
+        set(reading, None);
+        let listening = listening
+            && match orders.recv_timeout(every.unwrap_or(next)) {
+                Ok(Order::Refresh(gauge)) => match send(&gauge, "gauge/refresh", b"1\n") {
+                    Ok(()) => true,
+                    Err(failure) => report(&gauge, Seen::Refused(format!("refresh: {}", failure.reason()))),
+                },
+                Ok(Order::ReadLearned(gauge)) => {
+                    report(&gauge, Seen::Learned(learned(&gauge)))
+                        && limits(&gauge).is_none_or(|limits| report(&gauge, Seen::Limits(limits)))
+                }
+                Ok(Order::ReadLimits(gauge)) => {
+                    limits(&gauge).is_none_or(|limits| report(&gauge, Seen::Limits(limits)))
+                }
+                Err(RecvTimeoutError::Timeout) => true,
+                Err(RecvTimeoutError::Disconnected) => false,
+            };
+        if !listening {
+            return;
+        }
+    }
+}
+
+/// The gauges at a path: itself, or the folders in it.
+pub fn supplies(path: &Path) -> io::Result<Vec<PathBuf>> {
+    match fs::metadata(path.join("uevent")) {
+        Ok(_) => return Ok(vec![path.to_path_buf()]),
+        Err(error) if error.kind() == ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let entries = fs::read_dir(path)?.flatten().map(|entry| entry.path());
+    let mut gauges: Vec<_> = entries.filter(|entry| entry.join("uevent").exists()).collect();
+    gauges.sort();
+    if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
+}
+
+pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
+    match error.raw_os_error().map(Errno::from_raw) {
+        Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
+            let mount = mounts::of(root);
+            died(mount.as_deref().unwrap_or(root).display())
+        }
+        None | Some(Errno::ENOENT) => {
+            "not mounted; give the folder of a mounted gauge, or its mount point".into()
+        }
+        Some(errno) => errno.desc().to_string(),
+    }
+}
+
+/// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
+/// Parameters whose address is uncertain are left out.
+pub fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
+    let Some(chip) = Chip::by_model(model) else { return Vec::new() };
+    let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
+    let rows = states.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
+    rows.filter(|(_, row)| row.learned && !row.unproven)
+        .map(|(subclass, row)| {
+            let place = format!("df/by-name/{}", chip.name_of((subclass, row)));
+            (subclass, row, place)
+        })
+        .collect()
+}
+
+fn model_name(gauge: &Path) -> String {
+    let uevent = content(&gauge.join("uevent")).unwrap_or_default();
+    let model = uevent.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MODEL_NAME="));
+    model.unwrap_or_default().into()
+}
+
+/// The thresholds of learning. A sealed gauge is not unsealed for them.
+fn limits(gauge: &Path) -> Option<Limits> {
+    let seal = content(&gauge.join("gauge/seal")).ok()?;
+    (seal.trim() != "sealed").then(|| of_flash(gauge, &model_name(gauge)))
+}
+
+/// Reads the thresholds of a gauge from data flash; those that cannot be read are the manual's.
+fn of_flash(gauge: &Path, model: &str) -> Limits {
+    let mut limits = Limits::default();
+    let Some(chip) = Chip::by_model(model) else { return limits };
+    let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+    for (class, row) in rows.filter(|(_, row)| !row.unproven) {
+        let target = match (row.name, row.unit) {
+            ("Quit Current", "mA") => &mut limits.quit_ma,
+            ("Dsg Current Threshold", "mA") => &mut limits.discharge_ma,
+            ("Chg Current Threshold", "mA") => &mut limits.charge_ma,
+            ("Number of series cell", _) => limits.cells.insert(1.0),
+            _ => continue,
+        };
+        let place = Path::new("df/by-name").join(chip.class_dir(class)).join(kebab_case(row.name));
+        let text = content(&gauge.join(place)).unwrap_or_default();
+        if let Ok(value) = text.trim().parse() {
+            *target = value;
+        }
+    }
+    limits
+}
+
+/// Reads the learned parameters. They are in one subclass, so a sealed gauge is unsealed only once.
+fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
+    let rows = learned_parameters(&model_name(gauge));
+    if rows.is_empty() {
+        return Err("no learned parameter of this part is known".into());
+    }
+    let mut values = Vec::new();
+    for (_, row, place) in rows {
+        let value = text(gauge, &place).map_err(|failure| {
+            match failure.is(&[Errno::EPERM]) && !failure.is_unopened() {
+                true => "sealed: no key".into(),
+                false => failure.reason(),
+            }
+        })?;
+        values.push(Learned { name: row.name, value: value.trim_end().to_string(), unit: row.unit });
+    }
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_that_learn_have_learned_parameters() {
+        let names = |model| {
+            let rows = learned_parameters(model);
+            rows.iter().map(|(_, row, _)| row.name).collect::<Vec<_>>()
+        };
+        for model in ["bq34z100-G1", "bq27441-G1", "BQ27427"] {
+            assert!(names(model).contains(&"Update Status"), "{model}");
+            assert!(names(model).contains(&"Qmax Cell 0"), "{model}");
+        }
+        assert_eq!(names("bq34110"), ["Learned Full Charge Capacity"]);
+        assert!(names("unheard-of").is_empty());
+        // All are in one subclass, so that one unsealing is enough.
+        for chip in ti_gauge::chip::CHIPS {
+            let rows = learned_parameters(chip.model);
+            assert!(rows.iter().all(|(subclass, ..)| std::ptr::eq(*subclass, rows[0].0)), "{}", chip.name);
+        }
+    }
+}

@@ -1,0 +1,193 @@
+//! Errors of the program: the core's, with an errno, and those of the host.
+
+use std::path::Path;
+use std::{fmt, io};
+
+use nix::errno::Errno;
+use serde::Serialize;
+use ti_gauge::dataflash::Place;
+pub use ti_gauge::error::{Cause, Step};
+use ti_gauge::image::Faults;
+use ti_gauge::text;
+
+use crate::errno;
+
+/// A `Result` whose error is [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// A path in a message. Where another user has chosen it, such as a mount point, it may contain line ends.
+pub fn shown(path: &Path) -> String {
+    text::printable(&path.to_string_lossy())
+}
+
+/// One failure: one line that a technician can act on, and the errno that a file operation answers with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error {
+    inner: ti_gauge::error::Error,
+    /// The errno, where it does not follow from the cause.
+    errno: Option<Errno>,
+    /// What else is wrong with the same file.
+    others: Vec<ti_gauge::error::Error>,
+}
+
+impl Error {
+    /// An error about `subject`: a register, a parameter, a file or a bus.
+    pub fn new(subject: impl Into<String>, cause: Cause) -> Self {
+        ti_gauge::error::Error::new(subject, cause).into()
+    }
+
+    /// An error of the host: a file, a folder, a mount; with the remedy.
+    pub fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
+        let kind = io::Error::from(errno).kind();
+        Self { errno: Some(errno), ..Self::new(subject, Cause::Io(kind, text.into())) }
+    }
+
+    /// What the host said when it was asked to do `what`.
+    pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
+        let errno = error.raw_os_error().map(Errno::from_raw);
+        Self { errno, ..ti_gauge::error::Error::io(subject, what, error).into() }
+    }
+
+    /// Adds the step it happened in, unless one is known already.
+    #[must_use]
+    pub fn at(self, step: Step) -> Self {
+        Self { inner: self.inner.at(step), ..self }
+    }
+
+    /// Replaces the subject.
+    #[must_use]
+    pub fn about(self, subject: impl Into<String>) -> Self {
+        Self { inner: self.inner.about(subject), ..self }
+    }
+
+    /// Puts a larger subject in front.
+    #[must_use]
+    pub fn within(self, subject: &str) -> Self {
+        let others = self.others.into_iter().map(|other| other.within(subject)).collect();
+        Self { inner: self.inner.within(subject), errno: self.errno, others }
+    }
+
+    /// What is wrong with a file: the first mistake, and those that a person is told of as well.
+    pub fn of_file(faults: &Faults) -> Option<Self> {
+        let mut all = faults.iter().cloned();
+        let mut first = Self::from(all.next()?);
+        first.others = all.collect();
+        if faults.more() > 0 {
+            let why = format!("and {} more mistakes", faults.more());
+            first.others.push(ti_gauge::error::Error::new("", Cause::Invalid(why)));
+        }
+        Some(first)
+    }
+
+    /// All lines that a person is told, of which the error itself is the first.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        let others = self.others.iter().map(|other| text::printable(&other.to_string()));
+        std::iter::once(self.to_string()).chain(others)
+    }
+
+    /// What happened.
+    pub fn cause(&self) -> &Cause {
+        self.inner.cause()
+    }
+
+    /// The step that failed, where there is one.
+    pub fn step(&self) -> Option<Step> {
+        self.inner.step()
+    }
+
+    /// The errno that a file operation answers with.
+    pub fn errno(&self) -> Errno {
+        self.errno.unwrap_or_else(|| errno::of(self.cause()))
+    }
+
+    /// What a program is told of it.
+    pub fn details(&self) -> Details {
+        let facts = self.inner.facts();
+        let [least, greatest] = facts.limits.clone().map_or([None, None], |limits| limits.map(Some));
+        Details {
+            errno: format!("{:?}", self.errno()),
+            cause: self.cause().name(),
+            step: self.step().map(Step::as_str),
+            register: facts.register.clone(),
+            place: facts.place.map(|place| Place::from(place).to_string()),
+            least,
+            greatest,
+            value: facts.value,
+        }
+    }
+}
+
+/// An error's facts as an object of `--json`. What is not known is left out.
+#[derive(Debug, Serialize)]
+pub struct Details {
+    errno: String,
+    cause: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    step: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    register: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    place: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    least: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    greatest: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    value: Option<i64>,
+}
+
+/// One line without control characters: names of files and processes in it may be anybody's.
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&text::printable(&self.inner.to_string()))
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.inner.source()
+    }
+}
+
+impl From<gaugefs_client::Error> for Error {
+    fn from(error: gaugefs_client::Error) -> Self {
+        let (subject, text) = (error.subject(), error.text());
+        match (error.refused(), error.io_error()) {
+            (Some(refused), _) => refused.clone().into(),
+            (None, Some(io)) => match io.raw_os_error() {
+                Some(errno) => Self::host(subject, Errno::from_raw(errno), text),
+                None => Self::new(subject, Cause::Io(io.kind(), text)),
+            },
+            (None, None) => Self::new(subject, Cause::Io(io::ErrorKind::Other, text)),
+        }
+    }
+}
+
+impl From<ti_gauge::error::Error> for Error {
+    fn from(inner: ti_gauge::error::Error) -> Self {
+        Self { inner, errno: None, others: Vec::new() }
+    }
+}
+
+impl From<gauge_bus::Error> for Error {
+    fn from(error: gauge_bus::Error) -> Self {
+        ti_gauge::error::Error::from(error).into()
+    }
+}
+
+impl From<gauge_bus::BusError> for Error {
+    fn from(error: gauge_bus::BusError) -> Self {
+        ti_gauge::error::Error::from(error).into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_one_line_without_control_characters() {
+        let error = Error::new("/tmp/a\nb", Cause::Busy("process 1 (\x1b]0;x\x07)\nwarning: forged".into()));
+        assert_eq!(error.to_string(), r"/tmp/a\nb: process 1 (\u{1b}]0;x\u{7})\nwarning: forged");
+    }
+}

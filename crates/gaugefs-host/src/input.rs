@@ -1,0 +1,69 @@
+//! Files that a person names on a command line, of which `-` is standard input.
+
+use std::io;
+use std::path::Path;
+
+use gauge_bus::regular;
+use ti_gauge::chip::Chip;
+use ti_gauge::image::{self, Image, Reading};
+
+use crate::error::{Error, Result};
+
+/// What stands for standard input in place of a file.
+const STANDARD_INPUT: &str = "-";
+
+/// A configuration file, read once for any number of gauges.
+pub struct Source {
+    /// What to call it in messages.
+    pub name: String,
+    /// Its content.
+    pub bytes: Vec<u8>,
+}
+
+impl Source {
+    /// Reads a file, or standard input where the path is `-`.
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::of(name(path), read_file(path, image::LONGEST))
+    }
+
+    fn of(name: String, bytes: io::Result<Vec<u8>>) -> Result<Self> {
+        let bytes = bytes.map_err(|error| Error::io(&name, "cannot be read", &error))?;
+        Ok(Self { name, bytes })
+    }
+
+    /// What is in it. `chip` is what it is for where it does not say so itself. An image that holds firmware as well is
+    /// refused, unless only its data flash is asked for.
+    pub fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
+        let reading = self.examine(chip, data_flash);
+        match Error::of_file(&reading.faults) {
+            Some(error) => Err(error.within(&self.name)),
+            None => Ok(reading.whole()?),
+        }
+    }
+
+    /// Reads what is in it as far as it goes, and lists all mistakes.
+    pub fn examine(&self, chip: Option<&'static Chip>, data_flash: bool) -> Reading {
+        let mut reading = Image::examine(&self.name, &self.bytes, chip);
+        if let Some(Err(error)) = reading.image.as_ref().map(|image| image.check_firmware(data_flash)) {
+            let line = reading.image.as_ref().and_then(|image| image.firmware_line);
+            reading.faults.add(line.unwrap_or(0), error);
+        }
+        reading
+    }
+}
+
+/// The bytes of a file, or of standard input where the path is `-`.
+pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    match path == Path::new(STANDARD_INPUT) {
+        true => regular::read_from(io::stdin().lock(), limit),
+        false => regular::read(path, limit),
+    }
+}
+
+/// What to call a file in messages.
+pub fn name(path: &Path) -> String {
+    match path == Path::new(STANDARD_INPUT) {
+        true => "standard input".into(),
+        false => path.display().to_string(),
+    }
+}

@@ -1,0 +1,26 @@
+//! What the commands of gaugefs have in common: an [error](error::Error) with the errno that a file operation answers
+//! with, the checked way to [standard output and standard error](output), the [files](input) that a person names, and the
+//! [folders] of gaugefs's own.
+//!
+//! It is not meant for other programs: `gaugefs-client` is.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+use std::time::Duration;
+
+use ti_gauge::unit;
+
+mod errno;
+pub mod error;
+pub mod folders;
+pub mod input;
+pub mod output;
+
+/// A time of a command line or a configuration file: in seconds, or with a unit such as `2min`.
+pub fn seconds(text: &str, (least, most): (f64, f64)) -> Result<Duration, String> {
+    let seconds = text.parse().ok().or_else(|| unit::measured(text, "s"));
+    match seconds.filter(|seconds| (least..=most).contains(seconds)) {
+        Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
+        None => Err(format!("expected {least} to {most} seconds, or a time such as 2min")),
+    }
+}

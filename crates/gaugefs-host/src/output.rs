@@ -1,0 +1,157 @@
+//! The only way to standard output and to standard error.
+//!
+//! Every write to standard output is checked: what was to be printed and could not be written is a failure of the
+//! command. A reader that has closed the pipe has what it wanted, so nothing more is written, and that is no failure.
+//! Standard error is where failures are told, so a failure to write there is not told anywhere.
+//!
+//! Texts for a person, and JSON, pass through the sanitizer here: names of files, processes and alerts may be anybody's,
+//! and must not control the terminal.
+
+#![expect(clippy::disallowed_methods, reason = "this is the module that the others use instead")]
+
+use std::fmt::Display;
+use std::io::{self, IsTerminal};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::unistd::write;
+use serde::Serialize;
+use ti_gauge::text;
+
+use crate::error::{Error, Result};
+use gauge_bus::regular::{self, Replace};
+
+/// The reader of standard output has closed the pipe.
+static CLOSED: AtomicBool = AtomicBool::new(false);
+/// One text at a time: a long one takes several writes.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// Prints lines for a person. Characters that control a terminal become escapes such as `\u{1b}`.
+pub fn print(text: &str) -> Result<()> {
+    print_file(text::lines(text).as_bytes())
+}
+
+/// Prints a value as one line of JSON.
+pub fn print_json(value: &impl Serialize) -> Result<()> {
+    let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
+    // Such a character can only be in a string of it.
+    let escaped = json.chars().fold(String::with_capacity(json.len() + 1), |mut line, letter| {
+        match text::is_plain(letter) {
+            true => line.push(letter),
+            false => line.push_str(&format!("\\u{:04x}", u32::from(letter))),
+        }
+        line
+    });
+    print_file((escaped + "\n").as_bytes())
+}
+
+/// Prints the content of a file as it is.
+pub fn print_file(bytes: &[u8]) -> Result<()> {
+    // A panic while it was held has left at most half a line behind.
+    let _turn = TURN.lock();
+    if is_closed() {
+        return Ok(());
+    }
+    match write_all(io::stdout().as_fd(), bytes) {
+        Err(Errno::EPIPE) => CLOSED.store(true, Ordering::SeqCst),
+        outcome => {
+            outcome.map_err(|errno| Error::io("", "cannot write standard output", &errno.into()))?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes a file that a person has named, as a whole, or leaves what is there: see [`regular::replace`]. `-` and the
+/// names of standard output are standard output.
+pub fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
+    match is_standard_output(path) {
+        true => print_file(bytes),
+        false => regular::replace(path, bytes, how).map_err(|error| cannot_write(path, &error)),
+    }
+}
+
+/// Whether [`write_file`] would be allowed, before the work for it is done.
+pub fn check_file(path: &Path, how: Replace) -> Result<()> {
+    match is_standard_output(path) {
+        true => Ok(()),
+        false => regular::check_replace(path, how).map_err(|error| cannot_write(path, &error)),
+    }
+}
+
+/// A regular file behind one of these names has a position, and other writers.
+pub fn is_standard_output(path: &Path) -> bool {
+    ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].map(Path::new).contains(&path)
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Error {
+    let errno = match error.kind() {
+        io::ErrorKind::AlreadyExists => Errno::EEXIST,
+        _ => return Error::io(path.display().to_string(), "cannot write it", error),
+    };
+    Error::host(path.display().to_string(), errno, "it is there already")
+}
+
+/// Whether a write has found that the reader of standard output has closed the pipe.
+pub fn is_closed() -> bool {
+    CLOSED.load(Ordering::SeqCst)
+}
+
+/// Whether the reader of standard output is gone, also if nothing was written since: a command that prints until it is
+/// stopped ends.
+pub fn is_unread() -> bool {
+    let out = io::stdout();
+    let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];
+    let is_polled = poll(&mut polled, PollTimeout::ZERO).is_ok_and(|count| count > 0);
+    is_closed() || is_polled && polled[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))
+}
+
+/// Prints a line to standard error, such as `gaugefs: warning: ...`.
+pub fn say(line: impl Display) {
+    print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
+}
+
+/// Prints an error to standard error: of a file all that is wrong with it.
+pub fn say_error(error: &Error) {
+    error.lines().for_each(say);
+}
+
+/// Prints a text to standard error as it is.
+pub fn print_error(text: &str) {
+    let _ = write_all(io::stderr().as_fd(), text.as_bytes());
+}
+
+/// Whether a person sees what is printed.
+pub fn is_terminal() -> bool {
+    io::stdout().is_terminal()
+}
+
+/// Whether a person sees standard error.
+pub fn errors_are_seen() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// Writes to a descriptor itself. The standard library takes one that is not open for writing for one that takes all.
+fn write_all(to: BorrowedFd<'_>, mut bytes: &[u8]) -> nix::Result<()> {
+    while !bytes.is_empty() {
+        match write(to, bytes) {
+            Ok(0) => return Err(Errno::EIO),
+            Ok(written) => bytes = &bytes[written..],
+            Err(Errno::EINTR) => {}
+            // Another process has made the terminal or the pipe non-blocking.
+            Err(Errno::EAGAIN) => {
+                poll(&mut [PollFd::new(to, PollFlags::POLLOUT)], PollTimeout::NONE).map(drop).or_else(
+                    |errno| match errno {
+                        Errno::EINTR => Ok(()),
+                        errno => Err(errno),
+                    },
+                )?;
+            }
+            Err(errno) => return Err(errno),
+        }
+    }
+    Ok(())
+}

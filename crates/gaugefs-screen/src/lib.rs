@@ -1,0 +1,57 @@
+//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait` and
+//! `metrics`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
+//!
+//! All that they have of a gauge is `gaugefs-client`.
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Subcommand;
+
+use gaugefs_host::error::Result;
+
+pub mod alert;
+mod decimal;
+mod learn;
+mod learning;
+mod log;
+mod metrics;
+mod plot;
+mod thin;
+mod ticks;
+mod top;
+mod wait;
+
+/// The commands of this crate.
+#[derive(Debug, Subcommand)]
+#[allow(missing_docs, reason = "clap would take it for the description of the subcommand")]
+pub enum Command {
+    Top(top::Top),
+    Learn(learn::Learn),
+    Log(log::Log),
+    Plot(plot::Plot),
+    Wait(wait::Wait),
+    Metrics(metrics::Metrics),
+}
+
+impl Command {
+    /// Carries it out.
+    pub fn run(self) -> Result<ExitCode> {
+        match self {
+            Self::Top(top) => top.run(),
+            Self::Learn(learn) => learn.run(),
+            Self::Log(log) => log.run(),
+            Self::Plot(plot) => plot.run(),
+            Self::Wait(wait) => wait.run(),
+            Self::Metrics(metrics) => metrics.run(),
+        }
+    }
+}
+
+/// The value of `--interval`.
+fn seconds(text: &str) -> Result<Duration, String> {
+    gaugefs_host::seconds(text, (0.1, 86400.0))
+}

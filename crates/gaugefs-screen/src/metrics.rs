@@ -1,0 +1,227 @@
+//! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
+
+use std::collections::HashMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular::Replace;
+
+use gaugefs_client::follow;
+use gaugefs_client::mounts;
+use gaugefs_client::watch::supplies;
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::{print_file, say, write_file};
+
+mod expected;
+mod page;
+mod serve;
+
+use page::{Mount, Up};
+
+const METRICS: &str = "\
+Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
+learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
+firmware and serial number as labels of gaugefs_chip_info. They have the label power_supply, as
+node_exporter's have it. docs/FLEET.md lists them.
+
+gaugefs_mount_up is 0 for a mount whose daemon does not answer, and for one that is gone although it
+is expected: by --expect, or else by a file in /etc/gaugefs. Another user's private mount has none.
+
+Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
+gauge/seal gets the seal of some parts only, and no poll interval.
+
+Examples:
+  gaugefs metrics
+  gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
+  gaugefs metrics --listen 127.0.0.1:9947
+  gaugefs metrics --listen unix:/run/gaugefs-metrics.sock";
+
+/// The most threads that read one mount, for as many clients at once.
+const MOST: usize = 8;
+
+/// Print metrics of mounted gauges for Prometheus
+#[derive(Args, Debug)]
+#[command(after_help = METRICS)]
+pub struct Metrics {
+    /// Mount points [default: every mounted gaugefs]
+    mountpoints: Vec<PathBuf>,
+    /// Mount point, or name of a file in /etc/gaugefs, that is reported as down when it is gone [default:
+    /// what the files in /etc/gaugefs name]
+    #[arg(long, value_name = "PATH|NAME")]
+    expect: Vec<PathBuf>,
+    /// File to replace as a whole, for node_exporter's textfile collector [default: -, standard
+    /// output]
+    #[arg(short, long, value_name = "FILE", conflicts_with = "listen")]
+    output: Option<PathBuf>,
+    /// Write the file again and again, with this time in between
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds, requires = "output")]
+    interval: Option<Duration>,
+    /// Answer HTTP requests at HOST:PORT, or at unix:PATH
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<serve::Address>,
+    /// Text format [default: text with -o, what the client asks for with --listen, else openmetrics]
+    #[arg(long, value_enum, conflicts_with = "listen")]
+    format: Option<Format>,
+}
+
+/// The text formats of Prometheus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    #[value(name = "openmetrics")]
+    OpenMetrics,
+    // The older one, which node_exporter's textfile collector reads.
+    Text,
+}
+
+impl Metrics {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let reader = Reader::new(self.mountpoints, &self.expect);
+        if let Some(address) = &self.listen {
+            return serve::run(address, &reader);
+        }
+        let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
+        let format = self.format.unwrap_or(default);
+        let Some(file) = &self.output else {
+            print_file(reader.page(format).as_bytes())?;
+            return Ok(ExitCode::SUCCESS);
+        };
+        loop {
+            // The collector may read it at any moment.
+            write_file(file, reader.page(format).as_bytes(), Replace::Kept)?;
+            let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
+            RealClock::new().sleep(interval);
+        }
+    }
+}
+
+/// Reads mounts.
+#[derive(Debug)]
+struct Reader {
+    /// Mount points; none for every mounted gaugefs.
+    mountpoints: Vec<PathBuf>,
+    /// Those that ought to be there besides; none for what the configuration names.
+    expected: Vec<PathBuf>,
+    /// How many threads read each mount. One whose daemon hangs keeps them.
+    threads: Mutex<HashMap<PathBuf, usize>>,
+}
+
+impl Reader {
+    fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf]) -> Arc<Self> {
+        let expected = expect.iter().map(|word| expected::named(word)).collect();
+        Arc::new(Self { mountpoints, expected, threads: Mutex::default() })
+    }
+
+    /// The mounts of a page.
+    fn mounts(&self) -> Vec<PathBuf> {
+        let (mut all, mut expected) = (self.mountpoints.clone(), self.expected.clone());
+        if all.is_empty() {
+            all = mounts::list();
+            if expected.is_empty() {
+                expected = expected::configured();
+            }
+        }
+        for path in expected {
+            if !all.contains(&path) {
+                all.push(path);
+            }
+        }
+        all
+    }
+
+    fn threads(&self) -> MutexGuard<'_, HashMap<PathBuf, usize>> {
+        // A panic cannot leave the counts half changed.
+        self.threads.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
+    /// while too many threads wait for it.
+    fn page(self: &Arc<Self>, format: Format) -> String {
+        let begun = Instant::now();
+        let all = self.mounts();
+        let (sender, found) = mpsc::channel();
+        for (number, path) in all.iter().cloned().enumerate() {
+            let (reader, sender) = (self.clone(), sender.clone());
+            match self.threads().entry(path.clone()).or_default() {
+                &mut MOST => continue,
+                count => *count += 1,
+            }
+            let work = move || {
+                // Nobody listens any more to a mount that was silent for too long.
+                let report = |seen| sender.send((number, seen)).is_ok();
+                let up = match read(&path, |gauge| report(Seen::Gauge(gauge))) {
+                    Ok(()) => Up::Yes,
+                    // The kernel keeps everybody else out of a private mount, so it may be as well as it likes.
+                    Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Up::Unknown,
+                    Err(_) => Up::No,
+                };
+                report(Seen::End(up));
+                reader.threads().entry(path).and_modify(|count| *count -= 1);
+            };
+            if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
+                self.threads().entry(all[number].clone()).and_modify(|count| *count -= 1);
+                say(Error::io("", "cannot start a thread", &error));
+            }
+        }
+        drop(sender);
+        let mut mounts: Vec<_> =
+            all.into_iter().map(|path| Mount { path, up: Up::No, gauges: Vec::new() }).collect();
+        while let Ok((number, seen)) = found.recv_timeout(follow::PATIENCE) {
+            match seen {
+                Seen::Gauge(gauge) => mounts[number].gauges.push(gauge),
+                Seen::End(up) => mounts[number].up = up,
+            }
+        }
+        page::render(&mounts, begun.elapsed(), format)
+    }
+}
+
+/// What a thread reports of a mount.
+enum Seen {
+    Gauge(page::Gauge),
+    /// There are no more.
+    End(Up),
+}
+
+/// Reads the gauges of a mount, and reports each.
+fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
+    let names = page::names();
+    // Where a mount is gone there may be something else, even supplies of the kernel's.
+    if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
+        return Err(io::ErrorKind::NotFound.into());
+    }
+    for folder in supplies(path)? {
+        // One that goes away meanwhile is not there.
+        let Ok(texts) = follow::all(&folder, &names) else { continue };
+        if !report(page::Gauge { name: follow::folder_name(&folder), texts }) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mount_that_keeps_its_readers_gets_no_more_of_them() {
+        let path = PathBuf::from("/no/such/mount");
+        let reader = Reader::new(vec![path.clone()], &[]);
+        let count = || reader.threads().get(&path).copied();
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        // The page is ready a moment before the thread has ended.
+        let start = Instant::now();
+        while count() != Some(0) {
+            assert!(start.elapsed() < Duration::from_secs(30), "{:?}", count());
+            std::thread::yield_now();
+        }
+        reader.threads().insert(path.clone(), MOST);
+        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        assert_eq!(count(), Some(MOST));
+    }
+}

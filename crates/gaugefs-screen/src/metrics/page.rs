@@ -1,0 +1,423 @@
+//! The metrics of gauges as text. One row of [`METRICS`] is one metric.
+//!
+//! Names and units follow Prometheus's rules: base units, `_total` for counters, `_info` for labels. A gauge that does
+//! not have a value has no series of it. What a file says is a number, or is escaped in a label: a line end in it
+//! begins no series.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use jiff::Timestamp;
+use ti_gauge::chip::Chip;
+use ti_gauge::learning::Bits;
+
+use super::Format;
+use gaugefs_client::condition::Texts;
+
+/// A mount, and its gauges as far as they have answered.
+pub(super) struct Mount {
+    pub(super) path: PathBuf,
+    pub(super) up: Up,
+    pub(super) gauges: Vec<Gauge>,
+}
+
+/// Whether the daemon of a mount answers.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Up {
+    Yes,
+    No,
+    /// It is private to another user.
+    Unknown,
+}
+
+/// A gauge's folder.
+pub(super) struct Gauge {
+    pub(super) name: String,
+    pub(super) texts: Texts,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Gauge,
+    Counter,
+    Info,
+}
+
+/// One metric of a gauge.
+struct Metric {
+    /// With its unit, without `_total` and `_info`.
+    name: &'static str,
+    kind: Kind,
+    /// The end of the name, if it is one of OpenMetrics' units.
+    unit: &'static str,
+    help: &'static str,
+    /// Labels and value of each series.
+    series: fn(&Gauge) -> Vec<(Labels, f64)>,
+}
+
+type Labels = Vec<(&'static str, String)>;
+
+const fn gauge(
+    name: &'static str,
+    unit: &'static str,
+    help: &'static str,
+    series: fn(&Gauge) -> Vec<(Labels, f64)>,
+) -> Metric {
+    Metric { name, kind: Kind::Gauge, unit, help, series }
+}
+
+const fn counter(name: &'static str, help: &'static str, series: fn(&Gauge) -> Vec<(Labels, f64)>) -> Metric {
+    Metric { name, kind: Kind::Counter, unit: "", help, series }
+}
+
+static METRICS: &[Metric] = &[
+    Metric {
+        name: "gaugefs_chip",
+        kind: Kind::Info,
+        unit: "",
+        help: "Part, firmware, chemistry and serial number.",
+        series: info,
+    },
+    gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", |gauge| {
+        one(gauge.flag("present"))
+    }),
+    gauge("gaugefs_poll_age_seconds", "seconds", "Age of the values.", |gauge| {
+        one(gauge.number("gauge/age_ms").map(|ms| ms / 1000.0))
+    }),
+    gauge("gaugefs_poll_interval_seconds", "seconds", "Time between two polls.", |gauge| {
+        one(gauge.number("gauge/poll_interval"))
+    }),
+    counter("gaugefs_polls", "Polls that succeeded since the mount.", |gauge| one(gauge.statistic("polls"))),
+    counter("gaugefs_failed_polls", "Polls that failed since the mount.", |gauge| {
+        one(gauge.statistic("failed_polls"))
+    }),
+    counter("gaugefs_bus_transfers", "I2C transfers since the mount.", |gauge| {
+        one(gauge.statistic("transfers"))
+    }),
+    counter("gaugefs_bus_retries", "I2C transfers that were repeated since the mount.", |gauge| {
+        one(gauge.statistic("retries"))
+    }),
+    counter("gaugefs_flash_writes", "Blocks of data flash programmed since the mount.", |gauge| {
+        one(gauge.statistic("flash_writes"))
+    }),
+    counter("gaugefs_resets", "Resets sent to the gauge since the mount.", |gauge| {
+        one(gauge.statistic("resets"))
+    }),
+    gauge("gaugefs_state_of_health_ratio", "ratio", "StateOfHealth(), 1 for a new pack.", |gauge| {
+        one(gauge.number("state_of_health").map(|percent| percent / 100.0))
+    }),
+    gauge("gaugefs_capacity_error_ratio", "ratio", "MaxError(), the error margin of capacity.", |gauge| {
+        one(gauge.number("capacity_error_margin").map(|percent| percent / 100.0))
+    }),
+    gauge(
+        "gaugefs_control_status",
+        "",
+        "Bits of CONTROL_STATUS that concern learning: 1 while the bit is set.",
+        control_status,
+    ),
+    gauge("gaugefs_update_status", "", "Update Status, as LearnedStatus() shows it.", |gauge| {
+        let bits = gauge.text("gauge/learned_status");
+        one(bits.map(|bits| f64::from(Bits::named(bits.split_whitespace()).update_status())))
+    }),
+    gauge("gaugefs_seal_state", "", "1 for the state in which the gauge is.", seal),
+    gauge("gaugefs_owed", "", "1 while a write or a seal is neither done nor undone.", |gauge| {
+        one(gauge.flag("gauge/owed"))
+    }),
+    gauge(
+        "gaugefs_memory_lost",
+        "",
+        "1 while the gauge reports that its RAM has lost the configuration.",
+        |gauge| one(gauge.flag("gauge/itpor")),
+    ),
+    gauge(
+        "gaugefs_last_error_timestamp_seconds",
+        "seconds",
+        "Time of the last failure, as in gauge/last_error.",
+        |gauge| {
+            let time = gauge.text("gauge/last_error").and_then(|text| text.split_once(": ")?.0.parse().ok());
+            one(time.map(|time: Timestamp| time.as_second() as f64))
+        },
+    ),
+];
+
+/// Bits of CONTROL_STATUS that concern learning.
+const LEARNING: [&str; 5] = ["QEN", "VOK", "RUP_DIS", "QMAX_UP", "RES_UP"];
+
+/// The files that the metrics come from, except for the attributes.
+pub(super) fn names() -> [String; 16] {
+    [
+        "age_ms",
+        "poll_interval",
+        "control_status",
+        "learned_status",
+        "seal",
+        "owed",
+        "itpor",
+        "last_error",
+        "firmware_version",
+        "chem_id",
+        "statistics/polls",
+        "statistics/failed_polls",
+        "statistics/transfers",
+        "statistics/retries",
+        "statistics/flash_writes",
+        "statistics/resets",
+    ]
+    .map(|name| format!("gauge/{name}"))
+}
+
+/// The one series of a gauge.
+fn one(value: Option<f64>) -> Vec<(Labels, f64)> {
+    value.map(|value| (Labels::new(), value)).into_iter().collect()
+}
+
+impl Gauge {
+    fn text(&self, name: &str) -> Option<&str> {
+        self.texts.get(name).map(String::as_str)
+    }
+
+    fn number(&self, name: &str) -> Option<f64> {
+        self.text(name)?.parse().ok().filter(|number: &f64| number.is_finite())
+    }
+
+    /// A file that holds 0 or 1.
+    fn flag(&self, name: &str) -> Option<f64> {
+        self.number(name).filter(|flag| [0.0, 1.0].contains(flag))
+    }
+
+    fn statistic(&self, name: &str) -> Option<f64> {
+        self.number(&format!("gauge/statistics/{name}"))
+    }
+
+    fn chip(&self) -> Option<&'static Chip> {
+        let model = self.text("model_name")?;
+        Chip::by_model(model)
+    }
+
+    /// Whether a bit of CONTROL_STATUS is set; `None` if the part does not have it.
+    fn bit(&self, name: &str) -> Option<bool> {
+        self.chip()?.control_status.iter().find(|bit| bit.name == name)?;
+        Some(self.text("gauge/control_status")?.split_whitespace().any(|set| set == name))
+    }
+}
+
+fn info(gauge: &Gauge) -> Vec<(Labels, f64)> {
+    let files = [
+        ("model", "model_name"),
+        ("serial_number", "serial_number"),
+        ("firmware", "gauge/firmware_version"),
+        ("chem_id", "gauge/chem_id"),
+        ("technology", "technology"),
+    ];
+    let labels: Labels =
+        files.iter().filter_map(|(label, file)| Some((*label, gauge.text(file)?.to_string()))).collect();
+    if labels.is_empty() { Vec::new() } else { vec![(labels, 1.0)] }
+}
+
+fn control_status(gauge: &Gauge) -> Vec<(Labels, f64)> {
+    let rows = LEARNING
+        .iter()
+        .filter_map(|name| Some((vec![("bit", name.to_string())], f64::from(u8::from(gauge.bit(name)?)))));
+    rows.collect()
+}
+
+/// From `gauge/seal`, which not everybody may read, or else from CONTROL_STATUS of the parts that show it there.
+fn seal(gauge: &Gauge) -> Vec<(Labels, f64)> {
+    let by_bits = || match (gauge.bit("SS")?, gauge.bit("FAS")?) {
+        (true, _) => Some("sealed"),
+        (false, true) => Some("unsealed"),
+        (false, false) => Some("full-access"),
+    };
+    let Some(state) = gauge.text("gauge/seal").or_else(by_bits) else { return Vec::new() };
+    let states = ["sealed", "unsealed", "full-access"];
+    states
+        .map(|name| (vec![("state", name.to_string())], f64::from(u8::from(name == state))))
+        .into_iter()
+        .collect()
+}
+
+/// The whole page.
+pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String {
+    let mut page = Page { text: String::new(), format };
+    page.head("gaugefs_build", Kind::Info, "", "Version of the gaugefs that reads the mounts.");
+    page.sample("gaugefs_build", Kind::Info, &[("version", env!("CARGO_PKG_VERSION").into())], 1.0);
+    page.head("gaugefs_read_duration_seconds", Kind::Gauge, "seconds", "Time taken to read all gauges.");
+    page.sample("gaugefs_read_duration_seconds", Kind::Gauge, &[], took.as_micros() as f64 / 1e6);
+    page.head("gaugefs_mount_up", Kind::Gauge, "", "Whether the daemon of the mount answers.");
+    let place = |mount: &Mount| ("mountpoint", mount.path.display().to_string());
+    for mount in mounts {
+        let up = match mount.up {
+            Up::Yes => 1.0,
+            Up::No => 0.0,
+            Up::Unknown => continue,
+        };
+        page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], up);
+    }
+    for metric in METRICS {
+        let mut is_first = true;
+        for mount in mounts {
+            for gauge in &mount.gauges {
+                for (labels, value) in (metric.series)(gauge) {
+                    if std::mem::take(&mut is_first) {
+                        page.head(metric.name, metric.kind, metric.unit, metric.help);
+                    }
+                    let all = [place(mount), ("power_supply", gauge.name.clone())];
+                    let all: Labels = all.into_iter().chain(labels).collect();
+                    page.sample(metric.name, metric.kind, &all, value);
+                }
+            }
+        }
+    }
+    if format == Format::OpenMetrics {
+        page.text += "# EOF\n";
+    }
+    page.text
+}
+
+struct Page {
+    text: String,
+    format: Format,
+}
+
+impl Page {
+    /// In the older format, the metric has the name of its samples, there are no units, and what OpenMetrics calls an
+    /// info is a gauge.
+    fn head(&mut self, name: &str, kind: Kind, unit: &str, help: &str) {
+        let is_open = self.format == Format::OpenMetrics;
+        let end = if is_open { "" } else { end(kind) };
+        let kind = match kind {
+            Kind::Counter => "counter",
+            Kind::Info if is_open => "info",
+            Kind::Info | Kind::Gauge => "gauge",
+        };
+        // Writing to a String does not fail.
+        let help = escaped(help);
+        let _ = writeln!(self.text, "# HELP {name}{end} {help}\n# TYPE {name}{end} {kind}");
+        if is_open && !unit.is_empty() {
+            let _ = writeln!(self.text, "# UNIT {name} {unit}");
+        }
+    }
+
+    fn sample(&mut self, name: &str, kind: Kind, labels: &[(&'static str, String)], value: f64) {
+        let labels: Vec<_> =
+            labels.iter().map(|(name, text)| format!("{name}=\"{}\"", escaped(text))).collect();
+        let labels = if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };
+        let _ = writeln!(self.text, "{name}{}{labels} {value}", end(kind));
+    }
+}
+
+/// A text in a label, or in the help of OpenMetrics.
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+}
+
+/// What the names of samples end in.
+fn end(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Gauge => "",
+        Kind::Counter => "_total",
+        Kind::Info => "_info",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mount() -> Mount {
+        let rows = [
+            ("present", "1"),
+            ("model_name", "bq34z100-G1"),
+            ("serial_number", "0a10"),
+            ("state_of_health", "97"),
+            ("gauge/age_ms", "1500"),
+            ("gauge/control_status", "FAS SS VOK QEN"),
+            ("gauge/learned_status", "CF1 ITEN"),
+            ("gauge/statistics/failed_polls", "3"),
+            ("gauge/owed", "0"),
+            ("gauge/last_error", "2026-11-22T05:40:12Z: df/80/53: refused"),
+        ];
+        let texts = rows.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
+        let gauges = vec![Gauge { name: "BAT0".into(), texts }];
+        Mount { path: "/a\"b".into(), up: Up::Yes, gauges }
+    }
+
+    #[test]
+    fn a_page_has_the_values_of_the_files_in_base_units() {
+        let gone = Mount { path: "/gone".into(), up: Up::No, gauges: Vec::new() };
+        let page = render(&[mount(), gone], Duration::from_millis(12), Format::OpenMetrics);
+        let of = "{mountpoint=\"/a\\\"b\",power_supply=\"BAT0\"";
+        for line in [
+            "gaugefs_mount_up{mountpoint=\"/gone\"} 0".to_string(),
+            "gaugefs_read_duration_seconds 0.012".into(),
+            "# TYPE gaugefs_chip info".into(),
+            format!("gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0a10\"}} 1"),
+            "# UNIT gaugefs_poll_age_seconds seconds".into(),
+            format!("gaugefs_poll_age_seconds{of}}} 1.5"),
+            "# TYPE gaugefs_failed_polls counter".into(),
+            format!("gaugefs_failed_polls_total{of}}} 3"),
+            format!("gaugefs_state_of_health_ratio{of}}} 0.97"),
+            format!("gaugefs_control_status{of},bit=\"VOK\"}} 1"),
+            format!("gaugefs_control_status{of},bit=\"RUP_DIS\"}} 0"),
+            format!("gaugefs_update_status{of}}} 6"),
+            format!("gaugefs_seal_state{of},state=\"sealed\"}} 1"),
+            format!("gaugefs_seal_state{of},state=\"full-access\"}} 0"),
+            format!("gaugefs_owed{of}}} 0"),
+            format!("gaugefs_last_error_timestamp_seconds{of}}} 1795326012"),
+        ] {
+            assert!(page.lines().any(|found| found == line), "{line} is not in:\n{page}");
+        }
+        assert!(page.ends_with("\n# EOF\n"));
+        // What the gauge does not have is not there, nor is its head.
+        assert!(!page.contains("gaugefs_memory_lost") && !page.contains("QMAX_UP"), "{page}");
+    }
+
+    #[test]
+    fn regression_a_line_end_in_a_file_or_a_name_begins_no_series() {
+        let evil = "1\nevil_series 666\n# HELP evil \"\\".to_string();
+        let tricky = "a,b=\"c\"}\u{1b}[2J\ré";
+        let names = [
+            "present",
+            "model_name",
+            "serial_number",
+            "technology",
+            "state_of_health",
+            "capacity_error_margin",
+        ];
+        let names = names.map(String::from).into_iter().chain(super::names());
+        let texts = names.map(|name| (name, evil.clone())).collect();
+        let path = "/run/a\nevil_mount 1".into();
+        let named = Gauge { name: tricky.into(), texts: mount().gauges.remove(0).texts };
+        let all = [
+            Mount {
+                path,
+                up: Up::Yes,
+                gauges: vec![Gauge { name: evil.clone(), texts }, named, mount().gauges.remove(0)],
+            },
+            Mount { path: "/private".into(), up: Up::Unknown, gauges: Vec::new() },
+        ];
+        for format in [Format::OpenMetrics, Format::Text] {
+            let page = render(&all, Duration::ZERO, format);
+            for line in page.lines() {
+                let is_ours = ["gaugefs_", "# HELP gaugefs_", "# TYPE gaugefs_", "# UNIT gaugefs_", "# EOF"];
+                assert!(is_ours.iter().any(|ours| line.starts_with(ours)), "{line}");
+            }
+            assert!(page.contains("serial_number=\"1\\nevil_series 666\\n# HELP evil \\\"\\\\\""), "{page}");
+            assert!(page.contains("gaugefs_mount_up{mountpoint=\"/run/a\\nevil_mount 1\"} 1\n"), "{page}");
+            assert!(!page.contains("/private"), "another user's: {page}");
+            // A quoted comma or brace ends nothing, and other characters are as they are: a label may have any.
+            let label = "power_supply=\"a,b=\\\"c\\\"}\u{1b}[2J\ré\"";
+            let rows = page.split('\n').filter(|line| line.contains(label));
+            assert!(rows.filter(|line| line.ends_with("} 0.97")).count() == 1, "{page}");
+        }
+    }
+
+    #[test]
+    fn the_older_format_names_metrics_as_their_samples() {
+        let page = render(&[mount()], Duration::ZERO, Format::Text);
+        let has = |line: &str| page.lines().any(|found| found == line);
+        assert!(has("# TYPE gaugefs_failed_polls_total counter") && has("# TYPE gaugefs_chip_info gauge"));
+        assert!(!page.contains("# UNIT") && !page.contains("# EOF"), "{page}");
+    }
+}

@@ -1,0 +1,170 @@
+//! One page over HTTP, at `/metrics`.
+//!
+//! It answers GET and closes the connection: what Prometheus asks for is no more than that. What a client sends is
+//! limited in time and in size, and so is the number of clients.
+
+use std::fs;
+use std::io::{self, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::{Format, MOST, Reader};
+use gauge_bus::clock::{Clock, RealClock};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::say;
+
+/// A client has this long to send a request, and to take the answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// The longest request, with its headers.
+const LONGEST: usize = 8192;
+/// Time after a connection that failed.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Where clients connect.
+#[derive(Clone, Debug)]
+pub(super) enum Address {
+    Tcp(String),
+    Unix(PathBuf),
+}
+
+impl FromStr for Address {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.strip_prefix("unix:") {
+            Some("") => Err("expected a path after unix:".into()),
+            Some(path) => Ok(Self::Unix(path.into())),
+            None if text.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok()) => {
+                Ok(Self::Tcp(text.into()))
+            }
+            None => Err("expected HOST:PORT, such as 127.0.0.1:9947, or unix:PATH".into()),
+        }
+    }
+}
+
+/// A connection whose calls have a time limit.
+trait Connection: Read + Write {
+    fn limit(&self, time: Duration) -> io::Result<()>;
+}
+
+impl Connection for TcpStream {
+    fn limit(&self, time: Duration) -> io::Result<()> {
+        self.set_read_timeout(Some(time)).and_then(|()| self.set_write_timeout(Some(time)))
+    }
+}
+
+impl Connection for UnixStream {
+    fn limit(&self, time: Duration) -> io::Result<()> {
+        self.set_read_timeout(Some(time)).and_then(|()| self.set_write_timeout(Some(time)))
+    }
+}
+
+/// Answers until the process ends.
+pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
+    match address {
+        Address::Tcp(address) => {
+            let listener = TcpListener::bind(address.as_str())
+                .map_err(|error| Error::io(address, "cannot listen there", &error))?;
+            // Port 0 is any that is free.
+            let here = listener.local_addr().map_or_else(|_| address.clone(), |here| here.to_string());
+            say(format_args!("http://{here}/metrics"));
+            accept(|| listener.accept().map(|(client, _)| client), reader)
+        }
+        Address::Unix(path) => {
+            let listener = bind(path)
+                .map_err(|error| Error::io(path.display().to_string(), "cannot listen there", &error))?;
+            accept(|| listener.accept().map(|(client, _)| client), reader)
+        }
+    }
+}
+
+/// Takes the place of a socket that nobody listens at any more.
+fn bind(path: &Path) -> io::Result<UnixListener> {
+    let bound = UnixListener::bind(path);
+    let is_in_use = bound.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::AddrInUse);
+    let is_left = || {
+        fs::symlink_metadata(path).is_ok_and(|status| status.file_type().is_socket())
+            && UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused)
+    };
+    if is_in_use && is_left() {
+        fs::remove_file(path)?;
+        return UnixListener::bind(path);
+    }
+    bound
+}
+
+fn accept<C: Connection + Send + 'static>(
+    next: impl Fn() -> io::Result<C>,
+    reader: &Arc<Reader>,
+) -> Result<ExitCode> {
+    // Each client has one, and so has this loop.
+    let clients = Arc::new(());
+    loop {
+        let mut client = match next() {
+            Ok(client) if Arc::strong_count(&clients) <= MOST => client,
+            Ok(_) => continue,
+            Err(_) => {
+                // A client that is gone already, or too many open files, which would fail again at once.
+                RealClock::new().sleep(PAUSE);
+                continue;
+            }
+        };
+        let (reader, held) = (reader.clone(), clients.clone());
+        let serve = move || {
+            // A client that goes away gets no answer.
+            let _ = answer(&mut client, &reader);
+            drop(held);
+        };
+        if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(serve) {
+            say(Error::io("", "cannot start a thread", &error));
+        }
+    }
+}
+
+fn answer(client: &mut impl Connection, reader: &Arc<Reader>) -> io::Result<()> {
+    client.limit(PATIENCE)?;
+    let Some(request) = request(client)? else { return respond(client, "400 Bad Request", "text/plain", "") };
+    let mut words = request.lines().next().unwrap_or_default().split(' ');
+    let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    match (method, target.split('?').next().unwrap_or_default()) {
+        ("GET", "/metrics") => {
+            let is_open = request.to_ascii_lowercase().contains("application/openmetrics-text");
+            let (format, kind) = if is_open {
+                (Format::OpenMetrics, "application/openmetrics-text; version=1.0.0; charset=utf-8")
+            } else {
+                (Format::Text, "text/plain; version=0.0.4; charset=utf-8")
+            };
+            respond(client, "200 OK", kind, &reader.page(format))
+        }
+        ("GET", _) => respond(client, "404 Not Found", "text/plain", "the metrics are at /metrics\n"),
+        _ => respond(client, "405 Method Not Allowed\r\nAllow: GET", "text/plain", ""),
+    }
+}
+
+/// The head of a request; `None` if it is too long, late or cut off.
+fn request(client: &mut impl Connection) -> io::Result<Option<String>> {
+    let (begun, mut head, mut bytes) = (Instant::now(), Vec::new(), [0; 1024]);
+    while !head.windows(4).any(|end| end == b"\r\n\r\n") {
+        let count = client.read(&mut bytes)?;
+        head.extend_from_slice(&bytes[..count]);
+        if count == 0 || head.len() > LONGEST || begun.elapsed() > PATIENCE {
+            return Ok(None);
+        }
+    }
+    Ok(Some(String::from_utf8_lossy(&head).into_owned()))
+}
+
+fn respond(client: &mut impl Connection, status: &str, kind: &str, body: &str) -> io::Result<()> {
+    let length = body.len();
+    write!(
+        client,
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
+    )?;
+    client.flush()
+}

@@ -1,0 +1,183 @@
+//! `gaugefs top`: a live screen of all mounted gauges, or the same as JSON lines.
+//!
+//! It reads only files that cause no transfer. It reads data flash when a key asks for it, and once a minute
+//! while the gauge is unsealed anyway and the screen shows the learned values.
+
+use std::collections::BTreeMap;
+use std::io::{self, IsTerminal};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use nix::errno::Errno;
+use serde::Serialize;
+use serde_json::Value;
+
+use gaugefs_client::sample::Sample;
+use gaugefs_client::watch::{Report, Seen, Watch};
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output::{self, print_json};
+
+mod draw;
+mod history;
+mod model;
+#[cfg(test)]
+mod picture;
+mod terminal;
+#[cfg(test)]
+mod tests;
+
+const TOP: &str = "\
+Keys: q quit, arrows or tab select a gauge, v i c t quantity, + - time span, l learning,
+p pause, r poll now, d read data flash, ? help.
+
+Watching causes no bus traffic: the values come from the polls of the mount. Only the learned
+values are read from data flash: when d is pressed, which unseals a sealed gauge and seals it
+again, and once a minute while l shows them and the gauge is unsealed anyway.
+
+Examples:
+  gaugefs top
+  gaugefs top /run/gauges/BAT0
+  gaugefs top --json --interval 10 --count 6";
+
+/// Show mounted gauges and their history on a live screen
+#[derive(Args, Debug)]
+#[command(after_help = TOP)]
+pub struct Top {
+    /// Mount point, or folder of a mounted gauge [default: all mounted gauges]
+    gauge: Option<PathBuf>,
+    /// Print JSON instead, one object per line for each gauge and interval
+    #[arg(long)]
+    json: bool,
+    /// Time between two updates
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = super::seconds)]
+    interval: Duration,
+    /// Stop after this many objects for each gauge
+    #[arg(long, value_name = "N", requires = "json", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+}
+
+impl Top {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let terminal = output::is_terminal() && io::stdin().is_terminal();
+        if !(self.json || terminal) {
+            let why = "not a terminal; use --json in a program";
+            return Err(Error::host("standard output", Errno::ENOTTY, why));
+        }
+        let watch = Watch::start(self.gauge.as_deref(), Some(self.interval))?;
+        if self.json {
+            return self.stream(watch);
+        }
+        terminal::run(watch, self.interval)?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn stream(&self, mut watch: Watch) -> Result<ExitCode> {
+        let mut printed: Vec<(PathBuf, u64)> = Vec::new();
+        let mut searched = Instant::now();
+        loop {
+            let report = watch.next(self.interval);
+            if report.is_none() || searched.elapsed() >= self.interval {
+                searched = Instant::now();
+                watch.find_mounts()?;
+            }
+            let Some(report) = report else { continue };
+            // What is wrong with a mount is wrong with each gauge that was there.
+            let is_root = watch.roots.contains(&report.gauge);
+            let below: Vec<PathBuf> = printed
+                .iter()
+                .map(|(gauge, _)| gauge)
+                .filter(|gauge| is_root && gauge.starts_with(&report.gauge))
+                .cloned()
+                .collect();
+            if let (Seen::Trouble(why), [_, ..]) = (&report.seen, &*below) {
+                for gauge in below {
+                    let report = Report { root: report.root, gauge, seen: Seen::Trouble(why.clone()) };
+                    self.print(&report, &mut printed)?;
+                }
+            } else {
+                self.print(&report, &mut printed)?;
+            }
+            if output::is_unread() {
+                return Ok(ExitCode::SUCCESS);
+            }
+            // Every mount has reported, and every gauge often enough.
+            let has_reported = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));
+            let enough = self.count.is_some_and(|count| printed.iter().all(|(_, done)| *done >= count));
+            if enough && watch.roots.iter().all(has_reported) {
+                return Ok(ExitCode::SUCCESS);
+            }
+        }
+    }
+
+    /// Prints a report, unless its gauge was printed often enough.
+    fn print(&self, report: &Report, printed: &mut Vec<(PathBuf, u64)>) -> Result<()> {
+        let known = printed.iter().position(|(gauge, _)| *gauge == report.gauge);
+        let path = report.gauge.display().to_string();
+        match &report.seen {
+            Seen::Trouble(why) if known.is_none() && self.gauge.is_some() && printed.is_empty() => {
+                return Err(Error::host(path, Errno::ENOENT, why));
+            }
+            Seen::Sample(_) | Seen::Trouble(_) => {}
+            Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => return Ok(()),
+        }
+        let at = known.unwrap_or_else(|| {
+            printed.push((report.gauge.clone(), 0));
+            printed.len() - 1
+        });
+        if self.count.is_some_and(|count| printed[at].1 >= count) {
+            return Ok(());
+        }
+        printed[at].1 += 1;
+        match &report.seen {
+            Seen::Sample(sample) => print_json(&Line::new(&path, sample)),
+            Seen::Trouble(why) => print_json(&Trouble { path: &path, error: why }),
+            Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => Ok(()),
+        }
+    }
+}
+
+/// One sample of a gauge; attributes have the kernel's names and units.
+#[derive(Serialize)]
+struct Line<'a> {
+    time: String,
+    path: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    age_ms: Option<u64>,
+    #[serde(flatten)]
+    attributes: BTreeMap<&'a str, Value>,
+    bits: BTreeMap<&'a str, Vec<&'a str>>,
+    registers: BTreeMap<&'a str, i64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seal: Option<&'a str>,
+    last_error: &'a str,
+}
+
+/// Why there is no sample.
+#[derive(Serialize)]
+struct Trouble<'a> {
+    path: &'a str,
+    error: &'a str,
+}
+
+impl<'a> Line<'a> {
+    fn new(path: &'a str, sample: &'a Sample) -> Self {
+        let attributes = sample.attributes.iter().map(|(name, value)| {
+            let is_text = ["name", "type", "model_name", "manufacturer"].contains(&name.as_str());
+            let number = value.parse::<i64>().ok().filter(|_| !is_text);
+            (name.as_str(), number.map_or_else(|| Value::from(value.as_str()), Value::from))
+        });
+        let bits = sample.words.iter().map(|(name, bits)| (name.as_str(), bits.split_whitespace().collect()));
+        Self {
+            time: format!("{:.3}", sample.time),
+            path,
+            age_ms: sample.age.map(|age| age.as_millis() as u64),
+            attributes: attributes.collect(),
+            bits: bits.collect(),
+            registers: sample.registers.iter().map(|(name, value)| (name.as_str(), *value)).collect(),
+            seal: sample.seal.as_deref(),
+            last_error: &sample.last_error,
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! Whether a gauge has the chemistry of an image.
+
+use crate::error::{Cause, Error, Result};
+use ti_gauge::chip::Chip;
+
+/// Makes sure that a gauge of that name and CHEM_ID, which `ask` asks a subcommand, has the chemistry of an image for ROM
+/// mode, which an import cannot write. `told` is how a person vouches for it. Returns a line that says so.
+pub(crate) fn check(
+    name: &str,
+    chip: &Chip,
+    expected: u16,
+    (chem_id, told): (&str, &str),
+    ask: impl FnOnce(u16) -> Result<u16>,
+) -> Result<String> {
+    /// Set if the gauge's data of the chemistry does not have the sum that is stored with it.
+    const DIFFERS: u16 = 0x8000;
+    let chem_id = match chem_id {
+        "" => "CHEM_ID unknown".to_string(),
+        id => format!("CHEM_ID {id}"),
+    };
+    let refuse = |why: String| {
+        let why = format!(
+            "{why}. An import does not write the chemistry: program it with TI's tools, or {told} if \
+             the image was made from a gauge with that CHEM_ID"
+        );
+        Err(Error::new(name, Cause::Invalid(why)))
+    };
+    let Some(sum) = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM") else {
+        return refuse(format!("whether it has the image's chemistry is unknown ({chem_id})"));
+    };
+    match ask(sum.code)? {
+        sum if sum == expected => Ok(format!("same chemistry ({chem_id}, checksum 0x{sum:04x})")),
+        sum if sum & DIFFERS != 0 => {
+            refuse(format!("it reports that its own chemistry is damaged ({chem_id}, checksum 0x{sum:04x})"))
+        }
+        sum => refuse(format!(
+            "another chemistry: {chem_id}, checksum 0x{sum:04x}, but the image has checksum 0x{expected:04x}"
+        )),
+    }
+}

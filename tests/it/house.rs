@@ -1,0 +1,209 @@
+//! The structure of the code, read from its `use` lines and paths: within each folder of modules none uses one that uses
+//! it, and no test file uses another one.
+//!
+//! A module counts with everything below it, and may use its parent: what is below is a part of it. Tests within a file
+//! are left out.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+/// The path of a module in its crate.
+type Module = Vec<String>;
+
+/// The modules of a crate and their text without comments and tests.
+fn modules(folder: &Path) -> BTreeMap<Module, String> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![(folder.to_path_buf(), Module::new())];
+    while let Some((folder, parent)) = folders.pop() {
+        for entry in
+            fs::read_dir(folder).expect("a folder of the checkout").map(|entry| entry.expect("an entry"))
+        {
+            let path = entry.path();
+            let stem = path.file_stem().and_then(|stem| stem.to_str()).expect("a name").to_string();
+            let module = match &*stem {
+                "lib" | "main" => parent.clone(),
+                _ => [&parent[..], &[stem]].concat(),
+            };
+            if path.is_dir() {
+                folders.push((path, module));
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let text = fs::read_to_string(path).expect("a file of the checkout");
+                // A crate's library and its program are one.
+                found.entry(module).or_insert_with(String::new).push_str(&plain(&text));
+            }
+        }
+    }
+    found
+}
+
+fn plain(text: &str) -> String {
+    let product = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+    let lines = product.lines().map(|line| line.split("//").next().unwrap_or_default());
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// The paths that a text uses, each a list of names.
+fn paths(text: &str) -> Vec<Vec<String>> {
+    let mut found = Vec::new();
+    let mut rest = String::new();
+    let mut left = text;
+    while let Some(at) = left.find("use ") {
+        let is_word = left[..at].chars().next_back().is_none_or(|before| before.is_whitespace());
+        let (head, tail) = left.split_at(at + "use ".len());
+        rest += head;
+        left = tail;
+        if let Some(end) = tail.find(';').filter(|_| is_word) {
+            expand(&[], &tail[..end], &mut found);
+            left = &tail[end..];
+        }
+    }
+    rest += left;
+    for start in ["crate::", "super::"] {
+        for (at, _) in rest.match_indices(start) {
+            let is_name = |letter: char| letter.is_alphanumeric() || letter == '_' || letter == ':';
+            if rest[..at].chars().next_back().is_some_and(is_name) {
+                continue;
+            }
+            let path: String = rest[at..].chars().take_while(|&letter| is_name(letter)).collect();
+            expand(&[], path.trim_end_matches(':'), &mut found);
+        }
+    }
+    found
+}
+
+/// The paths of a tree such as `super::{a, b::{self, c}}`.
+fn expand(prefix: &[String], tree: &str, found: &mut Vec<Vec<String>>) {
+    let tree = tree.trim();
+    let names = |text: &str| {
+        text.split("::").map(|name| name.trim().to_string()).filter(|name| !name.is_empty()).collect()
+    };
+    let Some((head, inner)) = tree.split_once('{') else {
+        let path: Vec<String> = names(tree.split(" as ").next().unwrap_or_default());
+        return found.push([prefix, &path[..]].concat());
+    };
+    let head: Vec<String> = names(head);
+    let prefix = [prefix, &head[..]].concat();
+    let (mut depth, mut part) = (0, String::new());
+    for letter in inner.strip_suffix('}').unwrap_or(inner).chars().chain([',']) {
+        match letter {
+            ',' if depth == 0 => {
+                if !part.trim().is_empty() {
+                    expand(&prefix, &part, found);
+                }
+                part.clear();
+                continue;
+            }
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            _ => {}
+        }
+        part.push(letter);
+    }
+}
+
+/// For each folder of modules, which of them uses which.
+fn uses(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeMap<String, BTreeSet<String>>> {
+    let mut all: BTreeMap<Module, BTreeMap<String, BTreeSet<String>>> = BTreeMap::new();
+    for (module, text) in modules {
+        if module.last().is_some_and(|name| name == "tests" || name == "rig") {
+            continue;
+        }
+        for path in paths(text) {
+            let above = path.iter().take_while(|name| *name == "super").count();
+            let (mut target, names): (Module, _) = match path.first().map(String::as_str) {
+                Some("crate") => (Module::new(), &path[1..]),
+                Some("super") => (module[..module.len().saturating_sub(above)].to_vec(), &path[above..]),
+                Some(_) => (module.clone(), &path[..]),
+                None => continue,
+            };
+            for name in names {
+                target.push(name.clone());
+                if !modules.contains_key(&target) {
+                    target.pop();
+                    break;
+                }
+            }
+            let shared = module.iter().zip(&target).take_while(|(one, other)| one == other).count();
+            if let (Some(user), Some(used)) = (module.get(shared), target.get(shared)) {
+                let folder = all.entry(module[..shared].to_vec()).or_default();
+                folder.entry(user.clone()).or_default().insert(used.clone());
+            }
+        }
+    }
+    all
+}
+
+/// What a module uses, directly or by others.
+fn reached(uses: &BTreeMap<String, BTreeSet<String>>, from: &str) -> BTreeSet<String> {
+    let (mut seen, mut left) = (BTreeSet::new(), vec![from.to_string()]);
+    while let Some(module) = left.pop() {
+        for used in uses.get(&module).into_iter().flatten() {
+            if seen.insert(used.clone()) {
+                left.push(used.clone());
+            }
+        }
+    }
+    seen
+}
+
+/// The modules of a crate that use themselves by others.
+fn circles(folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    for (parent, uses) in uses(&modules(folder)) {
+        for module in uses.keys().filter(|module| reached(&uses, module).contains(*module)) {
+            let with =
+                reached(&uses, module).into_iter().filter(|other| reached(&uses, other).contains(module));
+            found.push(format!(
+                "{}: {}::{module} is in a circle of {:?}",
+                folder.display(),
+                parent.join("::"),
+                with.collect::<Vec<_>>()
+            ));
+        }
+    }
+    found
+}
+
+/// The folders of the checkout with the source of a crate.
+fn crates() -> Vec<std::path::PathBuf> {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let libraries =
+        fs::read_dir(top.join("crates")).expect("crates").map(|entry| entry.expect("a crate").path());
+    libraries.chain([top.to_path_buf()]).collect()
+}
+
+#[test]
+fn no_module_uses_one_that_uses_it() {
+    let found: Vec<String> = crates().iter().flat_map(|folder| circles(&folder.join("src"))).collect();
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn no_test_file_uses_another_one() {
+    const SHARED: [&str; 4] = ["room", "rig", "bench", "firmware"];
+    for folder in crates().iter().map(|folder| folder.join("tests/it")).filter(|folder| folder.is_dir()) {
+        for (user, used) in uses(&modules(&folder)).get(&Module::new()).into_iter().flatten() {
+            let others: Vec<_> = used.iter().filter(|used| !SHARED.contains(&used.as_str())).collect();
+            assert!(others.is_empty(), "{}: {user} uses {others:?}", folder.display());
+        }
+    }
+}
+
+#[test]
+fn a_circle_is_found() {
+    let text = |text: &str| plain(text);
+    let modules = BTreeMap::from([
+        (vec!["a".to_string()], text("use super::{b::{self, Thing}, c};\n")),
+        (vec!["b".to_string()], text("// crate::a is a comment\nfn x() { crate::c::deep::y() }\n")),
+        (vec!["c".to_string()], String::new()),
+        (vec!["c".to_string(), "deep".to_string()], text("use crate::a::Z;\n#[cfg(test)]\nmod tests {}")),
+    ]);
+    let uses = uses(&modules);
+    let top = &uses[&Module::new()];
+    let found = |module: &str| reached(top, module).contains(module);
+    assert!(found("a") && found("b") && found("c"), "{top:?}");
+    let modules: BTreeMap<_, _> = modules.into_iter().filter(|(module, _)| module.len() == 1).collect();
+    let uses = self::uses(&modules);
+    assert!(!reached(&uses[&Module::new()], "a").contains("a"), "{uses:?}");
+}
