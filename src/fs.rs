@@ -156,7 +156,7 @@ impl MountedGauge {
     }
 }
 
-/// Who owns the files, and so may write them and read data flash.
+/// The owner of the files, who may write them and read data flash.
 #[derive(Clone, Copy, Debug)]
 pub struct Access {
     /// The mount's owner.
@@ -167,7 +167,7 @@ pub struct Access {
     pub group: bool,
 }
 
-/// Who may read and write a file.
+/// The permissions of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     /// Everybody reads.
@@ -230,7 +230,7 @@ pub enum Shape {
     File,
 }
 
-/// What a file holds now.
+/// The present content of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Content {
     /// These bytes.
@@ -248,7 +248,7 @@ impl From<Option<String>> for Content {
     }
 }
 
-/// What one node is and does. The implementing types borrow everything that they answer from.
+/// The nature and behaviour of one node. The implementing types borrow everything that they answer from.
 trait Operations {
     /// The folder that holds the node; the root holds itself.
     fn parent(&self) -> Node;
@@ -256,7 +256,7 @@ trait Operations {
     /// Folder, link or file.
     fn shape(&self) -> Shape;
 
-    /// Who may read and write a file.
+    /// The permissions of a file.
     fn mode(&self) -> Mode {
         Mode::Public
     }
@@ -266,7 +266,7 @@ trait Operations {
         None
     }
 
-    /// What a folder holds now.
+    /// The present entries of a folder.
     fn list(&self) -> Vec<(String, Node)> {
         Vec::new()
     }
@@ -281,7 +281,7 @@ trait Operations {
         self.shape() != Shape::File
     }
 
-    /// What a file holds now.
+    /// The present content of a file.
     fn content(&self) -> Content {
         Content::Absent
     }
@@ -304,7 +304,7 @@ trait Operations {
         done(Err(not_writable()));
     }
 
-    /// Where a link leads.
+    /// The target of a link.
     fn target(&self) -> Option<String> {
         None
     }
@@ -446,7 +446,7 @@ impl Fs {
         }
     }
 
-    /// What a folder holds now.
+    /// The present entries of a folder.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
         self.ask(folder, |folder| folder.list())
     }
@@ -463,7 +463,7 @@ impl Fs {
         name.map(str::to_string).or_else(|| listed().map(|(name, _)| name))
     }
 
-    /// What a file holds now.
+    /// The present content of a file.
     pub fn content(&self, node: Node) -> Content {
         self.ask(node, |node| node.content())
     }
@@ -497,7 +497,7 @@ impl Fs {
         }
     }
 
-    /// Where a symbolic link leads.
+    /// The target of a symbolic link.
     pub fn target(&self, node: Node) -> Option<String> {
         self.ask(node, |node| node.target())
     }

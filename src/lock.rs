@@ -54,7 +54,7 @@ pub struct Lock {
 pub struct Holder {
     /// Its number.
     pub pid: i32,
-    /// Where it has mounted the gauge, or is going to, if it is a gaugefs that this user may ask.
+    /// The place where it has mounted the gauge, or will mount it, if it is a gaugefs that this user may ask.
     pub mountpoint: Option<PathBuf>,
 }
 

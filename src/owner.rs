@@ -67,7 +67,7 @@ const NAP: Duration = Duration::from_secs(30);
 pub struct Settings {
     /// Its keys.
     pub keys: Keys,
-    /// Where they are to be put, for messages.
+    /// The file for them, for messages.
     pub key_file: Option<String>,
     /// Time between polls.
     pub interval: Duration,
@@ -83,7 +83,7 @@ pub struct Settings {
     pub restore: Vec<Change>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
-    /// Where the configuration is saved before the first write; `None` for not at all.
+    /// Saves the configuration before the first write; `None` for not at all.
     pub backup: Option<Backup>,
 }
 
@@ -104,7 +104,7 @@ impl Default for Settings {
     }
 }
 
-/// What is known of a gauge when its owner starts, and how it fits in among the others of its mount.
+/// The knowledge about a gauge when its owner starts, and how it fits in among the others of its mount.
 #[derive(Debug, Default)]
 pub struct Startup {
     /// Its name in the log; empty if it is the only gauge.
@@ -114,9 +114,9 @@ pub struct Startup {
     /// The device at the address may be no gauge: nothing that writes is sent until its registers have been
     /// read and checked.
     pub unverified: bool,
-    /// Why the gauge cannot be reached yet.
+    /// The reason why the gauge cannot be reached yet.
     pub missing: Option<Error>,
-    /// Where it is.
+    /// Its place.
     pub origin: Origin,
 }
 

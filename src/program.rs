@@ -48,7 +48,7 @@ const LOOK: Duration = Duration::from_millis(600);
 /// Looks in a row that must find a pack, or none: contacts bounce.
 const STEADY: u32 = 3;
 
-/// Where packs are connected, one after the other.
+/// A place where packs are connected, one after the other.
 pub(crate) trait Slot: Send {
     fn clock(&self) -> Arc<dyn Clock>;
     /// A bus to the pack.
@@ -57,17 +57,17 @@ pub(crate) trait Slot: Send {
     fn is_there(&mut self) -> Option<bool>;
     /// The pack is done with.
     fn done(&mut self) {}
-    /// Why there will never be a pack again, if that is a failure.
+    /// The reason why there will never be a pack again, if that is a failure.
     fn error(&mut self) -> Option<Error> {
         None
     }
 }
 
-/// Where people see what happens.
+/// Shows people what happens.
 pub(crate) trait Screen: Send + Sync {
     /// The outcome of a pack, one line.
     fn outcome(&self, line: &str);
-    /// What somebody has to do.
+    /// Tells somebody what to do.
     fn prompt(&self, line: &str);
 }
 
@@ -78,7 +78,7 @@ pub(crate) struct Bench {
     keys: Keys,
     /// The keys that the packs get.
     new_keys: Option<Keys>,
-    /// What to call it in messages.
+    /// Its name in messages.
     subject: String,
     /// The folder of its journal and backups, and its name there.
     place: (PathBuf, String),
@@ -86,7 +86,7 @@ pub(crate) struct Bench {
     byte_writes: bool,
 }
 
-/// What all benches of a station share.
+/// The part that all benches of a station share.
 pub(crate) struct Station {
     plan: Plan,
     serials: Serials,
@@ -103,7 +103,7 @@ pub(crate) struct Station {
 /// A station's file and its image, checked without a gauge or a record.
 pub(crate) struct Plan {
     setup: StationSetup,
-    /// What every pack is asked to have.
+    /// The values that every pack must have.
     image: Image,
     image_name: String,
     image_sum: String,
@@ -149,7 +149,7 @@ impl Plan {
         Self::of(image, image_name, image_sum, setup).map_err(|error| error.within(&file))
     }
 
-    /// What the station does with packs that get an image.
+    /// The work of the station on packs that get an image.
     fn of(mut image: Image, image_name: String, image_sum: String, setup: StationSetup) -> Result<Self> {
         let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid(why));
         let chip = image.chip;
@@ -226,7 +226,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// What a run would do, as lines.
+    /// The steps of a run, as lines.
     pub(crate) fn describe(&self) -> String {
         let Self { setup, image, .. } = self;
         let mut text = format!(
@@ -310,7 +310,7 @@ fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
     })
 }
 
-/// What is calibrated, and the current in mA that must flow meanwhile.
+/// A calibration, and the current in mA that must flow meanwhile.
 fn jobs(setup: &StationSetup) -> Vec<(Job, Option<f64>)> {
     let station = &setup.station;
     let offsets = [(station.board_offset, Job::BoardOffset), (station.cc_offset, Job::CcOffset)];
@@ -333,7 +333,7 @@ impl Bench {
         Ok(settings)
     }
 
-    /// Where the journals of its packs are.
+    /// The folder with the journals of its packs.
     fn journals(&self, disk: &Arc<dyn Disk>) -> Journal {
         let (folder, key) = self.place.clone();
         Journal::new(folder, key, self.subject.clone()).on(disk.clone())

@@ -55,7 +55,7 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     trace::text(&head, &about, origin.address, &report.events)
 }
 
-/// What the gauge has answered and measured, a line each.
+/// The answers and measurements of the gauge, a line each.
 fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     let (answers, mut about) = (&report.answers, Vec::new());
     if chip.has_table() {
@@ -89,7 +89,7 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     about
 }
 
-/// What writes since the mount have shown of commits and resets.
+/// The times of commits and resets that writes since the mount have shown.
 fn times(chip: &Chip, report: &Report) -> Vec<String> {
     if !chip.has_table() {
         return Vec::new();
@@ -135,7 +135,7 @@ fn power(chip: &Chip, report: &Report) -> Option<String> {
     Some(format!("Power: AveragePower() {power} {unit}, Voltage() x {}() {product} mW", current.name))
 }
 
-/// Why data flash was not read for the report of that text; `None` if it was, or if the part has none.
+/// The reason why data flash was not read for the report of that text; `None` if it was, or if the part has none.
 pub(crate) fn without_data_flash(text: &str) -> Option<&str> {
     text.lines().find_map(|line| line.strip_prefix("; ")?.strip_prefix(NOT_READ))
 }
@@ -224,7 +224,7 @@ mod tests {
         fs::remove_file(&file).expect("it is there");
     }
 
-    /// What would settle what the tables believe.
+    /// The observations that would settle what the tables believe.
     #[test]
     fn a_report_has_what_could_confirm_the_table() {
         for (chip, wanted) in [

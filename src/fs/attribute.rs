@@ -9,7 +9,7 @@ use ti_gauge::value::Value;
 
 use super::Scales;
 
-/// What attributes are rendered from: one poll of one gauge.
+/// The source of attributes: one poll of one gauge.
 pub(super) struct Reading<'a> {
     pub(super) chip: &'static Chip,
     pub(super) model: &'static str,
@@ -50,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// Where the gauge has a scale of them.
+    /// The place of the scale that the gauge has for them.
     fn scale(self, chip: &Chip) -> Scale {
         let scaling = &chip.scaling;
         match self {
@@ -149,7 +149,7 @@ const LISTED_WHILE_GONE: [&str; 2] = ["type", "present"];
 pub struct Attribute(pub(super) u8);
 
 impl Attribute {
-    /// All of them, in the order of `uevent`.
+    /// All attributes, in the order of `uevent`.
     pub(crate) fn all() -> impl Iterator<Item = Self> {
         (0..ATTRIBUTES.len() as u8).map(Self)
     }
@@ -179,7 +179,7 @@ impl Attribute {
 }
 
 impl Reading<'_> {
-    /// What a register reads, whether it is valid or not.
+    /// The value of a register, whether it is valid or not.
     fn raw(&self, role: Role) -> Option<i64> {
         self.snapshot?.value(self.chip.register(role)?)
     }
@@ -288,7 +288,7 @@ impl Reading<'_> {
         self.first_of([Role::TimeToEmptyNow, Role::TimeToEmptyAvg])
     }
 
-    /// What the values of one kind are multiplied by: the scale that the gauge reports and the user's.
+    /// The factor of the values of one kind: the scale that the gauge reports times the user's.
     pub(super) fn scale(&self, kind: Kind) -> Option<f64> {
         Some(f64::from(self.reported_scale(kind)?) * self.scales.of(kind))
     }
@@ -462,7 +462,7 @@ fn pack_voltage(reading: i64, cell: i64, cells: i64) -> i64 {
     if 2 * reading < 3 * cell { reading * cells } else { reading }
 }
 
-/// What a register reads, with the sign that the flags give it; `None` for a 0 that the flags contradict.
+/// The value of a register, with the sign that the flags give it; `None` for a 0 that the flags contradict.
 fn valid(register: &Register, value: i64, flags: i64) -> Option<i64> {
     let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
     let value = if is_set(register.positive) { value } else { -value };

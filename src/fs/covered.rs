@@ -56,7 +56,7 @@ impl Covered {
         })
     }
 
-    /// Where a link leads now.
+    /// The present target of a link.
     pub fn target(&self, name: &str) -> Option<String> {
         readlinkat(&self.folder, name).ok()?.into_string().ok()
     }

@@ -21,14 +21,14 @@ use ti_gauge::value::Value;
 const UNREAD: u64 = 4096;
 /// A line of `df/index` is shorter than this.
 const LINE: u64 = 256;
-/// What `df/transaction` shows of a parameter, or of a block of undocumented bytes, is shorter than this.
+/// A line of `df/transaction` is shorter than this.
 const STAGED: u64 = 512;
 /// A transaction of more parameters and blocks than this is shown when it is read, and not at each lookup.
 const SHOWN_AT_ONCE: usize = 64;
-/// What `df/transaction` holds while no transaction is open.
+/// The text of `df/transaction` while no transaction is open.
 const IDLE: &[u8] = b"idle\n";
 
-/// What `df/` holds. Numbers are indices into the chip's table, which has at most 64 subclasses of 256 parameters.
+/// An item of `df/`. Numbers are indices into the chip's table, which has at most 64 subclasses of 256 parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DfItem {
     /// The folder itself.
@@ -383,7 +383,7 @@ impl Supply {
     }
 }
 
-/// What is shown of a sealed gauge without a key: everything but the values in data flash.
+/// A sealed gauge without a key shows everything but the values in data flash.
 fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }

@@ -20,7 +20,7 @@ struct File {
     name: &'static str,
     mode: Mode,
     show: Show,
-    /// What is done with what is written to it.
+    /// The operation for which a write to it asks.
     operation: Option<&'static dyn Spoken>,
 }
 
@@ -84,7 +84,7 @@ static GROUPS: &[Group] = &[
     Group { folder: None, list: |gauge| registers(gauge, |register| !register.bits.is_empty()), show: bits },
 ];
 
-/// What `gauge/` holds.
+/// An item of `gauge/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GaugeItem {
     /// The folder itself.
@@ -114,7 +114,7 @@ impl Of<'_, GaugeItem> {
         members.into_iter().map(move |(number, name)| (name, self.node(GaugeItem::Member(at, number))))
     }
 
-    /// What the folder holds beside the rows of `FILES`.
+    /// The items of the folder beside the rows of `FILES`.
     fn groups(&self) -> Vec<(String, Node)> {
         let groups = (0..).zip(GROUPS);
         let list = groups.flat_map(|(at, group)| match group.folder {
@@ -212,7 +212,7 @@ fn set_bits(bits: &[Bit], word: i64) -> Option<String> {
     line(set.collect::<Vec<_>>().join(" "))
 }
 
-/// What the gauge answered when it was identified; `None` if it has not answered yet.
+/// The answers of the gauge when it was identified; `None` if it has not answered yet.
 fn identified(gauge: &Supply) -> Option<Answers> {
     Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
 }
@@ -245,7 +245,7 @@ fn itpor(gauge: &Supply) -> Option<String> {
     line(u8::from(flags & i64::from(lost) != 0))
 }
 
-/// What the attributes of a kind are multiplied by.
+/// The factor of the attributes of a kind.
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
 }

@@ -4,7 +4,7 @@
 use super::attribute::plain;
 use super::{Content, Fs, Node, Operations, SUBSYSTEM, Shape};
 
-/// What the folder of the Mains supply holds.
+/// An item of the folder of the Mains supply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MainsItem {
     /// The folder itself.

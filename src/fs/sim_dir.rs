@@ -6,7 +6,7 @@ use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, not_wr
 use crate::error::Error;
 use crate::owner::{Attempt, Done};
 
-/// What `sim/` holds.
+/// An item of `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum SimItem {
     /// The folder itself.

@@ -71,7 +71,7 @@ impl Supply {
     }
 }
 
-/// What a gauge's folder holds beside `df`, `gauge` and `sim`.
+/// An item of a gauge's folder, beside `df`, `gauge` and `sim`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum SupplyItem {
     /// The folder itself.
@@ -89,7 +89,7 @@ impl Of<'_, SupplyItem> {
         attribute.text(&self.supply.reading(self.supply.fresh().as_deref()))
     }
 
-    /// What the folder holds beside attributes.
+    /// The items of the folder beside attributes.
     fn rest(&self) -> Vec<(String, Node)> {
         let rest = [
             ("uevent", Some(Item::Supply(SupplyItem::Uevent))),

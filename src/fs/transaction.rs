@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(600);
 /// enough for the daemon. The chip's table limits the number of parameters.
 const RAW_BLOCKS: usize = 4096;
 
-/// What lines are checked against.
+/// The rules for lines.
 pub(super) struct Rules<'a> {
     pub(super) chip: &'static Chip,
     pub(super) allow_unproven: bool,
@@ -32,7 +32,7 @@ pub(super) struct Rules<'a> {
     pub(super) stored: &'a dyn Fn(usize) -> Option<Arc<[u8]>>,
 }
 
-/// What a gauge's transaction is at.
+/// The state of a gauge's transaction.
 #[derive(Default)]
 pub(super) struct Transaction(Mutex<State>);
 
@@ -58,7 +58,7 @@ struct Open {
     staged: Arc<Staged>,
 }
 
-/// Why a transaction was dropped.
+/// The reason why a transaction was dropped.
 #[derive(Clone, Copy)]
 enum Dropped {
     Old,
@@ -74,7 +74,7 @@ impl Open {
     }
 }
 
-/// What is staged. Something that is staged twice has the later value.
+/// The staged changes. The later of two changes of one place counts.
 #[derive(Clone, Default)]
 pub(super) struct Staged {
     /// Parameters, and blocks with undocumented bytes, each with the number of its last line.
@@ -150,7 +150,7 @@ impl Staged {
     }
 }
 
-/// What the lines of one write(2) lead to. It is put into effect when all of them have been accepted.
+/// The effect of the lines of one write(2), which comes when all of them have been accepted.
 struct Next {
     is_open: bool,
     /// The transaction that was open before has ended.
@@ -182,7 +182,7 @@ impl Transaction {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What is staged; `None` while no transaction is open.
+    /// The staged changes; `None` while no transaction is open.
     pub(super) fn staged(&self, at: Moment) -> Option<Arc<Staged>> {
         let mut state = self.lock();
         let open = state.open.as_mut()?;

@@ -32,7 +32,7 @@ const SETTLING: Duration = Duration::from_millis(50);
 /// [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
 const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
 
-/// The same, where the kernel has been given the whole value, and asks for the name each time.
+/// How long such a nodeid is in use if the kernel has been given the whole value, and asks for the name each time.
 const READ_THROUGH: Duration = Duration::from_millis(200);
 
 /// As many nodeids as this are in the table whether they are in use or not.
@@ -53,7 +53,7 @@ pub(super) struct Now {
     pub(super) time: SystemTime,
 }
 
-/// What a nodeid shows.
+/// The value that a nodeid shows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Value {
     /// A file's bytes.
@@ -153,7 +153,7 @@ impl<W> Inode<W> {
         }
     }
 
-    /// What it shows.
+    /// The value that it shows.
     pub(super) fn value(&self) -> &Value {
         &self.value
     }

@@ -59,7 +59,7 @@ struct Queue {
 }
 
 impl Announcer {
-    /// One whose thread has not been started; `signal` wakes it.
+    /// An announcer whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
         Self { queue: Arc::default(), signal, names: Arc::default(), ending: Arc::default() }
     }
@@ -227,7 +227,7 @@ impl Announcing {
     }
 }
 
-/// What distinguishes a folder's listing from another one.
+/// A hash of a folder's listing, to notice that it has changed.
 pub(super) fn hash(names: &[(String, Node)]) -> u64 {
     let mut hasher = DefaultHasher::new();
     names.hash(&mut hasher);

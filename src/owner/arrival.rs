@@ -38,7 +38,7 @@ impl Owner {
         Ok(())
     }
 
-    /// What follows the first poll of a gauge.
+    /// The steps after the first poll of a gauge.
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
         self.report_calibration_mode();
@@ -123,7 +123,7 @@ impl Owner {
         }
     }
 
-    /// Why nothing but standard commands is sent to the gauge, if it is so.
+    /// The reason to send nothing but standard commands to the gauge, if there is one.
     pub(super) fn limitation(&self) -> Option<Error> {
         let published = self.shared.published();
         let (limited, chip) = (published.limited?, self.gauge.chip);
@@ -259,7 +259,7 @@ mod tests {
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
 
-    /// What a part with these answers is taken for when it is to be mounted as that chip.
+    /// Decides what a part with these answers is when it is to be mounted as that chip.
     fn identified(chip: &str, device_type: u16, firmware_version: u16, hardware_version: u16) -> String {
         let chip = Chip::by_name(chip).expect("it has a table");
         let answers = Answers { device_type, firmware_version, hardware_version, ..Answers::default() };

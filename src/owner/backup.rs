@@ -19,15 +19,15 @@ use ti_gauge::journal;
 const KEPT: usize = 10;
 const SUFFIX: &str = ".backup.toml";
 
-/// Where the backups of the gauges in one place are kept.
+/// The folder with the backups of the gauges in one place.
 #[derive(Clone, Debug)]
 pub struct Backup {
     folder: PathBuf,
-    /// Where the gauges are connected, as in the names of their journals.
+    /// The place where the gauges are connected, as in the names of their journals.
     key: String,
 }
 
-/// What was done to have a backup.
+/// How a backup came to be there.
 #[derive(Debug, PartialEq, Eq)]
 enum Saved {
     /// It was written to this file.

@@ -20,7 +20,7 @@ const LONGEST: Duration = Duration::from_secs(30);
 #[derive(Debug, Default)]
 pub(super) struct Debt {
     next: Option<(Duration, Duration)>,
-    /// What was owed at first, before it was tried again.
+    /// The debt as it was at first, before it was tried again.
     cause: String,
 }
 

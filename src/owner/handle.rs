@@ -44,14 +44,14 @@ impl Snapshot {
     }
 }
 
-/// What is known of a gauge at one moment; replaced as a whole.
+/// The knowledge about a gauge at one moment; replaced as a whole.
 #[derive(Clone, Debug)]
 pub struct Published {
     /// The last poll; `None` while the gauge is gone.
     pub snapshot: Option<Arc<Snapshot>>,
     /// Rises whenever the gauge goes away, or may be another one than before.
     pub presence: u64,
-    /// What the gauge answered when it was identified.
+    /// The answers of the gauge when it was identified.
     pub answers: Answers,
     /// Set if the part is a relative of the table's, or another version of it: its standard commands mean the
     /// same, and nothing else is sent to it.
@@ -68,7 +68,7 @@ pub struct Published {
     pub last_error: Arc<str>,
     /// When that was, and what had failed.
     pub failed: Option<(Timestamp, Attempt)>,
-    /// What a failed access has left to do, one line; empty for nothing.
+    /// The work that a failed access has left, one line; empty for none.
     pub owed: Arc<str>,
     /// Since when that has been owed.
     pub owed_since: Timestamp,
@@ -80,7 +80,7 @@ pub struct Published {
     pub report: Option<Arc<Report>>,
 }
 
-/// What the owner shares with its handles.
+/// The part of an owner that its handles share.
 pub(super) struct Shared {
     pub(super) chip: &'static Chip,
     pub(super) allow_unproven: bool,
@@ -96,7 +96,7 @@ pub(super) struct Shared {
     signal: Arc<Signal>,
     /// Something has been published since the FUSE side last asked.
     changed: AtomicBool,
-    /// What the lines of the log begin with: empty if there is only one gauge.
+    /// The beginning of each line of the log: empty if there is only one gauge.
     pub(super) prefix: String,
 }
 
@@ -349,7 +349,7 @@ impl Handle {
         self.shared.chip
     }
 
-    /// Where the gauge is.
+    /// The place of the gauge.
     pub fn origin(&self) -> &Origin {
         &self.shared.origin
     }
@@ -364,7 +364,7 @@ impl Handle {
         self.shared.auth_order
     }
 
-    /// What is known now.
+    /// The present knowledge about the gauge.
     pub fn published(&self) -> Arc<Published> {
         self.shared.published()
     }

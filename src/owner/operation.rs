@@ -35,9 +35,9 @@ type Parse<A> = fn(&Context, &[u8]) -> Result<A>;
 /// By what the text of an argument is read.
 pub(crate) struct Context {
     pub(crate) chip: &'static Chip,
-    /// What voltages in data flash are multiplied by; `None` while that is not known.
+    /// The factor of voltages in data flash; `None` while it is not known.
     pub(crate) voltage_scale: Option<f64>,
-    /// What currents in data flash are multiplied by, likewise.
+    /// The factor of currents in data flash, likewise.
     pub(crate) current_scale: Option<f64>,
 }
 
@@ -84,7 +84,7 @@ impl<A, T> Operation<A, T> {
         Self { importance, ..self }
     }
 
-    /// What its failure is called where its name does not say enough.
+    /// Describes the attempt where the name of the operation does not say enough.
     pub(super) const fn attempting(self, attempt: fn(&A) -> Attempt) -> Self {
         Self { attempt: Some(attempt), ..self }
     }
@@ -140,7 +140,7 @@ impl Request {
     }
 }
 
-/// Where the answer to a request goes. One that is dropped answers, too: then the owner has ended.
+/// The receiver of the answer to a request. One that is dropped answers as well: the owner has ended.
 struct Reply<T> {
     gauge: String,
     done: Option<Done<T>>,
@@ -198,7 +198,7 @@ impl Owner {
         request.0.carry_out(self, submitted);
     }
 
-    /// Why whatever sends more than a poll is refused before anything is sent, if it is.
+    /// The reason to refuse an operation that sends more than a poll does, before anything is sent.
     fn refusal(&self, waited: Duration) -> Option<Error> {
         if self.unverified {
             let why =

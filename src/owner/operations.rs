@@ -84,12 +84,12 @@ pub static END: Operation<()> = Operation::new("end", |owner, (), _| owner.end()
     .attempting(|()| Attempt::SETTLE)
     .reporting();
 
-/// Where changes are.
+/// The places of changes.
 fn places(changes: &[Change]) -> Vec<Place> {
     changes.iter().map(Change::place).collect()
 }
 
-/// What has to be known of a change of the seal state that leads through SEALED.
+/// A warning about a change of the seal state that leads through SEALED.
 fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
     (now == Seal::FullAccess && goal == Seal::Unsealed).then_some(
         "UNSEALED is reached from FULL ACCESS only through SEALED; a gauge that was never sealed before may from \

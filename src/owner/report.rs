@@ -17,7 +17,7 @@ use ti_gauge::value::{Type, Value};
 /// Polls in a report. A mount of the recording needs the first and the second, of which only that reads the slow tier.
 const POLLS: u32 = 3;
 
-/// Where a gauge is.
+/// The place of a gauge.
 #[derive(Clone, Debug, Default)]
 pub struct Origin {
     /// In words, without a file's path.
@@ -28,14 +28,14 @@ pub struct Origin {
     pub adapter: String,
 }
 
-/// What was seen of a gauge.
+/// The findings about a gauge.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// When it was made.
     pub taken: Timestamp,
-    /// What the gauge answered when it was identified.
+    /// The answers of the gauge when it was identified.
     pub answers: Answers,
-    /// Why only its standard commands are used, if it is so.
+    /// Set if only its standard commands are used: the reason.
     pub limited: Option<Limited>,
     /// Its seal state before data flash was read.
     pub seal: Seal,
@@ -74,7 +74,7 @@ impl Effect {
     }
 }
 
-/// What writes since the mount have shown.
+/// Times and effects that writes have shown since the mount.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Times {
     /// Resets that were sent.

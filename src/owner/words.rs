@@ -49,7 +49,7 @@ pub(super) fn decision(_: &Context, data: &[u8]) -> Result<Option<Decision>> {
     }
 }
 
-/// What is to be calibrated. What a meter shows is divided by the scales, because registers and data flash are in the
+/// Reads what is to be calibrated. The meter's values are divided by the scales, because registers and data flash are in the
 /// gauge's own steps.
 pub(super) fn job(context: &Context, data: &[u8]) -> Result<Job> {
     let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \

@@ -28,7 +28,7 @@ const ROOM: u64 = 256 * 1024;
 /// The largest number of a pack: the last whole number that every reader of JSON has exactly.
 const MOST: u64 = (1 << 53) - 1;
 
-/// What a line is about.
+/// The event of a line.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Event {
@@ -75,12 +75,12 @@ pub(super) struct Entry {
     /// SHA-256 of all values that the gauge does not rewrite itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) fingerprint: Option<String>,
-    /// Why it has failed.
+    /// The reason of the failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) reason: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) changes: Vec<Changed>,
-    /// What each calibration has reached, with the errors before and after.
+    /// The result of each calibration, with the errors before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) calibration: Vec<String>,
     /// Names of the complete images, before and after.

@@ -16,13 +16,13 @@ use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 use ti_gauge::notation;
 
-/// Where lines are typed or scanned. `None` at their end.
+/// The source of typed or scanned lines. `None` at their end.
 pub(crate) trait Scanner: Send {
     /// Asks for a line. The text says for what.
     fn line(&mut self, what: &str) -> Option<String>;
 }
 
-/// Where serial numbers are from.
+/// The source of serial numbers.
 pub(super) enum Serials {
     /// The packs keep theirs.
     None,
@@ -75,7 +75,7 @@ pub(super) fn shown(row: Row, value: &Value) -> String {
 }
 
 impl Serials {
-    /// What a station's file says.
+    /// The source that a station's file names.
     pub(super) fn of(station: &StationOptions, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
         let refuse = |key: &str, why: &str| Err(Error::new(key, Cause::Invalid(why.into())));

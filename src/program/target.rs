@@ -100,7 +100,7 @@ impl Flash {
         Ok(())
     }
 
-    /// What differs from an earlier reading.
+    /// The differences from an earlier reading.
     pub(super) fn changed_since(&self, before: &Self) -> Vec<Changed> {
         let (old, new) = (before.image(), self.image());
         let Ok(compared) = old.compare(&new, &[]) else { return Vec::new() };
