@@ -8,8 +8,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use clap::error::{ContextKind, ContextValue};
-use clap::{Arg, Args, Command, Id};
+use clap::{Args, Command};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use toml::Spanned;
@@ -18,6 +17,7 @@ use toml::de::{DeString, DeTable, DeValue};
 use super::{AlertOptions, GaugeOptions, MountOptions, Source, make_absolute, values};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
+use ti_gauge::text::nearest;
 
 /// The gauges of a configuration file.
 #[derive(Default, Deserialize)]
@@ -44,12 +44,11 @@ pub(super) struct Head {
     /// The tables of which there may be any number.
     lists: &'static [&'static str],
     keys: Vec<String>,
-    augment: fn(Command) -> Command,
 }
 
 impl Head {
     pub(super) fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
-        Self { name, lists, keys: keys::<Options>(), augment: Options::augment_args }
+        Self { name, lists, keys: keys::<Options>() }
     }
 }
 
@@ -310,33 +309,16 @@ impl<'a> File<'a> {
         format!("unknown key; known here are {}", here.join(", "))
     }
 
-    /// The key or table that was probably meant, as clap would suggest an option.
+    /// The key or table that was probably meant.
     fn nearest(&self, word: &str) -> Option<String> {
-        let options = GaugeOptions::augment_args(Command::new("gaugefs"));
-        let of_head = (self.head.augment)(Command::new("gaugefs"));
-        // A key may be in both tables.
-        let mut ids: Vec<Id> = options
-            .get_arguments()
-            .chain(of_head.get_arguments())
-            .map(|option| option.get_id().clone())
-            .collect();
-        ids.extend([self.head.name, "defaults"].iter().chain(self.head.lists).map(|&table| Id::from(table)));
-        ids.sort();
-        ids.dedup();
-        // Only the names, which are ids here, with underscores. What else clap knows of an option has to do with
-        // the rest of the command line.
-        let options = ids.into_iter().map(|id| Arg::new(id.clone()).long(id));
-        let options = Command::new("gaugefs").args(options).no_binary_name(true).disable_help_flag(true);
-        // With dashes it is none of the ids, only like one.
-        let refused = options.try_get_matches_from([format!("--{}", word.replace('_', "-"))]).err()?;
-        match refused.get(ContextKind::SuggestedArg)? {
-            ContextValue::String(option) => Some(match option.trim_start_matches('-') {
-                table if self.head.lists.contains(&table) => format!("[[{table}]]"),
-                table if table == self.head.name || table == "defaults" => format!("[{table}]"),
-                key => format!("`{}`", key.replace('_', "-")),
-            }),
-            _ => None,
-        }
+        let tables = [self.head.name, "defaults"].into_iter().chain(self.head.lists.iter().copied());
+        let (of_gauge, of_head) = (keys::<GaugeOptions>(), &self.head.keys);
+        let names = of_gauge.iter().chain(of_head).map(String::as_str).chain(tables);
+        Some(match nearest(&word.replace('_', "-"), names)? {
+            table if self.head.lists.contains(&table) => format!("[[{table}]]"),
+            table if table == self.head.name || table == "defaults" => format!("[{table}]"),
+            key => format!("`{key}`"),
+        })
     }
 }
 

@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use strsim::levenshtein;
 use ti_gauge::{text, unit};
 
 use crate::names::{attribute, attributes, files};
@@ -221,7 +220,8 @@ fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -
             return Err(format!("{name} is not a word of flags; compare it with < <= > >= == or !="));
         }
         if !bits().any(|bit| bit == value) {
-            let hint = nearest(value, bits()).map_or(String::new(), |bit| format!("; did you mean {bit}?"));
+            let hint =
+                text::nearest(value, bits()).map_or(String::new(), |bit| format!("; did you mean {bit}?"));
             return Err(format!("no gauge has a flag `{}` in {name}{hint}", value.escape_debug()));
         }
         return Ok(Operand::Text(value.into()));
@@ -274,21 +274,12 @@ fn unknown(name: &str) -> String {
     let attributes = attributes().map(|attribute| attribute.name.to_string());
     let names: Vec<_> = attributes.chain(files().map(|file| format!("gauge/{}", file.name))).collect();
     let shown = name.escape_debug();
-    match nearest(name, names.iter().map(String::as_str)) {
+    match text::nearest(name, names.iter().map(String::as_str)) {
         Some(meant) => format!("no gauge has a file `{shown}`; did you mean {meant}?"),
         None => {
             format!("no gauge has a file `{shown}`; name one of its folder, such as capacity or gauge/flags")
         }
     }
-}
-
-/// The name that was probably meant.
-fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
-    let tolerated = 1 + word.len() / 4;
-    // At least as many letters are wrong as are too many, and there may be very many.
-    let names = names.filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
-    let (wrong, name) = names.map(|name| (levenshtein(word, name), name)).min()?;
-    (wrong <= tolerated).then(|| name.to_string())
 }
 
 #[cfg(test)]

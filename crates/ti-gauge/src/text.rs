@@ -67,6 +67,15 @@ pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
     if digits.len().is_multiple_of(2) { digits.chunks_exact(2).map(byte).collect() } else { None }
 }
 
+/// The name that was probably meant by a word that is none of these names.
+pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let tolerated = 1 + word.len() / 4;
+    // At least as many letters are wrong as are too many, and there may be very many.
+    let names = names.filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
+    let (wrong, name) = names.map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
+    (wrong <= tolerated).then_some(name)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
