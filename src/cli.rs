@@ -236,10 +236,42 @@ fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
 
 #[cfg(test)]
 mod tests {
+    use clap_complete::Shell;
+
     use super::*;
+    #[cfg(feature = "screen")]
+    use crate::config::AlertOptions;
+    use crate::config::{At, GaugeOptions, MountOptions, Options};
 
     #[test]
     fn clap_accepts_the_definition() {
         Cli::command().debug_assert();
+    }
+
+    /// Where the options of a table must be found, by the command that has them.
+    fn check<T: Options>(command: &str) {
+        let pages = [manual::program(Cli::command()), manual::file()].map(|page| page.replace("\\-", "-"));
+        let [program, file] = &pages;
+        let (_, section) = program.split_once(&format!(".SS \"gaugefs {command}\"\n")).expect("a section");
+        let section = section.split("\n.SS ").next().unwrap_or_default();
+        let scripts = [Shell::Bash, Shell::Zsh].map(completions::script);
+        let fish = completions::script(Shell::Fish);
+        for row in T::TABLE {
+            let name = row.name;
+            if row.is_at(At::Line) {
+                assert!(section.contains(&format!("\\fB--{name}\\fR")), "gaugefs(1): {command} --{name}");
+                assert!(scripts.iter().all(|script| script.contains(&format!("--{name}"))), "{name}");
+                assert!(fish.contains(&format!("{command}\" -l {name} ")), "fish: {name}");
+            }
+            assert!(file.contains(&format!("\n.TP\n\\fB{name}\\fR ({})\n", row.kind())), "{name}");
+        }
+    }
+
+    #[test]
+    fn every_option_is_in_both_manual_pages_and_in_the_completions() {
+        check::<GaugeOptions>("mount");
+        check::<MountOptions>("mount");
+        #[cfg(feature = "screen")]
+        check::<AlertOptions>("watch");
     }
 }

@@ -1,227 +1,29 @@
-//! The options of a mount and of its gauges, each defined once for the command line and for a configuration
-//! file, where they have the same names.
+//! The options of a mount and of its gauges, from the command line or a configuration file. `options` defines each of them
+//! once.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::Args;
-use serde::Deserialize;
-
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
-use ti_gauge::authentication::Order;
-use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
-#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
-mod alert;
 mod file;
-mod from_toml;
 mod node;
+mod option;
+mod options;
 mod source;
 mod station;
 mod values;
-pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, Unsettled};
+pub(crate) use station::{Date, StationSetup};
 
-pub(crate) use alert::AlertOptions;
 use node::Node;
+pub(crate) use option::{At, Given, Opt, Options, names};
+pub(crate) use options::{
+    AlertOptions, GaugeOptions, MountOptions, Seen, SerialFrom, StationOptions, Unsettled,
+};
 pub(crate) use source::Source;
-use values::Key;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
-
-// No documentation on these two: clap would take it for the description of the subcommand.
-
-#[derive(Args, Clone, Debug, Default, Deserialize)]
-#[serde(rename_all = "kebab-case", default, deny_unknown_fields)]
-pub(crate) struct GaugeOptions {
-    /// Simulate a gauge of this chip; `gaugefs chips` lists them
-    #[arg(long, value_name = "CHIP", value_parser = values::chips(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
-    #[serde(deserialize_with = "from_toml::chip")]
-    pub(crate) sim: Option<&'static Chip>,
-    /// File that keeps the simulated gauge's flash; created if missing
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
-    pub(crate) sim_state: Option<PathBuf>,
-    /// Unseal key of a new simulated gauge [default: the manual's]
-    #[arg(long, value_name = "WORDS", value_parser = values::key, conflicts_with_all = ["bus", "replay", "config"], help_heading = "Gauge")]
-    #[serde(deserialize_with = "from_toml::key")]
-    pub(crate) sim_key: Option<Key>,
-    /// I2C bus of the gauge, such as /dev/i2c-1, or the gauge's device, such as
-    /// /sys/bus/i2c/devices/1-0055
-    #[arg(long, value_name = "DEVICE", help_heading = "Gauge")]
-    pub(crate) bus: Option<PathBuf>,
-    /// 7-bit address of the gauge [default: 0x55]
-    #[arg(long, value_name = "ADDRESS", value_parser = values::address, conflicts_with_all = ["sim", "replay", "config"], help_heading = "Gauge")]
-    #[serde(deserialize_with = "from_toml::address")]
-    pub(crate) address: Option<u8>,
-    /// Chip of the gauge [default: the gauge is asked]
-    #[arg(long, value_name = "CHIP", value_parser = values::chips(), ignore_case = true, hide_possible_values = true, conflicts_with_all = ["sim", "replay", "config"], help_heading = "Gauge")]
-    #[serde(deserialize_with = "from_toml::chip")]
-    pub(crate) chip: Option<&'static Chip>,
-    /// Replay a gauge from this recording, which --trace made; read-only; - is standard input
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["bus", "trace", "config"], help_heading = "Gauge")]
-    pub(crate) replay: Option<PathBuf>,
-    /// Write one byte per transfer, as some gauges need above 100 kHz
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "Gauge"
-    )]
-    pub(crate) byte_writes: Option<bool>,
-    /// Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power; -
-    /// is standard input
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "config"], help_heading = "Gauge")]
-    pub(crate) restore: Option<PathBuf>,
-
-    /// Name of the gauge's folder [default: BAT0, or the first BATn that the kernel does not use]
-    #[arg(long, value_name = "NAME", value_parser = values::name, conflicts_with = "config", help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::name")]
-    pub(crate) name: Option<String>,
-    /// Seconds between two polls, 0.5 to 3600 [default: 30; 3 with --sim and --replay]
-    #[arg(long, value_name = "SECONDS", value_parser = values::interval, conflicts_with = "config", help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::interval")]
-    pub(crate) poll: Option<Duration>,
-    /// Show energy_now and power_avg too; beside charge_now they mislead some monitors
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "What is shown"
-    )]
-    pub(crate) energy: Option<bool>,
-    /// Show currents without sign, for monitors that cannot handle negative ones
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "What is shown"
-    )]
-    pub(crate) absolute_current: Option<bool>,
-    /// Multiply currents and charges by this factor [default: 1]
-    #[arg(long, value_name = "FACTOR", value_parser = values::factor, conflicts_with = "config", help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::factor")]
-    pub(crate) current_scale: Option<f64>,
-    /// Multiply voltages by this factor [default: 1]
-    #[arg(long, value_name = "FACTOR", value_parser = values::factor, conflicts_with = "config", help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::factor")]
-    pub(crate) voltage_scale: Option<f64>,
-    /// Multiply energies and powers by this factor [default: 1]
-    #[arg(long, value_name = "FACTOR", value_parser = values::factor, conflicts_with = "config", help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::factor")]
-    pub(crate) energy_scale: Option<f64>,
-
-    /// Also write parameters whose address or range is uncertain
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "Access"
-    )]
-    pub(crate) allow_unproven: Option<bool>,
-    /// Also write during a learning cycle; the reset that follows ends the cycle
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "Access"
-    )]
-    pub(crate) allow_learning: Option<bool>,
-    /// Program at most this many blocks of flash per hour; 0 for no limit [default: 300]
-    #[arg(long, value_name = "N", conflicts_with_all = ["replay", "config"], help_heading = "Access")]
-    pub(crate) writes_per_hour: Option<u32>,
-    /// File with the gauge's keys, in lines such as `unseal = 0414 3672`; only its owner may read it
-    #[arg(long, value_name = "FILE", conflicts_with = "config", help_heading = "Access")]
-    pub(crate) key_file: Option<PathBuf>,
-    /// Never try the manual's default key
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        conflicts_with = "config",
-        help_heading = "Access"
-    )]
-    pub(crate) no_default_keys: Option<bool>,
-    /// Byte order in which the gauge takes a challenge, lsb-first or as-sent; `gaugefs auth` finds out
-    /// which one [default: lsb-first]
-    #[arg(long, value_name = "ORDER", value_parser = values::order, conflicts_with = "config", help_heading = "Access")]
-    #[serde(deserialize_with = "from_toml::order")]
-    pub(crate) auth_order: Option<Order>,
-
-    /// Record every transfer in this file, which must be a new one; keys are left out
-    #[arg(long, value_name = "FILE", conflicts_with = "config", help_heading = "Running")]
-    pub(crate) trace: Option<PathBuf>,
-    /// Replace the file of --trace if there is one
-    #[arg(
-        long,
-        num_args = 0,
-        default_missing_value = "true",
-        requires = "trace",
-        conflicts_with = "config",
-        help_heading = "Running"
-    )]
-    pub(crate) trace_replace: Option<bool>,
-}
-
-#[derive(Args, Clone, Debug, Default, Deserialize)]
-#[serde(rename_all = "kebab-case", default, deny_unknown_fields)]
-pub(crate) struct MountOptions {
-    /// Folder to mount at; created if missing
-    #[arg(required_unless_present = "config")]
-    pub(crate) mountpoint: Option<PathBuf>,
-
-    /// Show a Mains supply too, online while no gauge is discharging [default NAME: AC]
-    #[arg(long, value_name = "NAME", value_parser = values::name, require_equals = true, num_args = 0..=1, help_heading = "What is shown")]
-    #[serde(deserialize_with = "from_toml::ac")]
-    pub(crate) ac: Option<Option<String>>,
-
-    /// Refuse every write
-    #[arg(long, help_heading = "Access")]
-    pub(crate) read_only: bool,
-    /// Deny other users access to the mount; always so without root, unless there is a --group
-    #[arg(long, help_heading = "Access")]
-    pub(crate) private: bool,
-    /// Let this group read and write data flash, besides the owner; without root, a group of yours,
-    /// and /etc/fuse.conf must have user_allow_other
-    #[arg(long, value_name = "GROUP", value_parser = values::group, help_heading = "Access")]
-    #[serde(deserialize_with = "from_toml::group")]
-    pub(crate) group: Option<u32>,
-
-    /// Log to this file [default: syslog, in the foreground standard error]
-    #[arg(long, value_name = "FILE", help_heading = "Running")]
-    pub(crate) log: Option<PathBuf>,
-    /// Folder for backups, and for journals, with which a write survives a power cut [default:
-    /// /var/lib/gaugefs; without root, ~/.local/state/gaugefs]
-    #[arg(long, value_name = "DIR", help_heading = "Running")]
-    pub(crate) state_dir: Option<PathBuf>,
-    /// Do not save a gauge's configuration before the first write to it
-    #[arg(long, help_heading = "Running")]
-    pub(crate) no_backup: bool,
-}
-
-impl MountOptions {
-    /// These options, and the others where these are not given.
-    fn over(self, others: Self) -> Self {
-        Self {
-            mountpoint: self.mountpoint.or(others.mountpoint),
-            ac: self.ac.or(others.ac),
-            read_only: self.read_only || others.read_only,
-            private: self.private || others.private,
-            group: self.group.or(others.group),
-            log: self.log.or(others.log),
-            state_dir: self.state_dir.or(others.state_dir),
-            no_backup: self.no_backup || others.no_backup,
-        }
-    }
-
-    fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        [&mut self.mountpoint, &mut self.log, &mut self.state_dir].into_iter().flatten()
-    }
-}
 
 impl MountOptions {
     fn check_log(&self) -> Result<()> {
@@ -237,38 +39,6 @@ impl GaugeOptions {
         Ok(Self { bus: Some(bus), address: self.address.or(Some(address)), chip: self.chip.or(chip), ..self })
     }
 
-    /// These options, and the others where these are not given.
-    fn over(self, others: &Self) -> Self {
-        // A gauge that is simulated or recorded is not on the bus of the others.
-        let elsewhere = self.sim.is_some() || self.replay.is_some();
-        let place = if elsewhere { &Self::default() } else { others };
-        Self {
-            bus: self.bus.or_else(|| place.bus.clone()),
-            address: self.address.or(place.address),
-            chip: self.chip.or(place.chip),
-            byte_writes: self.byte_writes.or(others.byte_writes),
-            restore: self.restore.or_else(|| others.restore.clone().filter(|_| self.replay.is_none())),
-            poll: self.poll.or(others.poll),
-            energy: self.energy.or(others.energy),
-            absolute_current: self.absolute_current.or(others.absolute_current),
-            current_scale: self.current_scale.or(others.current_scale),
-            voltage_scale: self.voltage_scale.or(others.voltage_scale),
-            energy_scale: self.energy_scale.or(others.energy_scale),
-            allow_unproven: self.allow_unproven.or(others.allow_unproven),
-            allow_learning: self.allow_learning.or(others.allow_learning),
-            writes_per_hour: self.writes_per_hour.or(others.writes_per_hour),
-            key_file: self.key_file.or_else(|| others.key_file.clone()),
-            no_default_keys: self.no_default_keys.or(others.no_default_keys),
-            auth_order: self.auth_order.or(others.auth_order),
-            ..self
-        }
-    }
-
-    fn paths(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        let Self { sim_state, bus, replay, restore, key_file, trace, .. } = self;
-        [sim_state, bus, replay, restore, key_file, trace].into_iter().flatten()
-    }
-
     /// Time between two polls.
     pub(crate) fn interval(&self) -> Duration {
         let on_bus = matches!(Source::of(self), Source::Bus { .. });
@@ -280,14 +50,14 @@ impl GaugeOptions {
             current: self.current_scale.unwrap_or(1.0),
             voltage: self.voltage_scale.unwrap_or(1.0),
             energy: self.energy_scale.unwrap_or(1.0),
-            absolute_current: self.absolute_current.unwrap_or_default(),
-            energy_shown: self.energy.unwrap_or_default(),
+            absolute_current: self.absolute_current,
+            energy_shown: self.energy,
         }
     }
 
     pub(crate) fn limits(&self) -> Limits {
         Limits {
-            allow_learning: self.allow_learning.unwrap_or_default(),
+            allow_learning: self.allow_learning,
             writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
         }
     }
@@ -319,21 +89,29 @@ impl Setup {
         crate::key_file::check_name(gauge.key_file.as_deref())?;
         gauge.replay = gauge.replay.map(standard_input);
         gauge.restore = gauge.restore.map(standard_input);
-        make_absolute(mount.paths().chain(gauge.paths()), Path::new(""))?;
+        make_absolute(&mut mount, Path::new(""))?;
+        make_absolute(&mut gauge, Path::new(""))?;
         mount.read_only |= gauge.replay.is_some();
         Ok(Self { mount, gauges: vec![gauge], configured: false })
     }
 
-    /// The gauges of a configuration file. The options of the command line go before those of the file;
+    /// The gauges of a configuration file. `over` puts other options of the mount over those of the file;
     /// `bus` is for the gauges that have no source of their own.
-    pub(crate) fn read(path: &Path, mut mount: MountOptions, bus: Option<&Path>) -> Result<Self> {
+    pub(crate) fn read(
+        path: &Path,
+        over: impl FnOnce(&mut MountOptions),
+        bus: Option<&Path>,
+    ) -> Result<Self> {
         let mut bus = bus.map(Path::to_path_buf);
-        mount.check_log()?;
-        make_absolute(mount.paths().chain(&mut bus), Path::new(""))?;
+        if let Some(bus) = &mut bus {
+            absolute(bus, Path::new(""))?;
+        }
         let name = path.display().to_string();
         let refuse = |why: &str| Err(Error::new(&name, Cause::Invalid(why.into())));
-        let (of_file, gauges) = file::read(path, bus)?;
-        let mut mount = mount.over(of_file);
+        let (mut mount, gauges) = file::read(path, bus.as_deref())?;
+        over(&mut mount);
+        mount.check_log()?;
+        make_absolute(&mut mount, Path::new(""))?;
         if mount.mountpoint.is_none() {
             return refuse("no mount point; give one on the command line, or set mountpoint below [mount]");
         }
@@ -395,11 +173,19 @@ fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
     }
 }
 
-/// Makes paths absolute that are relative to `folder`; an empty `folder` is the current one.
-fn make_absolute<'a>(paths: impl Iterator<Item = &'a mut PathBuf>, folder: &Path) -> Result<()> {
-    for path in paths {
-        *path = std::path::absolute(folder.join(&*path))
-            .map_err(|error| Error::io(path.display().to_string(), "cannot find it", &error))?;
-    }
+/// Makes the paths of options absolute that are relative to `folder`; an empty `folder` is the current one.
+fn make_absolute<T: Options>(options: &mut T, folder: &Path) -> Result<()> {
+    let mut done = Ok(());
+    option::paths(options, |path| {
+        if done.is_ok() {
+            done = absolute(path, folder);
+        }
+    });
+    done
+}
+
+fn absolute(path: &mut PathBuf, folder: &Path) -> Result<()> {
+    *path = std::path::absolute(folder.join(&*path))
+        .map_err(|error| Error::io(path.display().to_string(), "cannot find it", &error))?;
     Ok(())
 }

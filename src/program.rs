@@ -340,7 +340,7 @@ impl Bench {
     }
 
     fn allow_unproven(&self) -> bool {
-        self.gauge.allow_unproven.unwrap_or_default()
+        self.gauge.allow_unproven
     }
 }
 

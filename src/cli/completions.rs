@@ -25,11 +25,15 @@ pub(super) struct Completions {
 
 impl Completions {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut Cli::command(), "gaugefs", &mut script);
-        print_file(with_names(self.shell, &String::from_utf8_lossy(&script)).as_bytes())?;
+        print_file(script(self.shell).as_bytes())?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+pub(super) fn script(shell: Shell) -> String {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "gaugefs", &mut script);
+    with_names(shell, &String::from_utf8_lossy(&script))
 }
 
 /// The script, with the names of parameters after the gauge of `get` and `set`. `gaugefs names` knows them, and answers within

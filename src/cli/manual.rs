@@ -1,34 +1,98 @@
-//! `gaugefs man`: the manual page that a package installs.
+//! `gaugefs man`: the manual pages that a package installs.
 //!
-//! The page is written by hand in `docs/gaugefs.1.in`, except for the commands and options: they are
-//! generated from the definitions of the parser.
+//! The pages are written by hand in `docs/gaugefs.1.in` and `docs/gaugefs.toml.5.in`, except for the commands, options and
+//! keys: they are generated from the definitions of the parser, and from the table of `config`.
 
 use std::process::ExitCode;
 
-use clap::{Arg, ArgAction, Args, Command, CommandFactory};
+use clap::{Arg, ArgAction, Args, Command, CommandFactory, ValueEnum};
 use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
 
 use super::Cli;
+use crate::config::{AlertOptions, At, GaugeOptions, MountOptions, Opt, Options};
 use crate::error::Result;
 use crate::output::print_file;
 
-const PAGE: &str = include_str!("../../docs/gaugefs.1.in");
+const PROGRAM: &str = include_str!("../../docs/gaugefs.1.in");
+const FILE: &str = include_str!("../../docs/gaugefs.toml.5.in");
 
-/// Print the manual page gaugefs(1)
+/// Print a manual page
 #[derive(Args, Debug)]
 #[command(hide = true)]
-pub(super) struct Man {}
+pub(super) struct Man {
+    /// The page
+    #[arg(value_enum, default_value = "gaugefs")]
+    page: Page,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Page {
+    /// gaugefs(1)
+    Gaugefs,
+    /// gaugefs.toml(5)
+    #[value(name = "gaugefs.toml")]
+    File,
+}
 
 impl Man {
     pub(super) fn run(self) -> Result<ExitCode> {
-        print_file(page(Cli::command()).as_bytes())?;
+        let page = match self.page {
+            Page::Gaugefs => program(Cli::command()),
+            Page::File => file(),
+        };
+        print_file(page.as_bytes())?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
-/// The page, dated by SOURCE_DATE_EPOCH, so that a package builds reproducibly.
-fn page(mut gaugefs: Command) -> String {
+/// A page with its head. It is dated by SOURCE_DATE_EPOCH, so that a package builds reproducibly.
+fn dated(page: &str) -> String {
+    let epoch = std::env::var("SOURCE_DATE_EPOCH").ok().and_then(|seconds| seconds.parse().ok());
+    let date = epoch.and_then(|seconds| Timestamp::from_second(seconds).ok());
+    let date = date.map_or_else(String::new, |date| date.strftime("%F").to_string());
+    page.replace("@DATE@", &date).replace("@VERSION@", env!("CARGO_PKG_VERSION"))
+}
+
+pub(super) fn file() -> String {
+    let is_default = |row: &&Opt<GaugeOptions>| row.is_at(At::Defaults);
+    dated(FILE)
+        .replace("@MOUNT@\n", &keys(MountOptions::TABLE.iter()))
+        .replace("@DEFAULTS@\n", &keys(GaugeOptions::TABLE.iter().filter(is_default)))
+        .replace("@GAUGE@\n", &keys(GaugeOptions::TABLE.iter().filter(|row| !is_default(row))))
+        .replace("@ALERT@\n", &keys(AlertOptions::TABLE.iter()))
+}
+
+fn keys<T: Options>(rows: impl Iterator<Item = &'static Opt<T>>) -> String {
+    let mut section = Roff::new();
+    for row in rows.filter(|row| row.is_at(At::Table)) {
+        section.control("TP", []).text([bold(row.name), roman(format!(" ({})", row.kind()))]);
+        section.text(marked::<T>(&row.explained()));
+    }
+    section.to_roff()
+}
+
+/// A text in which what is between two backticks is bold, and so are options, which are keys here.
+fn marked<T: Options>(text: &str) -> Vec<Inline> {
+    let mut marked = Vec::new();
+    for (number, part) in text.split('`').enumerate() {
+        if number % 2 == 1 {
+            marked.push(bold(part));
+            continue;
+        }
+        let mut parts = part.split("--");
+        marked.extend(parts.next().map(roman));
+        for part in parts {
+            let end = part.find(|byte: char| !byte.is_ascii_lowercase() && byte != '-').unwrap_or(part.len());
+            let (name, rest) = part.split_at(end);
+            debug_assert!(T::row(name).is_some(), "{text}");
+            marked.extend([bold(name), roman(rest)]);
+        }
+    }
+    marked
+}
+
+pub(super) fn program(mut gaugefs: Command) -> String {
     gaugefs.build();
     let (mut synopsis, mut commands) = (Roff::new(), Roff::new());
     for command in gaugefs.get_subcommands_mut().filter(|command| !command.is_hide_set()) {
@@ -36,13 +100,7 @@ fn page(mut gaugefs: Command) -> String {
             describe(command, &mut synopsis, &mut commands);
         }
     }
-    let epoch = std::env::var("SOURCE_DATE_EPOCH").ok().and_then(|seconds| seconds.parse().ok());
-    let date = epoch.and_then(|seconds| Timestamp::from_second(seconds).ok());
-    let date = date.map_or_else(String::new, |date| date.strftime("%F").to_string());
-    PAGE.replace("@DATE@", &date)
-        .replace("@VERSION@", env!("CARGO_PKG_VERSION"))
-        .replace("@SYNOPSIS@\n", &synopsis.to_roff())
-        .replace("@COMMANDS@\n", &commands.to_roff())
+    dated(PROGRAM).replace("@SYNOPSIS@\n", &synopsis.to_roff()).replace("@COMMANDS@\n", &commands.to_roff())
 }
 
 /// Adds a command to the synopsis and its section to the page.

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 
 use super::align;
-use crate::config::{GaugeOptions, MountOptions, Setup, Source, standard_input};
+use crate::config::{At, GaugeOptions, Given, MountOptions, Setup, Source, names, standard_input};
 use crate::daemon::{self, Mode, background, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
@@ -29,16 +29,16 @@ BAT0/capacity and so on. Its data flash is in BAT0/df, everything else in BAT0/g
 pub(super) struct Mount {
     /// TOML file that lists the gauges to mount, - for standard input; --bus applies to gauges that
     /// name none
-    #[arg(long, value_name = "FILE", help_heading = "Gauge")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = of_one_gauge(), help_heading = "Gauge")]
     config: Option<PathBuf>,
     /// Print what the configuration would mount, and list every problem that the mount would have;
     /// mounts nothing
     #[arg(long, requires = "config", conflicts_with_all = ["sim", "replay"], help_heading = "Gauge")]
     check: bool,
     #[command(flatten)]
-    gauge: GaugeOptions,
+    gauge: Given<GaugeOptions>,
     #[command(flatten)]
-    mount: MountOptions,
+    mount: Given<MountOptions>,
     /// Stay in the foreground and log to standard error
     #[arg(short, long, help_heading = "Running")]
     foreground: bool,
@@ -73,11 +73,19 @@ impl Mount {
     }
 
     fn setup(self) -> Result<Setup> {
+        let gauge = self.gauge.options();
         match self.config {
-            Some(file) => Setup::read(&standard_input(file), self.mount, self.gauge.bus.as_deref()),
-            None => Setup::one(self.mount, self.gauge),
+            Some(file) => {
+                Setup::read(&standard_input(file), |mount| self.mount.over(mount), gauge.bus.as_deref())
+            }
+            None => Setup::one(self.mount.options(), gauge),
         }
     }
+}
+
+/// The options that a file has for each gauge. The bus is for the gauges that name none.
+fn of_one_gauge() -> impl Iterator<Item = &'static str> {
+    names::<GaugeOptions>(At::Line).filter(|name| *name != "bus")
 }
 
 impl Attach {

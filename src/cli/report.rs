@@ -103,9 +103,9 @@ impl Report {
             bus: self.bus.clone(),
             address: self.address,
             chip: self.chip,
-            byte_writes: Some(self.byte_writes),
+            byte_writes: self.byte_writes,
             key_file: self.key_file.clone(),
-            no_default_keys: Some(self.no_default_keys),
+            no_default_keys: self.no_default_keys,
             ..GaugeOptions::default()
         }
     }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use crate::config::{self, AlertOptions};
+use crate::config::{self, AlertOptions, At, Given, names};
 use crate::error::{Cause, Error, Result};
 use gaugefs_screen::alert::Rule;
 
@@ -41,16 +41,16 @@ pub(super) struct Watch {
     #[arg(required_unless_present = "config")]
     gauge: Option<PathBuf>,
     /// Take the alerts, and the mount point if there is no other, from this file
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["when", "clear", "for", "exec", "exec_clear", "name"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = of_alert())]
     config: Option<PathBuf>,
     #[command(flatten)]
-    alert: Option<AlertOptions>,
+    alert: Given<AlertOptions>,
 }
 
 impl Watch {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let (place, alerts) = match (self.config, self.alert) {
-            (Some(file), _) => {
+        let (place, alerts) = match self.config {
+            Some(file) => {
                 let (mountpoint, alerts) = config::alerts(&file)?;
                 let place = self.gauge.or(mountpoint).ok_or_else(|| {
                     let why = "no mount point; give one on the command line, or set mountpoint below [mount]";
@@ -58,17 +58,22 @@ impl Watch {
                 })?;
                 (place, alerts)
             }
-            (None, Some(alert)) => (self.gauge.expect("clap demands it"), vec![alert]),
-            (None, None) => unreachable!("clap demands a condition or a file"),
+            None => (self.gauge.expect("clap demands it"), vec![self.alert.options()]),
         };
         let rules: Vec<Rule> = alerts.into_iter().map(Rule::from).collect();
         gaugefs_screen::alert::watch(&place, &rules)
     }
 }
 
+/// The options that a file has for each alert.
+fn of_alert() -> impl Iterator<Item = &'static str> {
+    names::<AlertOptions>(At::Argument).chain(names::<AlertOptions>(At::Line))
+}
+
 impl From<AlertOptions> for Rule {
     fn from(options: AlertOptions) -> Self {
         let AlertOptions { when, clear, hold, exec, exec_clear, name, gauge } = options;
+        let when = when.expect("the command line and the file demand a condition");
         Self { when, clear, hold: hold.unwrap_or_default(), exec, exec_clear, name, gauge }
     }
 }

@@ -5,76 +5,45 @@
 //! line and key, and no gauge is opened before the whole file has been understood.
 
 use std::collections::HashMap;
-use std::ops::Range;
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Command};
-use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::{AlertOptions, GaugeOptions, MountOptions, Source, make_absolute, values};
+use super::option::{At, Opt, Options, names};
+use super::options::{AlertOptions, GaugeOptions, MountOptions};
+use super::{Source, make_absolute};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
 use ti_gauge::text::nearest;
 
-/// The gauges of a configuration file.
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub(super) struct Gauges {
-    defaults: GaugeOptions,
-    pub(super) gauge: Vec<Spanned<GaugeOptions>>,
-}
-
-/// The tables of [`Gauges`].
-const OF_GAUGES: [&str; 2] = ["defaults", "gauge"];
-
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct OfMount {
-    mount: MountOptions,
-    alert: Vec<AlertOptions>,
-}
-
-/// The table of a file that is not about gauges.
-pub(super) struct Head {
-    /// Its name, which is also its subject.
-    name: &'static str,
+/// What a file is about, besides gauges: its first table.
+pub(super) trait Head: Options {
+    /// The name of that table, which is also its subject.
+    const NAME: &'static str;
     /// The tables of which there may be any number.
-    lists: &'static [&'static str],
-    keys: Vec<String>,
+    const LISTS: &'static [&'static str];
+    /// What an option of a gauge must be for, if not all of them have a meaning here.
+    const GAUGES: Option<At>;
 }
 
-impl Head {
-    pub(super) fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
-        Self { name, lists, keys: keys::<Options>() }
-    }
+impl Head for MountOptions {
+    const NAME: &'static str = "mount";
+    const LISTS: &'static [&'static str] = &["gauge", "alert"];
+    const GAUGES: Option<At> = None;
 }
 
 /// Largest size of a file. Thousands of gauges need less.
 const LONGEST: u64 = 4 << 20;
-/// Keys that belong to one gauge, and are no defaults for many.
-const OWN: [&str; 7] = ["sim", "sim-state", "sim-key", "replay", "name", "trace", "trace-replace"];
-/// Keys of one gauge, and those that cannot be combined with them. The command line refuses the same.
-const CONFLICTS: [(&str, &[&str]); 2] = [
-    ("sim", &["replay", "bus", "address", "chip"]),
-    ("replay", &["bus", "address", "chip", "restore", "trace", "trace-replace"]),
-];
-/// Keys that are for simulated gauges only.
-const OF_SIM: [&str; 2] = ["sim-state", "sim-key"];
 
-/// Reads the options of a mount and of its gauges. Those are on `bus` where the file gives them no source.
-pub(super) fn read(path: &Path, bus: Option<PathBuf>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
+/// Reads the options of a mount and of its gauges. Those are on `bus` where they name no source.
+pub(super) fn read(path: &Path, bus: Option<&Path>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
     let text = text(path)?;
-    let head = of_mount();
-    let (file, OfMount { mut mount, .. }, gauges) = File::read::<OfMount>(path, &text, head)?;
-    make_absolute(mount.paths(), folder(path))?;
-    Ok((mount, file.gauges(gauges, path, bus)?))
-}
-
-fn of_mount() -> Head {
-    Head::of::<MountOptions>("mount", &["gauge", "alert"])
+    let file = File::<MountOptions>::parse(path, &text)?;
+    let mut read = file.read()?;
+    make_absolute(&mut read.head, folder(path))?;
+    Ok((read.head, file.complete(read.gauges, path, bus)?))
 }
 
 pub(super) fn text(path: &Path) -> Result<String> {
@@ -93,45 +62,133 @@ pub(super) fn folder(path: &Path) -> &Path {
 #[cfg(feature = "screen")]
 pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     let text = text(path)?;
-    let (file, OfMount { mut mount, alert }, _) = File::read::<OfMount>(path, &text, of_mount())?;
-    if alert.is_empty() {
+    let file = File::<MountOptions>::parse(path, &text)?;
+    let mut read = file.read()?;
+    if read.alerts.is_empty() {
         return Err(Error::new(file.name, Cause::Invalid("no alert; add one below a line [[alert]]".into())));
     }
-    make_absolute(mount.mountpoint.iter_mut(), folder(path))?;
-    Ok((mount.mountpoint, alert))
+    make_absolute(&mut read.head, folder(path))?;
+    Ok((read.head.mountpoint, read.alerts))
 }
 
-/// A configuration file that is being read.
-pub(super) struct File<'a> {
+/// A configuration file, as TOML.
+pub(super) struct File<'a, H> {
     pub(super) name: String,
     text: &'a str,
-    head: Head,
-    places: Vec<Place>,
+    head: Keys<'a>,
+    defaults: Keys<'a>,
+    gauges: Vec<Item<'a>>,
+    alerts: Vec<Item<'a>>,
+    about: PhantomData<H>,
+}
+
+/// The options of a file.
+pub(super) struct Read<H> {
+    pub(super) head: H,
+    /// With their defaults.
+    pub(super) gauges: Vec<GaugeOptions>,
+    #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use them"))]
+    alerts: Vec<AlertOptions>,
+}
+
+/// A key with its place and value.
+struct Key<'a> {
+    name: String,
+    at: usize,
+    value: DeValue<'a>,
+}
+
+/// The keys of a table, as the file has them one after the other.
+type Keys<'a> = Vec<Key<'a>>;
+
+/// A table of which there may be any number, and its place.
+struct Item<'a> {
+    at: usize,
+    keys: Keys<'a>,
+}
+
+impl Item<'_> {
+    fn place(&self, name: &str) -> Option<usize> {
+        place(&self.keys, name)
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.place(name).is_some()
+    }
+}
+
+fn keys<'a>(table: DeTable<'a>) -> Keys<'a> {
+    let key = |(name, value): (Spanned<DeString<'a>>, Spanned<DeValue<'a>>)| Key {
+        at: name.span().start,
+        name: name.into_inner().into_owned(),
+        value: value.into_inner(),
+    };
+    let mut keys: Keys<'a> = table.into_iter().map(key).collect();
+    keys.sort_by_key(|key| key.at);
+    keys
+}
+
+fn place(keys: &[Key<'_>], name: &str) -> Option<usize> {
+    keys.iter().find(|key| key.name == name).map(|key| key.at)
 }
 
 /// The place of a key.
-pub(super) struct Place {
-    table: Table,
-    pub(super) key: String,
-    pub(super) at: usize,
-    value: Range<usize>,
-}
-
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Table {
-    /// The file outside of any table.
+enum Table {
+    /// Outside of any table.
     Top,
     Head,
     Defaults,
-    /// By its number in the file.
-    Gauge(usize),
-    /// Likewise.
-    Alert(usize),
+    Gauge,
+    Alert,
 }
 
-impl<'a> File<'a> {
-    fn line(&self, at: usize) -> usize {
-        1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
+impl<'a, H: Head> File<'a, H> {
+    /// Divides a file into its tables.
+    pub(super) fn parse(path: &Path, text: &'a str) -> Result<Self> {
+        let mut file = Self {
+            name: path.display().to_string(),
+            text,
+            head: Vec::new(),
+            defaults: Vec::new(),
+            gauges: Vec::new(),
+            alerts: Vec::new(),
+            about: PhantomData,
+        };
+        let document = DeTable::parse(text).map_err(|error| {
+            let at = error.span().map_or(0, |span| span.start);
+            file.refuse(at, "not TOML", error.message())
+        })?;
+        for Key { name, at, value } in keys(document.into_inner()) {
+            let is_list = H::LISTS.contains(&name.as_str());
+            match value {
+                DeValue::Table(table) if name == H::NAME => file.head = keys(table),
+                DeValue::Table(table) if name == "defaults" => file.defaults = keys(table),
+                DeValue::Array(list) if is_list => {
+                    let item = |item: Spanned<DeValue<'a>>| {
+                        let at = item.span().start;
+                        match item.into_inner() {
+                            DeValue::Table(table) => Some(Item { at, keys: keys(table) }),
+                            _ => None,
+                        }
+                    };
+                    let items = list.into_iter().map(item).collect::<Option<_>>();
+                    let items = items.ok_or_else(|| file.refuse(at, &name, &above_each(&name)))?;
+                    *if name == "gauge" { &mut file.gauges } else { &mut file.alerts } = items;
+                }
+                _ => {
+                    let why = match name.as_str() {
+                        list if is_list => above_each(list),
+                        table if table == H::NAME || table == "defaults" => {
+                            format!("write [{table}] above its keys")
+                        }
+                        _ => Self::unknown(Table::Top, &name),
+                    };
+                    return Err(file.refuse(at, &name, &why));
+                }
+            }
+        }
+        Ok(file)
     }
 
     /// An error about a key of the file.
@@ -143,220 +200,166 @@ impl<'a> File<'a> {
         Error::new(subject, Cause::Invalid(why))
     }
 
-    pub(super) fn place(&self, table: Table, key: &str) -> Option<&Place> {
-        self.places.iter().find(|place| place.table == table && place.key == key)
+    fn line(&self, at: usize) -> usize {
+        1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
     }
 
-    /// Reads the table of its head and those of the gauges.
-    pub(super) fn read<H: DeserializeOwned>(
-        path: &Path,
-        text: &'a str,
-        head: Head,
-    ) -> Result<(Self, H, Gauges)> {
-        let mut file = Self { name: path.display().to_string(), text, head, places: Vec::new() };
-        file.places = places(file.parse()?.get_ref(), &file.head);
-        let head = file.tables(|key| !OF_GAUGES.contains(&key))?;
-        let gauges: Gauges = file.tables(|key| OF_GAUGES.contains(&key))?;
-        file.check_keys(gauges.gauge.len())?;
-        Ok((file, head, gauges))
+    /// The place of a key of the first table.
+    pub(super) fn place(&self, name: &str) -> Option<usize> {
+        place(&self.head, name)
     }
 
-    fn parse(&self) -> Result<Spanned<DeTable<'a>>> {
-        DeTable::parse(self.text).map_err(|error| {
-            let at = error.span().map_or(0, |span| span.start);
-            self.refuse(at, "not TOML", error.message())
-        })
-    }
-
-    /// Parses the wanted tables only.
-    fn tables<T: DeserializeOwned>(&self, wanted: impl Fn(&str) -> bool) -> Result<T> {
-        let mut document = self.parse()?;
-        let all = std::mem::take(document.get_mut());
-        *document.get_mut() = all.into_iter().filter(|(key, _)| wanted(key.get_ref())).collect();
-        T::deserialize(toml::de::Deserializer::from(document)).map_err(|error| self.explain(&error))
-    }
-
-    /// The gauges, complete and with absolute paths.
-    pub(super) fn gauges(
-        &self,
-        gauges: Gauges,
-        path: &Path,
-        bus: Option<PathBuf>,
-    ) -> Result<Vec<GaugeOptions>> {
-        let Gauges { mut defaults, mut gauge } = gauges;
-        let paths = gauge.iter_mut().flat_map(|gauge| gauge.get_mut().paths());
-        make_absolute(defaults.paths().chain(paths), folder(path))?;
-        defaults.bus = bus.or(defaults.bus);
-        self.complete(gauge, &defaults)
-    }
-
-    /// The error for a place in the file that does not fit the structs above.
-    fn explain(&self, error: &toml::de::Error) -> Error {
-        let at = error.span().unwrap_or_default().start;
-        // Keys of a table come after the table, so the last place is the innermost one.
-        let is_in = |place: &&Place| place.at == at || place.value.contains(&at);
-        let Some(Place { table, key, at: start, .. }) = self.places.iter().rev().find(is_in) else {
-            return self.refuse(at, "not a configuration", error.message());
+    /// Reads every table. The defaults are a part of each gauge's table before that is read.
+    pub(super) fn read(&self) -> Result<Read<H>> {
+        let head = self.options(Table::Head, &self.head)?;
+        // Bad ones are refused even if there is no gauge.
+        self.options::<GaugeOptions>(Table::Defaults, &self.defaults)?;
+        let gauge = |gauge: &Item<'_>| {
+            self.check_keys(gauge)?;
+            let defaults = self.defaults.iter().filter(|default| is_default_of(gauge, &default.name));
+            self.options(Table::Gauge, defaults.chain(&gauge.keys))
         };
-        let why = match (table, key.as_str()) {
-            (Table::Top, "gauge") => "write [[gauge]] above the keys of each gauge".into(),
-            (Table::Top, "alert") if !error.message().starts_with("missing field") => {
-                "write [[alert]] above the keys of each alert".into()
-            }
-            (Table::Top, name) if name == self.head.name || name == "defaults" => {
-                format!("write [{key}] above its keys")
-            }
-            // It is about the key itself, not about its value.
-            _ if *start == at => self.unknown(*table, key),
-            _ => error.message().into(),
+        let gauges = self.gauges.iter().map(gauge).collect::<Result<_>>()?;
+        let alert = |alert: &Item<'_>| match alert.has("when") {
+            true => self.options(Table::Alert, &alert.keys),
+            false => Err(self.refuse(alert.at, "alert", "missing field `when`")),
         };
-        self.refuse(*start, key, &why)
+        let alerts = self.alerts.iter().map(alert).collect::<Result<_>>()?;
+        Ok(Read { head, gauges, alerts })
     }
 
-    /// Refuses keys that do not belong together.
-    fn check_keys(&self, gauges: usize) -> Result<()> {
-        for place in self.places.iter().filter(|place| place.key == "address") {
-            // A decimal number, as it was written.
-            let written = self.text[place.value.clone()].trim_matches(['"', '\'']);
-            let is_decimal = written.bytes().all(|byte| byte.is_ascii_digit());
-            if let Some(why) = values::address(written).err().filter(|_| is_decimal) {
-                return Err(self.refuse(place.at, &place.key, &why));
-            }
-        }
-        if let Some(own) = OWN.iter().find_map(|key| self.place(Table::Defaults, key)) {
-            return Err(self.refuse(own.at, &own.key, &self.unknown(own.table, &own.key)));
-        }
-        for table in (0..gauges).map(Table::Gauge) {
-            for (key, others) in CONFLICTS.iter().filter(|(key, _)| self.place(table, key).is_some()) {
-                if let Some(other) = others.iter().find_map(|other| self.place(table, other)) {
-                    return Err(self.refuse(other.at, &other.key, &format!("cannot be combined with {key}")));
-                }
-            }
-            if let Some(place) = OF_SIM.iter().find_map(|key| self.place(table, key))
-                && self.place(table, "sim").is_none()
+    /// Reads the keys of a table.
+    fn options<'k, T: Options>(&self, table: Table, keys: impl IntoIterator<Item = &'k Key<'a>>) -> Result<T>
+    where
+        'a: 'k,
+    {
+        let place = if table == Table::Defaults { At::Defaults } else { At::Table };
+        let mut options = T::default();
+        for Key { name, at, value } in keys {
+            let refuse = |why: String| self.refuse(*at, name, &why);
+            let row = T::row(name).filter(|row| row.is_at(place));
+            let row = row.ok_or_else(|| refuse(Self::unknown(table, name)))?;
+            if matches!(table, Table::Defaults | Table::Gauge)
+                && H::GAUGES.is_some_and(|place| !row.is_at(place))
             {
-                let why = "only for simulated gauges; set sim too, or remove this key";
-                return Err(self.refuse(place.at, &place.key, why));
+                return Err(refuse(format!("has no meaning at a {}; remove it", H::NAME)));
+            }
+            row.read(&mut options, value).map_err(refuse)?;
+        }
+        Ok(options)
+    }
+
+    /// Refuses keys of a gauge that do not belong together.
+    fn check_keys(&self, gauge: &Item<'_>) -> Result<()> {
+        for Key { name, at, .. } in &gauge.keys {
+            let Some(row) = GaugeOptions::row(name) else { continue };
+            if let Some(other) = row.not_with.iter().find(|other| gauge.has(other)) {
+                return Err(self.refuse(*at, name, &format!("cannot be combined with {other}")));
+            }
+            if let Some(needed) = row.needs.filter(|needed| !gauge.has(needed)) {
+                let why = format!("only together with {needed}; set {needed} too, or remove this key");
+                return Err(self.refuse(*at, name, &why));
             }
         }
         Ok(())
     }
 
-    /// The gauges with their defaults. Each has a source, and no two share what only one can have.
-    fn complete(
+    /// The gauges, with absolute paths. Each has a source, and no two share what only one can have.
+    pub(super) fn complete(
         &self,
-        gauges: Vec<Spanned<GaugeOptions>>,
-        defaults: &GaugeOptions,
+        mut gauges: Vec<GaugeOptions>,
+        path: &Path,
+        bus: Option<&Path>,
     ) -> Result<Vec<GaugeOptions>> {
         if gauges.is_empty() {
             let why = "no gauge; add one below a line [[gauge]]";
             return Err(Error::new(&self.name, Cause::Invalid(why.into())));
         }
         let mut taken: HashMap<Mark, usize> = HashMap::new();
-        let mut complete = Vec::new();
-        for (number, gauge) in gauges.into_iter().enumerate() {
-            let start = gauge.span().start;
-            let gauge = gauge.into_inner().over(defaults);
+        for (written, gauge) in self.gauges.iter().zip(&mut gauges) {
+            make_absolute(gauge, folder(path))?;
+            if !["bus", "sim", "replay"].iter().any(|source| written.has(source)) {
+                gauge.bus = bus.map(Path::to_path_buf).or(gauge.bus.take());
+            }
             if gauge.sim.is_none() && gauge.replay.is_none() && gauge.bus.is_none() {
                 let why = "no source given; below it, set bus = \"/dev/i2c-1\", sim or replay, or pass --bus";
-                return Err(self.refuse(start, "[[gauge]]", why));
+                return Err(self.refuse(written.at, "[[gauge]]", why));
             }
-            for (key, mark) in marks(&gauge) {
+            for (key, mark) in marks(gauge) {
                 // Without the key, the gauge as a whole is where the default is from.
-                let at = self.place(Table::Gauge(number), key).map_or(start, |place| place.at);
+                let at = written.place(key).unwrap_or(written.at);
                 if let Some(other) = taken.insert(mark, at) {
                     let why = format!("the same as on line {}; give each gauge its own", self.line(other));
                     return Err(self.refuse(at, key, &why));
                 }
             }
-            complete.push(gauge);
         }
-        Ok(complete)
+        Ok(gauges)
     }
 
     /// The error for a key that cannot be in its table.
-    fn unknown(&self, table: Table, key: &str) -> String {
-        let head = self.head.name;
-        let of_gauge = keys::<GaugeOptions>();
-        let is_of = |keys: &[String]| keys.iter().any(|known| known == key);
-        if let Table::Alert(_) = table {
-            let of_alert = keys::<AlertOptions>().join(", ");
-            return format!("unknown key; known below [[alert]] are gauge, {of_alert}");
+    fn unknown(table: Table, key: &str) -> String {
+        let head = H::NAME;
+        let known = |known: Vec<&str>| known.join(", ");
+        if table == Table::Alert {
+            return format!(
+                "unknown key; known below [[alert]] are {}",
+                known(names::<AlertOptions>(At::Table).collect())
+            );
         }
-        if OWN.contains(&key) {
-            return "belongs to one gauge; move it below its [[gauge]]".into();
+        match GaugeOptions::row(key) {
+            Some(row) if !row.is_at(At::Defaults) => {
+                return "belongs to one gauge; move it below its [[gauge]]".into();
+            }
+            _ if H::row(key).is_some() => return format!("belongs to the {head}; move it below [{head}]"),
+            Some(_) => {
+                return "belongs to the gauges; move it below [defaults], or below a [[gauge]]".into();
+            }
+            None => {}
         }
-        if is_of(&self.head.keys) {
-            return format!("belongs to the {head}; move it below [{head}]");
-        }
-        if is_of(&of_gauge) {
-            return "belongs to the gauges; move it below [defaults], or below a [[gauge]]".into();
-        }
-        if let Some(known) = self.nearest(key) {
-            return format!("unknown key; did you mean {known}?");
+        if let Some(meant) = Self::nearest(key) {
+            return format!("unknown key; did you mean {meant}?");
         }
         let here = match table {
             Table::Top => {
-                let lists = self.head.lists.iter().map(|list| format!("[[{list}]]")).collect::<Vec<_>>();
+                let lists = H::LISTS.iter().map(|list| format!("[[{list}]]"));
                 let tables = [format!("[{head}]"), "[defaults]".into()].into_iter().chain(lists);
                 let tables = tables.collect::<Vec<_>>().join(", ");
                 return format!("unknown key; a file has the tables {tables}");
             }
-            Table::Head => self.head.keys.clone(),
-            Table::Defaults => of_gauge.into_iter().filter(|key| !OWN.contains(&key.as_str())).collect(),
-            Table::Gauge(_) | Table::Alert(_) => of_gauge,
+            Table::Head => known(names::<H>(At::Table).collect()),
+            Table::Defaults => known(names::<GaugeOptions>(At::Defaults).collect()),
+            Table::Gauge | Table::Alert => known(names::<GaugeOptions>(At::Table).collect()),
         };
-        format!("unknown key; known here are {}", here.join(", "))
+        format!("unknown key; known here are {here}")
     }
 
     /// The key or table that was probably meant.
-    fn nearest(&self, word: &str) -> Option<String> {
-        let tables = [self.head.name, "defaults"].into_iter().chain(self.head.lists.iter().copied());
-        let (of_gauge, of_head) = (keys::<GaugeOptions>(), &self.head.keys);
-        let names = of_gauge.iter().chain(of_head).map(String::as_str).chain(tables);
+    fn nearest(word: &str) -> Option<String> {
+        let tables = [H::NAME, "defaults"].into_iter().chain(H::LISTS.iter().copied());
+        let names = names::<GaugeOptions>(At::Table).chain(names::<H>(At::Table)).chain(tables);
         Some(match nearest(&word.replace('_', "-"), names)? {
-            table if self.head.lists.contains(&table) => format!("[[{table}]]"),
-            table if table == self.head.name || table == "defaults" => format!("[{table}]"),
+            table if H::LISTS.contains(&table) => format!("[[{table}]]"),
+            table if table == H::NAME || table == "defaults" => format!("[{table}]"),
             key => format!("`{key}`"),
         })
     }
 }
 
-/// All keys of a file: those outside of tables, and those of the tables that are known.
-fn places(document: &DeTable<'_>, head: &Head) -> Vec<Place> {
-    let mut places = Vec::new();
-    let mut add = |table, (key, value): (&Spanned<DeString<'_>>, &Spanned<DeValue<'_>>)| {
-        places.push(Place {
-            table,
-            key: key.get_ref().to_string(),
-            at: key.span().start,
-            value: value.span(),
-        });
-    };
-    for (key, value) in document {
-        add(Table::Top, (key, value));
-        match (key.get_ref().as_ref(), value.get_ref()) {
-            (name, DeValue::Table(table)) if name == head.name => {
-                table.iter().for_each(|key| add(Table::Head, key));
-            }
-            ("defaults", DeValue::Table(table)) => table.iter().for_each(|key| add(Table::Defaults, key)),
-            (kind, DeValue::Array(list)) if head.lists.contains(&kind) => {
-                let place = if kind == "gauge" { Table::Gauge } else { Table::Alert };
-                for (number, item) in list.iter().enumerate() {
-                    let table = item.get_ref().as_table();
-                    table.into_iter().flatten().for_each(|key| add(place(number), key));
-                }
-            }
-            _ => {}
-        }
-    }
-    places
+fn above_each(list: &str) -> String {
+    format!("write [[{list}]] above the keys of each {list}")
 }
 
-/// The names of options as the command line has them.
-fn keys<Options: Args>() -> Vec<String> {
-    let command = Options::augment_args(Command::new("gaugefs"));
-    command.get_arguments().map(|option| option.get_id().as_str().replace('_', "-")).collect()
+/// Whether a default is for this gauge: it gives way to what the gauge says itself, and to what that contradicts. A gauge
+/// that is simulated or recorded is not on the bus of the others.
+fn is_default_of(gauge: &Item<'_>, default: &str) -> bool {
+    let contradicts = |row: &Opt<GaugeOptions>, other: &str| row.not_with.contains(&other);
+    let row = GaugeOptions::row(default);
+    gauge.keys.iter().all(|own| {
+        own.name != default
+            && !row.is_some_and(|row| contradicts(row, &own.name))
+            && !GaugeOptions::row(&own.name).is_some_and(|row| contradicts(row, default))
+    })
 }
 
 /// A property that only one gauge can have.
@@ -380,4 +383,43 @@ fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     }
     marks.extend(gauge.trace.iter().map(|trace| ("trace", Mark::File(trace.clone()))));
     marks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gauges(text: &str) -> Vec<GaugeOptions> {
+        let path = Path::new("/etc/gauges.toml");
+        let file = File::<MountOptions>::parse(path, text).expect("TOML");
+        let read = file.read().unwrap_or_else(|error| panic!("{error}"));
+        file.complete(read.gauges, path, Some(Path::new("/dev/i2c-9"))).expect("they have a source")
+    }
+
+    #[test]
+    fn a_gauge_goes_before_the_defaults_and_what_contradicts_it_is_left_out() {
+        let gauges = gauges(
+            "[defaults]\nbus = '/dev/i2c-1'\naddress = 0x56\nchip = 'bq27427'\nrestore = 'image'\npoll = 10\n\
+             energy = true\nwrites-per-hour = 3\nkey-file = 'keys'\n\
+             [[gauge]]\n\
+             [[gauge]]\nbus = '/dev/i2c-2'\npoll = '1min'\nenergy = false\nwrites-per-hour = 0\n\
+             [[gauge]]\nsim = 'bq27427'\n\
+             [[gauge]]\nreplay = 'recording'\n",
+        );
+        let shown = gauges.iter().map(|gauge| {
+            let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+            let place = (path(&gauge.bus), gauge.address, gauge.chip.is_some());
+            let rest = (path(&gauge.restore), gauge.poll.map(|poll| poll.as_secs()), gauge.energy);
+            (place, rest, gauge.writes_per_hour, path(&gauge.key_file))
+        });
+        let text = |text: &str| Some(text.to_string());
+        let (image, keys) = (text("/etc/image"), text("/etc/keys"));
+        let expected = [
+            ((text("/dev/i2c-9"), Some(0x56), true), (image.clone(), Some(10), true), Some(3), keys.clone()),
+            ((text("/dev/i2c-2"), Some(0x56), true), (image.clone(), Some(60), false), Some(0), keys.clone()),
+            ((None, None, false), (image, Some(10), true), Some(3), keys.clone()),
+            ((None, None, false), (None, Some(10), true), None, keys),
+        ];
+        assert_eq!(shown.collect::<Vec<_>>(), expected);
+    }
 }

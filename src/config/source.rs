@@ -55,7 +55,7 @@ impl<'a> Source<'a> {
             (None, Some(file), _) => Self::Recording(file),
             (None, None, Some(bus)) => {
                 let address = gauge.address.unwrap_or(GAUGE_ADDRESS);
-                let byte_writes = gauge.byte_writes.unwrap_or_default();
+                let byte_writes = gauge.byte_writes;
                 Self::Bus { bus, address, chip: gauge.chip, byte_writes }
             }
             (None, None, None) => unreachable!("the command line and the configuration demand a source"),

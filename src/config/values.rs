@@ -2,12 +2,15 @@
 
 use std::fmt;
 use std::ptr;
+use std::str::FromStr;
 use std::time::Duration;
 
+use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
 use gauge_bus::GAUGE_ADDRESS;
+use gaugefs_client::condition::Condition;
 use gaugefs_host::seconds;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, kernel};
@@ -51,6 +54,27 @@ pub(super) fn chip(name: &str) -> Result<&'static Chip, String> {
         };
         format!("unknown chip `{name}`; {meant}`gaugefs chips` lists the known ones")
     })
+}
+
+pub(super) fn condition(text: &str) -> Result<Condition, String> {
+    text.parse().map_err(|error: <Condition as FromStr>::Err| error.to_string())
+}
+
+/// A number of something.
+pub(super) fn count<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
+    text::unsigned(text).ok_or_else(|| format!("{text} is not a whole number of the range"))
+}
+
+pub(super) fn integer(text: &str) -> Result<i64, String> {
+    let number = text.parse().ok().or_else(|| text::unsigned(text));
+    number.ok_or_else(|| "expected a whole number".into())
+}
+
+/// One of the words for a value.
+pub(super) fn one_of<T: ValueEnum>(text: &str) -> Result<T, String> {
+    let words = T::value_variants().iter().filter_map(T::to_possible_value);
+    let words = words.map(|word| word.get_name().to_string()).collect::<Vec<_>>().join(", ");
+    T::from_str(text, false).map_err(|_| format!("expected one of: {words}"))
 }
 
 pub(super) fn key(text: &str) -> Result<Key, String> {

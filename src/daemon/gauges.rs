@@ -141,7 +141,7 @@ impl Opening {
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
             let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
-            let replace = gauge.trace_replace.unwrap_or_default();
+            let replace = gauge.trace_replace;
             bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head, replace)?);
         }
         let place = match self.read_only {
@@ -172,7 +172,7 @@ impl Opening {
 /// Whether the trace of a gauge can be recorded. A file that is there is not recorded over.
 pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
     let Some(path) = &gauge.trace else { return Ok(()) };
-    trace::check(path, gauge.trace_replace.unwrap_or_default()).map_err(|error| {
+    trace::check(path, gauge.trace_replace).map_err(|error| {
         let name = path.display().to_string();
         if error.kind() == ErrorKind::AlreadyExists {
             let why =
@@ -198,8 +198,8 @@ pub(crate) fn settings(
         keys,
         key_file: key_file.or_else(key_file::of_credential),
         interval: gauge.interval(),
-        byte_writes: gauge.byte_writes.unwrap_or_default() || byte_writes,
-        allow_unproven: gauge.allow_unproven.unwrap_or_default(),
+        byte_writes: gauge.byte_writes || byte_writes,
+        allow_unproven: gauge.allow_unproven,
         limits: gauge.limits(),
         auth_order: gauge.auth_order.unwrap_or_default(),
         restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
@@ -245,6 +245,6 @@ pub(crate) fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
         Some(path) => key_file::from_file(path, name)?,
         None => key_file::from_credential(name)?.unwrap_or_default(),
     };
-    keys.no_default = gauge.no_default_keys.unwrap_or_default();
+    keys.no_default = gauge.no_default_keys;
     Ok(keys)
 }

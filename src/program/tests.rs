@@ -21,7 +21,7 @@ use ti_gauge::{codec, text};
 use super::record::{Entry, Event};
 use super::target::Flash;
 use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
-use crate::config::{StationOptions, StationSetup};
+use crate::config::{At, GaugeOptions, StationOptions, StationSetup, names};
 use crate::error::Result;
 use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
 use ti_gauge::notation;
@@ -1029,16 +1029,18 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
 fn the_manual_has_every_key_of_a_station() {
     let manual =
         include_str!("../../docs/PRODUCTION.md").split_once("\n## A station\n").expect("a section").1;
-    let command = <StationOptions as clap::Args>::augment_args(clap::Command::new("station"));
-    let keys: Vec<String> =
-        command.get_arguments().map(|key| key.get_id().as_str().replace('_', "-")).collect();
+    let keys: Vec<&str> = names::<StationOptions>(At::Table).collect();
     assert!(keys.len() > 25);
     let table = manual.lines().filter(|line| line.starts_with("| `"));
     let listed: BTreeSet<&str> = table
         .flat_map(|line| line.split('|').nth(1))
         .flat_map(|cell| cell.split('`').skip(1).step_by(2))
         .collect();
-    assert_eq!(listed, keys.iter().map(String::as_str).collect());
+    assert_eq!(listed, keys.into_iter().collect());
+    let (_, of_gauges) = manual.split_once("with the keys that make sense here:").expect("a list");
+    let of_gauges = of_gauges.split("for simulated packs").next().unwrap_or_default();
+    let of_gauges: BTreeSet<&str> = of_gauges.split('`').skip(1).step_by(2).collect();
+    assert_eq!(of_gauges, names::<GaugeOptions>(At::Station).collect());
     // The example is accepted.
     let example =
         manual.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");

@@ -175,7 +175,12 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[[gauge]]\nsim = 'bq34110'\n\nchip = 'bq34110'\n", &["line 4: chip: cannot be combined with sim"]),
         ("[[gauge]]\nreplay = 'r'\nbus = 'b'\n", &["line 3: bus: cannot be combined with replay"]),
         ("[[gauge]]\nreplay = 'r'\ntrace = 't'\n", &["line 3: trace: cannot be combined with replay"]),
-        ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: only for simulated gauges"]),
+        ("[[gauge]]\nsim-state = 's'\n", &["line 2: sim-state: only together with sim; set sim too"]),
+        ("[[gauge]]\ntrace-replace = true\n", &["line 2: trace-replace: only together with trace"]),
+        (
+            "[[gauge]]\nreplay = 'r'\nwrites-per-hour = 3\n",
+            &["line 3: writes-per-hour: cannot be combined with replay"],
+        ),
         (&format!("{mount}[[gauge]]\nname = 'A'\n"), &["line 3: [[gauge]]: no source given", "--bus"]),
         (mount, &["no gauge", "[[gauge]]"]),
         ("", &["no gauge", "[[gauge]]"]),

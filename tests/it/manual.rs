@@ -13,7 +13,12 @@ fn docs() -> PathBuf {
 
 /// gaugefs(1), as a package installs it.
 fn page() -> String {
-    let output = command(&["man"]).env("SOURCE_DATE_EPOCH", "1700000000").output().expect("gaugefs runs");
+    printed("gaugefs")
+}
+
+fn printed(page: &str) -> String {
+    let mut command = command(&["man", page]);
+    let output = command.env("SOURCE_DATE_EPOCH", "1700000000").output().expect("gaugefs runs");
     assert!(output.status.success());
     String::from_utf8(output.stdout).expect("a page in UTF-8")
 }
@@ -64,15 +69,8 @@ impl Drop for Scratch {
 
 #[test]
 fn the_pages_render_without_a_warning() {
-    let mut pages = vec![("gaugefs.1".to_string(), page())];
-    for entry in fs::read_dir(docs()).expect("docs").map(|entry| entry.expect("docs")) {
-        let name = entry.file_name().into_string().expect("a name in UTF-8");
-        if name.ends_with(".5") {
-            pages.push((name, fs::read_to_string(entry.path()).expect("a page")));
-        }
-    }
-    for (name, text) in pages {
-        let file = Scratch::new(&name, &text);
+    for (name, text) in [("gaugefs.1", page()), ("gaugefs.toml.5", printed("gaugefs.toml"))] {
+        let file = Scratch::new(name, &text);
         if let Some(lint) = said("mandoc", &["-T", "lint", "-W", "warning"], file.path()) {
             assert_eq!(lint, "", "{name}");
         }
@@ -120,12 +118,13 @@ fn the_page_lists_every_command_with_its_options() {
 /// A configuration file has the options of the command line, except those that only make sense there.
 #[test]
 fn the_page_of_the_configuration_lists_every_option() {
-    let page = plain(&fs::read_to_string(docs().join("gaugefs.toml.5")).expect("the page"));
-    let terms = page.lines().filter(|line| line.starts_with(".BR ") && line.ends_with(")\""));
-    let words = terms.flat_map(|line| line[4..].split(['"', ',', ' ']));
-    let is_key =
-        |word: &&str| !word.is_empty() && !word.starts_with('(') && !word.ends_with(')') && *word != "or";
-    let keys: BTreeSet<String> = words.filter(is_key).map(String::from).collect();
+    let page = plain(&printed("gaugefs.toml"));
+    for place in ["@DATE@", "@VERSION@", "@MOUNT@", "@DEFAULTS@", "@GAUGE@", "@ALERT@"] {
+        assert!(!page.contains(place), "{place}");
+    }
+    let terms = page.lines().zip(page.lines().skip(1)).filter(|(before, _)| *before == ".TP");
+    let keys = terms.filter_map(|(_, term)| term.strip_suffix(')')?.split_once(" ("));
+    let keys: BTreeSet<String> = keys.map(|(key, _)| key.to_string()).collect();
     let help = gaugefs(&["mount", "--help"]).done();
     // Explanations are indented further, and may begin a line with an option.
     let options = help.lines().filter_map(|line| line.strip_prefix("      --"));

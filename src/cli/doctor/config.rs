@@ -43,10 +43,10 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
 fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBuf>) -> Finding {
     let device = is_bus(name).then(|| format!("/dev/{name}"));
     // Any other is for `gaugefs mount --config`, or for the administrator's own rule.
-    let place = (name != MANY).then(|| format!("/run/gaugefs/{name}").into());
-    let mount = MountOptions { mountpoint: place, ..MountOptions::default() };
+    let place = (name != MANY).then(|| PathBuf::from(format!("/run/gaugefs/{name}")));
+    let over = |mount: &mut MountOptions| mount.mountpoint = place.or(mount.mountpoint.take());
     let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));
-    let gauges = match Setup::read(&host.at(path), mount, bus) {
+    let gauges = match Setup::read(&host.at(path), over, bus) {
         Ok(setup) => setup.gauges,
         Err(error) => {
             let why = error.to_string().replace(&*host.at(path).to_string_lossy(), path);

@@ -1,0 +1,302 @@
+//! What an option is, and the views of it: an argument of the command line, and a key of a configuration file.
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::path::PathBuf;
+
+use clap::error::Error;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use toml::de::DeValue;
+
+use super::values;
+use ti_gauge::chip::Chip;
+
+/// Options that are read together.
+pub(crate) trait Options: Default + 'static {
+    /// Each of them.
+    const TABLE: &'static [Opt<Self>];
+
+    /// The option of that name.
+    fn row(name: &str) -> Option<&'static Opt<Self>> {
+        Self::TABLE.iter().find(|row| row.name == name)
+    }
+}
+
+/// An option: everything that is known of it.
+pub(crate) struct Opt<T: 'static> {
+    /// As the command line has it after `--`, and as a file has it.
+    pub(crate) name: &'static str,
+    /// Its value, and what that changes.
+    pub(super) effect: Effect<T>,
+    /// A sentence without its full stop.
+    pub(super) doc: &'static str,
+    /// What the help says after that, which does not hold in a file.
+    pub(super) on_line: &'static str,
+    /// What applies without it; empty if that goes without saying.
+    pub(super) default: &'static str,
+    /// Further sentences of gaugefs.toml(5).
+    pub(super) more: &'static str,
+    /// Heading in the help of the command.
+    pub(super) heading: &'static str,
+    pub(super) at: &'static [At],
+    /// The options that it contradicts; said on one of the two sides. A default gives way to a gauge's own option.
+    pub(super) not_with: &'static [&'static str],
+    /// An option that it needs.
+    pub(super) needs: Option<&'static str>,
+    /// A value as TOML, for the tests.
+    #[cfg_attr(not(test), allow(dead_code, reason = "every option is tested with it"))]
+    pub(super) sample: &'static str,
+}
+
+/// Where an option may stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum At {
+    /// On the command line, as `--name`.
+    Line,
+    /// On the command line, by its position.
+    Argument,
+    /// In the table of a file that it is about: `[mount]`, `[[gauge]]`, `[[alert]]` or `[station]`.
+    Table,
+    /// In `[defaults]`.
+    Defaults,
+    /// In the tables of gauges in the file of a station.
+    Station,
+}
+
+/// The value of an option, with its name in the help, and how it is checked and stored.
+pub(crate) enum Effect<T> {
+    Switch(fn(&mut T, bool)),
+    File(&'static str, fn(&mut T) -> &mut Option<PathBuf>),
+    /// In a file, both this and the next may be a number or a string.
+    Number(&'static str, fn(&mut T, &str) -> Result<(), String>),
+    Text(&'static str, fn(&mut T, &str) -> Result<(), String>),
+    Chip(fn(&mut T) -> &mut Option<&'static Chip>),
+    /// A switch which may be given a text.
+    SwitchOrText(&'static str, fn(&mut T, Option<Option<&str>>) -> Result<(), String>),
+    /// Words up to a `;`, each of which is checked on the command line.
+    Words(&'static str, fn(&str) -> Result<String, String>, fn(&mut T, Vec<String>)),
+}
+
+/// Stores a value that was accepted.
+pub(super) fn put<V>(to: &mut Option<V>, value: Result<V, String>) -> Result<(), String> {
+    *to = Some(value?);
+    Ok(())
+}
+
+impl<T: Options> Opt<T> {
+    /// For a row to say only what is not usual.
+    pub(super) const NEW: Self = Self {
+        name: "",
+        effect: Effect::Switch(|_, _| ()),
+        doc: "",
+        on_line: "",
+        default: "",
+        more: "",
+        heading: "",
+        at: &[At::Line, At::Table],
+        not_with: &[],
+        needs: None,
+        sample: "true",
+    };
+
+    pub(crate) fn is_at(&self, place: At) -> bool {
+        self.at.contains(&place)
+    }
+
+    fn is_on_command_line(&self) -> bool {
+        self.is_at(At::Line) || self.is_at(At::Argument)
+    }
+
+    fn arg(&'static self) -> Arg {
+        let default = match self.default {
+            "" => String::new(),
+            default => format!(" [default: {default}]"),
+        };
+        let help = format!("{}{}{default}", self.doc, self.on_line);
+        let heading = Some(self.heading).filter(|heading| !heading.is_empty());
+        let mut arg = Arg::new(self.name).help(help).help_heading(heading).conflicts_with_all(self.not_with);
+        if let Some(needed) = self.needs {
+            arg = arg.requires(needed);
+        }
+        arg = match self.is_at(At::Argument) {
+            true => arg.required_unless_present("config"),
+            false => arg.long(self.name),
+        };
+        let checked = |set: fn(&mut T, &str) -> Result<(), String>| {
+            move |text: &str| set(&mut T::default(), text).map(|()| text.to_string())
+        };
+        match self.effect {
+            Effect::Switch(_) => arg.action(ArgAction::SetTrue),
+            Effect::File(name, _) => arg.value_name(name).value_parser(clap::value_parser!(PathBuf)),
+            Effect::Number(name, set) | Effect::Text(name, set) => {
+                arg.value_name(name).value_parser(checked(set))
+            }
+            Effect::Chip(_) => arg
+                .value_name("CHIP")
+                .value_parser(values::chips())
+                .ignore_case(true)
+                .hide_possible_values(true),
+            Effect::SwitchOrText(name, set) => {
+                let parse =
+                    move |text: &str| set(&mut T::default(), Some(Some(text))).map(|()| text.to_string());
+                arg.value_name(name).num_args(0..=1).require_equals(true).value_parser(parse)
+            }
+            Effect::Words(name, word, _) => {
+                let arg = arg.action(ArgAction::Append).value_name(name).num_args(1..);
+                arg.allow_hyphen_values(true).value_terminator(";").value_parser(word)
+            }
+        }
+    }
+
+    /// Stores what the command line says.
+    fn take(&self, to: &mut T, matches: &ArgMatches) -> Result<(), String> {
+        let text = || matches.get_one::<String>(self.name).map(String::as_str);
+        match self.effect {
+            // What was given before stays, in a file.
+            Effect::Switch(set) if matches.get_flag(self.name) => set(to, true),
+            Effect::Switch(_) => {}
+            Effect::File(_, field) => {
+                if let Some(path) = matches.get_one::<PathBuf>(self.name) {
+                    *field(to) = Some(path.clone());
+                }
+            }
+            Effect::Number(_, set) | Effect::Text(_, set) => {
+                return text().map_or(Ok(()), |text| set(to, text));
+            }
+            Effect::Chip(field) => {
+                if let Some(chip) = matches.get_one::<&'static Chip>(self.name) {
+                    *field(to) = Some(chip);
+                }
+            }
+            Effect::SwitchOrText(_, set) if matches.contains_id(self.name) => return set(to, Some(text())),
+            Effect::SwitchOrText(..) => {}
+            Effect::Words(_, _, set) => {
+                if let Some(words) = matches.get_many::<String>(self.name) {
+                    set(to, words.cloned().collect());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Stores what a file says.
+    pub(super) fn read(&self, to: &mut T, value: &DeValue<'_>) -> Result<(), String> {
+        let string = |value: &DeValue<'_>| value.as_str().map(str::to_string);
+        match self.effect {
+            Effect::Switch(set) => set(to, value.as_bool().ok_or("expected a boolean")?),
+            Effect::File(_, field) => *field(to) = Some(string(value).ok_or("expected a string")?.into()),
+            Effect::Number(_, set) | Effect::Text(_, set) => return set(to, &word(value)?),
+            Effect::Chip(field) => return put(field(to), values::chip(&word(value)?)),
+            Effect::SwitchOrText(_, set) => match (value.as_bool(), value.as_str()) {
+                (Some(is_on), _) => return set(to, is_on.then_some(None)),
+                (None, Some(text)) => return set(to, Some(Some(text))),
+                (None, None) => return Err("expected true, false or a name".into()),
+            },
+            Effect::Words(_, _, set) => {
+                let words = value.as_array().map(|list| list.iter().map(|word| string(word.get_ref())));
+                set(to, words.and_then(Iterator::collect).ok_or("expected an array of strings")?);
+            }
+        }
+        Ok(())
+    }
+
+    /// The type of its value in a file.
+    pub(crate) fn kind(&self) -> &'static str {
+        match self.effect {
+            Effect::Switch(_) => "boolean",
+            Effect::File(..) | Effect::Text(..) | Effect::Chip(_) => "string",
+            Effect::Number(..) => "number",
+            Effect::SwitchOrText(..) => "boolean or string",
+            Effect::Words(..) => "array",
+        }
+    }
+
+    /// What gaugefs.toml(5) says about it.
+    pub(crate) fn explained(&self) -> String {
+        let default = match self.default {
+            "" => String::new(),
+            default => format!(" Default: {default}."),
+        };
+        let more = if self.more.is_empty() { String::new() } else { format!(" {}", self.more) };
+        format!("{}.{default}{more}", self.doc)
+    }
+}
+
+/// A number or a string. A number is as it was written, but for its base: data sheets write addresses in hexadecimal, and
+/// 55 is most likely one of them.
+fn word(value: &DeValue<'_>) -> Result<String, &'static str> {
+    const EXPECTED: &str = "expected a number or a string";
+    Ok(match value {
+        DeValue::Integer(number) if number.radix() == 10 => number.as_str().to_string(),
+        DeValue::Integer(number) => {
+            let number = i64::from_str_radix(number.as_str(), number.radix()).map_err(|_| EXPECTED)?;
+            format!("{number:#04x}")
+        }
+        DeValue::Float(number) => number.as_str().to_string(),
+        DeValue::String(text) => text.to_string(),
+        _ => return Err(EXPECTED),
+    })
+}
+
+/// The names of the options that may stand in a place.
+pub(crate) fn names<T: Options>(place: At) -> impl Iterator<Item = &'static str> {
+    T::TABLE.iter().filter(move |row| row.is_at(place)).map(|row| row.name)
+}
+
+/// The files that the options name.
+pub(super) fn paths<T: Options>(options: &mut T, mut each: impl FnMut(&mut PathBuf)) {
+    for row in T::TABLE {
+        if let Effect::File(_, field) = row.effect
+            && let Some(path) = field(options)
+        {
+            each(path);
+        }
+    }
+}
+
+/// The options that a command line has.
+#[derive(Clone)]
+pub(crate) struct Given<T>(ArgMatches, PhantomData<T>);
+
+/// Without the values, because there may be a key among them.
+impl<T> fmt::Debug for Given<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Given").finish_non_exhaustive()
+    }
+}
+
+impl<T: Options> Given<T> {
+    /// Stores them over what is known from elsewhere.
+    pub(crate) fn over(&self, options: &mut T) {
+        for row in T::TABLE.iter().filter(|row| row.is_on_command_line()) {
+            row.take(options, &self.0).expect("clap has refused what cannot be stored");
+        }
+    }
+
+    pub(crate) fn options(&self) -> T {
+        let mut options = T::default();
+        self.over(&mut options);
+        options
+    }
+}
+
+impl<T: Options> FromArgMatches for Given<T> {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        Ok(Self(matches.clone(), PhantomData))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        self.0 = matches.clone();
+        Ok(())
+    }
+}
+
+impl<T: Options> Args for Given<T> {
+    fn augment_args(command: Command) -> Command {
+        command.args(T::TABLE.iter().filter(|row| row.is_on_command_line()).map(Opt::arg))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}

@@ -1,0 +1,707 @@
+//! All options of mounts, gauges, alerts and stations. An option is a field, and a row that says everything else about it;
+//! the command line, the keys of a file, gaugefs(1), gaugefs.toml(5) and the completions follow from the rows.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::ValueEnum;
+
+use super::option::{self, At, Effect, Opt, Options, put};
+use super::values::{self, Key};
+use gaugefs_client::condition::Condition;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::Chip;
+
+/// For any gauge, also at a station.
+const ANY_GAUGE: &[At] = &[At::Line, At::Table, At::Defaults, At::Station];
+/// For any gauge that is mounted.
+const ANY_MOUNTED: &[At] = &[At::Line, At::Table, At::Defaults];
+/// For one gauge only, also at a station.
+const ONE_GAUGE: &[At] = &[At::Line, At::Table, At::Station];
+/// For one gauge that is mounted.
+const ONE_MOUNTED: &[At] = &[At::Line, At::Table];
+/// In a file only.
+const IN_FILE: &[At] = &[At::Table];
+
+// The headings of the help.
+const GAUGE: &str = "Gauge";
+const SHOWN: &str = "What is shown";
+const ACCESS: &str = "Access";
+const RUNNING: &str = "Running";
+
+/// What a gauge is, and how it is treated: `[[gauge]]` and `[defaults]`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct GaugeOptions {
+    pub(crate) sim: Option<&'static Chip>,
+    pub(crate) sim_state: Option<PathBuf>,
+    pub(crate) sim_key: Option<Key>,
+    pub(crate) bus: Option<PathBuf>,
+    pub(crate) address: Option<u8>,
+    pub(crate) chip: Option<&'static Chip>,
+    pub(crate) replay: Option<PathBuf>,
+    pub(crate) byte_writes: bool,
+    pub(crate) restore: Option<PathBuf>,
+    pub(crate) name: Option<String>,
+    pub(crate) poll: Option<Duration>,
+    pub(crate) energy: bool,
+    pub(crate) absolute_current: bool,
+    pub(crate) current_scale: Option<f64>,
+    pub(crate) voltage_scale: Option<f64>,
+    pub(crate) energy_scale: Option<f64>,
+    pub(crate) allow_unproven: bool,
+    pub(crate) allow_learning: bool,
+    pub(crate) writes_per_hour: Option<u32>,
+    pub(crate) key_file: Option<PathBuf>,
+    pub(crate) no_default_keys: bool,
+    pub(crate) auth_order: Option<Order>,
+    pub(crate) trace: Option<PathBuf>,
+    pub(crate) trace_replace: bool,
+}
+
+impl Options for GaugeOptions {
+    const TABLE: &'static [Opt<Self>] = &[
+        Opt {
+            name: "sim",
+            effect: Effect::Chip(|to| &mut to.sim),
+            doc: "Simulate a gauge of this chip; `gaugefs chips` lists them",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            sample: "'bq27427'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "sim-state",
+            effect: Effect::File("FILE", |to| &mut to.sim_state),
+            doc: "File that keeps the simulated gauge's flash; created if missing",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "'flash'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "sim-key",
+            effect: Effect::Text("WORDS", |to, text| put(&mut to.sim_key, values::key(text))),
+            doc: "Unseal key of a new simulated gauge",
+            default: "the manual's",
+            more: "It is two words, such as \"0414 3672\".",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "'0414 3672'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "bus",
+            effect: Effect::File("DEVICE", |to| &mut to.bus),
+            doc: "I2C bus of the gauge, such as /dev/i2c-1",
+            on_line: ", or the gauge's device, such as /sys/bus/i2c/devices/1-0055",
+            heading: GAUGE,
+            at: ANY_GAUGE,
+            not_with: &["sim", "replay"],
+            sample: "'/dev/i2c-1'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "address",
+            effect: Effect::Number("ADDRESS", |to, text| put(&mut to.address, values::address(text))),
+            doc: "7-bit address of the gauge",
+            default: "0x55",
+            heading: GAUGE,
+            at: ANY_GAUGE,
+            not_with: &["sim", "replay"],
+            sample: "0x56",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "chip",
+            effect: Effect::Chip(|to| &mut to.chip),
+            doc: "Chip of the gauge",
+            default: "the gauge is asked",
+            more: "A gauge that is asked is left out if it does not answer when the mount starts. With this option its \
+                   folder always exists, and `present` is 0 until the gauge answers.",
+            heading: GAUGE,
+            at: ANY_GAUGE,
+            not_with: &["sim", "replay"],
+            sample: "'bq27427'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "replay",
+            effect: Effect::File("FILE", |to| &mut to.replay),
+            doc: "Replay a gauge from this recording, which --trace made; read-only",
+            on_line: "; - is standard input",
+            heading: GAUGE,
+            at: ONE_MOUNTED,
+            not_with: &["sim"],
+            sample: "'recording'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "byte-writes",
+            effect: Effect::Switch(|to, on| to.byte_writes = on),
+            doc: "Write one byte per transfer, as some gauges need above 100 kHz",
+            heading: GAUGE,
+            at: ANY_GAUGE,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "restore",
+            effect: Effect::File("FILE", |to| &mut to.restore),
+            doc: "Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power",
+            on_line: "; - is standard input",
+            heading: GAUGE,
+            at: ANY_MOUNTED,
+            not_with: &["replay"],
+            sample: "'image'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "name",
+            effect: Effect::Text("NAME", |to, text| put(&mut to.name, values::name(text))),
+            doc: "Name of the gauge's folder",
+            default: "BAT0, or the first BATn that the kernel does not use",
+            heading: SHOWN,
+            at: ONE_GAUGE,
+            sample: "'PACK'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "poll",
+            effect: Effect::Number("SECONDS", |to, text| put(&mut to.poll, values::interval(text))),
+            doc: "Seconds between two polls, 0.5 to 3600",
+            default: "30; 3 with --sim and --replay",
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            sample: "10",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "energy",
+            effect: Effect::Switch(|to, on| to.energy = on),
+            doc: "Show energy_now and power_avg too; beside charge_now they mislead some monitors",
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "absolute-current",
+            effect: Effect::Switch(|to, on| to.absolute_current = on),
+            doc: "Show currents without sign, for monitors that cannot handle negative ones",
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "current-scale",
+            effect: Effect::Number("FACTOR", |to, text| put(&mut to.current_scale, values::factor(text))),
+            doc: "Multiply currents and charges by this factor",
+            default: "1",
+            more: OF_SCALES,
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            sample: "2.5",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "voltage-scale",
+            effect: Effect::Number("FACTOR", |to, text| put(&mut to.voltage_scale, values::factor(text))),
+            doc: "Multiply voltages by this factor",
+            default: "1",
+            more: OF_SCALES,
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            sample: "2.5",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "energy-scale",
+            effect: Effect::Number("FACTOR", |to, text| put(&mut to.energy_scale, values::factor(text))),
+            doc: "Multiply energies and powers by this factor",
+            default: "1",
+            more: OF_SCALES,
+            heading: SHOWN,
+            at: ANY_MOUNTED,
+            sample: "2.5",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "allow-unproven",
+            effect: Effect::Switch(|to, on| to.allow_unproven = on),
+            doc: "Also write parameters whose address or range is uncertain",
+            heading: ACCESS,
+            at: ANY_GAUGE,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "allow-learning",
+            effect: Effect::Switch(|to, on| to.allow_learning = on),
+            doc: "Also write during a learning cycle; the reset that follows ends the cycle",
+            heading: ACCESS,
+            at: ANY_MOUNTED,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "writes-per-hour",
+            effect: Effect::Number("N", |to, text| put(&mut to.writes_per_hour, values::count(text))),
+            doc: "Program at most this many blocks of flash per hour; 0 for no limit",
+            default: "300",
+            heading: ACCESS,
+            at: ANY_GAUGE,
+            not_with: &["replay"],
+            sample: "7",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "key-file",
+            effect: Effect::File("FILE", |to| &mut to.key_file),
+            doc: "File with the gauge's keys, in lines such as `unseal = 0414 3672`; only its owner may read it",
+            heading: ACCESS,
+            at: ANY_GAUGE,
+            sample: "'keys'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "no-default-keys",
+            effect: Effect::Switch(|to, on| to.no_default_keys = on),
+            doc: "Never try the manual's default key",
+            heading: ACCESS,
+            at: ANY_GAUGE,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "auth-order",
+            effect: Effect::Text("ORDER", |to, text| put(&mut to.auth_order, values::order(text))),
+            doc: "Byte order in which the gauge takes a challenge, lsb-first or as-sent; `gaugefs auth` finds out \
+                  which one",
+            default: "lsb-first",
+            heading: ACCESS,
+            at: ANY_GAUGE,
+            sample: "'as-sent'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "trace",
+            effect: Effect::File("FILE", |to| &mut to.trace),
+            doc: "Record every transfer in this file, which must be a new one; keys are left out",
+            heading: RUNNING,
+            at: ONE_MOUNTED,
+            not_with: &["replay"],
+            sample: "'trace'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "trace-replace",
+            effect: Effect::Switch(|to, on| to.trace_replace = on),
+            doc: "Replace the file of --trace if there is one",
+            more: "A service does not start again without it, as long as the file is there.",
+            heading: RUNNING,
+            at: ONE_MOUNTED,
+            not_with: &["replay"],
+            needs: Some("trace"),
+            ..Opt::NEW
+        },
+    ];
+}
+
+const OF_SCALES: &str = "The factor is from 0.001 to 1000, and comes on top of the scale that the gauge itself reports (bq34z100-R2).";
+
+/// A mount as a whole: `[mount]`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MountOptions {
+    pub(crate) mountpoint: Option<PathBuf>,
+    /// Shown, and perhaps its name.
+    pub(crate) ac: Option<Option<String>>,
+    pub(crate) read_only: bool,
+    pub(crate) private: bool,
+    pub(crate) group: Option<u32>,
+    pub(crate) log: Option<PathBuf>,
+    pub(crate) state_dir: Option<PathBuf>,
+    pub(crate) no_backup: bool,
+}
+
+impl Options for MountOptions {
+    const TABLE: &'static [Opt<Self>] = &[
+        Opt {
+            name: "mountpoint",
+            effect: Effect::File("MOUNTPOINT", |to| &mut to.mountpoint),
+            doc: "Folder to mount at; created if missing",
+            more: "Required unless the command line has it.",
+            at: &[At::Argument, At::Table],
+            sample: "'/run/gauges'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "ac",
+            effect: Effect::SwitchOrText("NAME", |to, shown| {
+                let name = |name: Option<&str>| name.map(values::name).transpose();
+                to.ac = shown.map(name).transpose()?;
+                Ok(())
+            }),
+            doc: "Show a Mains supply too, online while no gauge is discharging",
+            on_line: " [default NAME: AC]",
+            more: "It has this name; `true` stands for AC.",
+            heading: SHOWN,
+            sample: "'MAINS'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "read-only",
+            effect: Effect::Switch(|to, on| to.read_only = on),
+            doc: "Refuse every write",
+            heading: ACCESS,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "private",
+            effect: Effect::Switch(|to, on| to.private = on),
+            doc: "Deny other users access to the mount; always so without root, unless there is a --group",
+            heading: ACCESS,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "group",
+            effect: Effect::Text("GROUP", |to, text| put(&mut to.group, values::group(text))),
+            doc: "Let this group read and write data flash, besides the owner; without root, a group of yours, \
+                  and /etc/fuse.conf must have user_allow_other",
+            heading: ACCESS,
+            sample: "'0'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "log",
+            effect: Effect::File("FILE", |to| &mut to.log),
+            doc: "Log to this file",
+            default: "syslog, in the foreground standard error",
+            heading: RUNNING,
+            sample: "'log'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "state-dir",
+            effect: Effect::File("DIR", |to| &mut to.state_dir),
+            doc: "Folder for backups, and for journals, with which a write survives a power cut",
+            default: "/var/lib/gaugefs; without root, ~/.local/state/gaugefs",
+            heading: RUNNING,
+            sample: "'state'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "no-backup",
+            effect: Effect::Switch(|to, on| to.no_backup = on),
+            doc: "Do not save a gauge's configuration before the first write to it",
+            heading: RUNNING,
+            ..Opt::NEW
+        },
+    ];
+}
+
+/// An alert: `[[alert]]`, or the command line of `gaugefs watch`.
+#[derive(Clone, Debug, Default)]
+#[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use it"))]
+pub(crate) struct AlertOptions {
+    /// Every alert has one.
+    pub(crate) when: Option<Condition>,
+    pub(crate) clear: Option<Condition>,
+    pub(crate) hold: Option<Duration>,
+    pub(crate) exec: Vec<String>,
+    pub(crate) exec_clear: Vec<String>,
+    pub(crate) name: Option<String>,
+    pub(crate) gauge: Option<String>,
+}
+
+impl Options for AlertOptions {
+    const TABLE: &'static [Opt<Self>] = &[
+        Opt {
+            name: "gauge",
+            effect: Effect::Text("NAME", |to, text| put(&mut to.gauge, values::name(text))),
+            doc: "Folder of the only gauge that it is for",
+            default: "all gauges of the mount",
+            at: IN_FILE,
+            sample: "'BAT0'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "when",
+            effect: Effect::Text("CONDITION", |to, text| put(&mut to.when, values::condition(text))),
+            doc: "When the alert is raised, such as 'capacity<20'",
+            more: "Required. `gaugefs wait --help` explains conditions.",
+            at: &[At::Argument, At::Table],
+            sample: "'capacity<20'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "clear",
+            effect: Effect::Text("CONDITION", |to, text| put(&mut to.clear, values::condition(text))),
+            doc: "When it is cleared, and can be raised again",
+            default: "when the condition is false",
+            sample: "'capacity>25'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "for",
+            effect: Effect::Number("SECONDS", |to, text| put(&mut to.hold, values::hold(text))),
+            doc: "Seconds for which the condition must be true in every poll",
+            default: "0",
+            more: "At most 86400.",
+            sample: "60",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "exec",
+            effect: Effect::Words("CMD", word_of_program, |to, words| to.exec = words),
+            doc: "Program to run when the alert is raised",
+            on_line: ", with its arguments up to a `;`; no shell",
+            more: "These are its name and its arguments. No shell is involved, unless it is [\"sh\", \"-c\", ...]. `gaugefs watch \
+                   --help` lists the variables in its environment.",
+            sample: "['true', 'x']",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "exec-clear",
+            effect: Effect::Words("CMD", word_of_program, |to, words| to.exec_clear = words),
+            doc: "Program to run when it is cleared",
+            sample: "['true', 'x']",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "name",
+            effect: Effect::Text("NAME", |to, text| put(&mut to.name, Ok(text.into()))),
+            doc: "Name of the alert in messages",
+            default: "its condition",
+            sample: "'nearly empty'",
+            ..Opt::NEW
+        },
+    ];
+}
+
+/// A word of a program's command line. It takes all that follows, so an option of gaugefs's own in there was most likely
+/// meant for gaugefs: the program would run without the delay that somebody has asked for.
+fn word_of_program(word: &str) -> Result<String, String> {
+    let name = word.strip_prefix("--").map(|option| option.split('=').next().unwrap_or_default());
+    let mut own = option::names::<AlertOptions>(At::Line).chain(["config"]);
+    match name.filter(|name| own.any(|own| own == *name)) {
+        None => Ok(word.into()),
+        Some(name) => Err(format!(
+            "--{name} is an option of `gaugefs watch`; end CMD with `;` (in a shell, \\;) or put --{name} before it. If it \
+             is meant for CMD, write sh -c 'CMD --{name} ...'"
+        )),
+    }
+}
+
+/// A station, which programs one pack after the other: `[station]`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct StationOptions {
+    pub(crate) name: Option<String>,
+    pub(crate) record: Option<PathBuf>,
+    pub(crate) images: Option<PathBuf>,
+    pub(crate) state_dir: Option<PathBuf>,
+    pub(crate) no_backup: bool,
+    pub(crate) exclude: Option<Vec<String>>,
+    pub(crate) data_flash: bool,
+    pub(crate) same_chemistry: bool,
+    pub(crate) serial: Option<SerialFrom>,
+    pub(crate) first_serial: Option<i64>,
+    pub(crate) last_serial: Option<i64>,
+    pub(crate) serial_list: Option<PathBuf>,
+    pub(crate) serial_parameter: Option<String>,
+    pub(crate) date: Option<String>,
+    pub(crate) pack_lot: Option<i64>,
+    pub(crate) pcb_lot: Option<i64>,
+    pub(crate) cells: Option<u8>,
+    pub(crate) divider: Option<u16>,
+    pub(crate) pack_voltage: Option<f64>,
+    pub(crate) board_offset: bool,
+    pub(crate) cc_offset: bool,
+    pub(crate) voltage: Option<f64>,
+    pub(crate) current: Option<f64>,
+    pub(crate) temperature: Option<f64>,
+    /// The packs are left sealed, unless it is false.
+    pub(crate) seal: Option<bool>,
+    pub(crate) new_key_file: Option<PathBuf>,
+    pub(crate) seen: Option<Seen>,
+    pub(crate) unsettled: Option<Unsettled>,
+    pub(crate) packs: Option<u32>,
+}
+
+/// The source of the serial numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum SerialFrom {
+    /// One after the other.
+    Counter,
+    /// A file.
+    List,
+    /// Standard input, such as a barcode scanner.
+    Input,
+}
+
+/// How to treat a pack that was programmed before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Seen {
+    /// Refuses it.
+    #[default]
+    Refuse,
+    /// Programs it again; it keeps its serial number.
+    Redo,
+}
+
+/// How to treat an interrupted write that may have been another pack's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Unsettled {
+    /// Programs no pack until a person has settled the write.
+    #[default]
+    Refuse,
+    /// Moves the journal of the write beside the images.
+    Discard,
+}
+
+impl StationOptions {
+    /// For a row of the table; PRODUCTION.md explains the keys.
+    const KEY: Opt<Self> = Opt { at: IN_FILE, ..Opt::NEW };
+
+    const fn switch(name: &'static str, set: fn(&mut Self, bool)) -> Opt<Self> {
+        Opt { name, effect: Effect::Switch(set), ..Self::KEY }
+    }
+
+    const fn file(name: &'static str, field: fn(&mut Self) -> &mut Option<PathBuf>) -> Opt<Self> {
+        Opt { name, effect: Effect::File("FILE", field), sample: "'file'", ..Self::KEY }
+    }
+
+    const fn number(
+        name: &'static str,
+        set: fn(&mut Self, &str) -> Result<(), String>,
+        sample: &'static str,
+    ) -> Opt<Self> {
+        Opt { name, effect: Effect::Number("N", set), sample, ..Self::KEY }
+    }
+
+    const fn text(
+        name: &'static str,
+        set: fn(&mut Self, &str) -> Result<(), String>,
+        sample: &'static str,
+    ) -> Opt<Self> {
+        Opt { name, effect: Effect::Text("TEXT", set), sample, ..Self::KEY }
+    }
+}
+
+impl Options for StationOptions {
+    const TABLE: &'static [Opt<Self>] = &[
+        Self::text("name", |to, text| put(&mut to.name, Ok(text.into())), "'line 1'"),
+        Self::file("record", |to| &mut to.record),
+        Self::file("images", |to| &mut to.images),
+        Self::file("state-dir", |to| &mut to.state_dir),
+        Self::switch("no-backup", |to, on| to.no_backup = on),
+        Opt {
+            name: "exclude",
+            effect: Effect::Words("GROUP", |word| Ok(word.into()), |to, words| to.exclude = Some(words)),
+            sample: "['serial']",
+            ..Self::KEY
+        },
+        Self::switch("data-flash", |to, on| to.data_flash = on),
+        Self::switch("same-chemistry", |to, on| to.same_chemistry = on),
+        Self::text("serial", |to, text| put(&mut to.serial, values::one_of(text)), "'counter'"),
+        Self::number("first-serial", |to, text| put(&mut to.first_serial, values::integer(text)), "1000"),
+        Self::number("last-serial", |to, text| put(&mut to.last_serial, values::integer(text)), "2000"),
+        Self::file("serial-list", |to| &mut to.serial_list),
+        Self::text("serial-parameter", |to, text| put(&mut to.serial_parameter, Ok(text.into())), "'48/1'"),
+        Self::text("date", |to, text| put(&mut to.date, Ok(text.into())), "'today'"),
+        Self::number("pack-lot", |to, text| put(&mut to.pack_lot, values::integer(text)), "0x12"),
+        Self::number("pcb-lot", |to, text| put(&mut to.pcb_lot, values::integer(text)), "0x12"),
+        Self::number("cells", |to, text| put(&mut to.cells, values::count(text)), "4"),
+        Self::number("divider", |to, text| put(&mut to.divider, values::divider(text)), "33000"),
+        Self::number(
+            "pack-voltage",
+            |to, text| put(&mut to.pack_voltage, values::pack_voltage(text)),
+            "15420",
+        ),
+        Self::switch("board-offset", |to, on| to.board_offset = on),
+        Self::switch("cc-offset", |to, on| to.cc_offset = on),
+        Self::number("voltage", |to, text| put(&mut to.voltage, values::pack_voltage(text)), "15420"),
+        Self::number("current", |to, text| put(&mut to.current, values::meter_current(text)), "-2000"),
+        Self::number("temperature", |to, text| put(&mut to.temperature, values::celsius(text)), "23.5"),
+        Self::switch("seal", |to, on| to.seal = Some(on)),
+        Self::file("new-key-file", |to| &mut to.new_key_file),
+        Self::text("seen", |to, text| put(&mut to.seen, values::one_of(text)), "'redo'"),
+        Self::text("unsettled", |to, text| put(&mut to.unsettled, values::one_of(text)), "'discard'"),
+        Self::number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
+    ];
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+    use std::fmt::Debug;
+
+    use clap::{Arg, Args, Command, FromArgMatches};
+    use toml::de::{DeTable, DeValue};
+
+    use super::super::option::Given;
+    use super::*;
+
+    /// The words of a command line that say the value of the sample.
+    fn words(row: &Opt<impl Options>) -> Vec<String> {
+        let text = format!("x = {}", row.sample);
+        let document = DeTable::parse(&text).expect("TOML").into_inner();
+        let (_, value) = document.into_iter().next().expect("a value");
+        let option = format!("--{}", row.name);
+        let text = |value: &DeValue<'_>| value.as_str().unwrap_or(row.sample).to_string();
+        match value.get_ref() {
+            DeValue::Boolean(_) => vec![option],
+            DeValue::Array(words) => {
+                let words = words.iter().map(|word| text(word.get_ref()));
+                [option].into_iter().chain(words).collect()
+            }
+            value if row.is_at(At::Argument) => vec![text(value)],
+            value => vec![format!("{option}={}", text(value))],
+        }
+    }
+
+    fn on_command_line<T: Options>(rows: &[&Opt<T>]) -> T {
+        let command = Command::new("x").arg(Arg::new("config").long("config"));
+        let command = Given::<T>::augment_args(command);
+        let words = rows.iter().flat_map(|row| words(row));
+        let words = ["x", "--config=y"].map(String::from).into_iter().chain(words);
+        let matches = command.try_get_matches_from(words).unwrap_or_else(|error| panic!("{error}"));
+        Given::<T>::from_arg_matches(&matches).expect("they are there").options()
+    }
+
+    fn in_file<T: Options>(rows: &[&Opt<T>]) -> T {
+        let mut options = T::default();
+        for row in rows {
+            let text = format!("x = {}", row.sample);
+            let document = DeTable::parse(&text).expect("TOML").into_inner();
+            let (_, value) = document.into_iter().next().expect("a value");
+            row.read(&mut options, value.get_ref()).unwrap_or_else(|why| panic!("{}: {why}", row.name));
+        }
+        options
+    }
+
+    fn check<T: Options + Debug>() {
+        let mut effects = HashSet::new();
+        for (number, row) in T::TABLE.iter().enumerate() {
+            assert!(T::TABLE[..number].iter().all(|other| other.name != row.name), "{} twice", row.name);
+            for other in row.not_with.iter().chain(&row.needs) {
+                assert!(T::row(other).is_some(), "{}: no {other}", row.name);
+            }
+            let needed: Vec<_> = row.needs.iter().filter_map(|needed| T::row(needed)).collect();
+            let without = format!("{:?}", in_file::<T>(&needed));
+            let all = [&needed[..], &[row]].concat();
+            let of_file = format!("{:?}", in_file::<T>(&all));
+            assert_ne!(of_file, without, "{} has no effect", row.name);
+            if row.is_at(At::Line) || row.is_at(At::Argument) {
+                assert_eq!(format!("{:?}", on_command_line(&all)), of_file, "{}", row.name);
+            }
+            assert!(effects.insert(of_file), "{} has the effect of another one", row.name);
+        }
+    }
+
+    #[test]
+    fn every_option_has_the_same_effect_on_the_command_line_and_in_a_file() {
+        check::<GaugeOptions>();
+        check::<MountOptions>();
+        check::<AlertOptions>();
+        check::<StationOptions>();
+    }
+}
