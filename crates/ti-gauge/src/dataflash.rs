@@ -31,6 +31,7 @@ mod change;
 mod checks;
 mod erased;
 mod io;
+mod job;
 mod keychange;
 mod keyrow;
 mod measured;
@@ -51,7 +52,8 @@ use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
-use io::{read_subclass, reload, still_open, verify_written};
+use io::read_subclass;
+use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
 pub(crate) use measured::BEGINS;
 use owedseal::OwedSeal;
@@ -59,7 +61,7 @@ use pack::Known;
 pub use pack::distinguishes;
 use preflight::{Found, KnownPack};
 use schemes::sequence;
-use session::{Left, Reference, Session, in_time, store};
+use session::{Left, Reference, Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
 use state::has_lost_memory;
@@ -539,16 +541,20 @@ impl DataFlash {
         self.refer(gauge, session);
         // The write may change the serial number.
         self.identity = None;
-        let change =
-            Planned { dirty: &dirty, neighbours: &neighbours, in_window, reset, was_lost: found.lost };
-        let programmed = program(gauge, session, &change, extras.accept);
-        for block in &dirty {
-            match programmed {
-                Ok(()) => self.known.note(gauge.chip, block.place, block.new),
-                Err(_) => self.known.forget(block.place),
+        gauge.statistics.progress.begin(dirty.len());
+        let mut job = Job::write(dirty, neighbours, reset);
+        (job.in_window, job.was_lost) = (in_window, found.lost);
+        let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
+        for block in job.changed() {
+            match landed {
+                Landed::New => self.known.note(gauge.chip, block.place, block.new),
+                Landed::Old(_) | Landed::Unknown(_) => self.known.forget(block.place),
             }
         }
-        programmed.map(|()| Outcome::Written { reset, old })
+        match landed {
+            Landed::New | Landed::Old(None) => Ok(Outcome::Written { reset, old }),
+            Landed::Old(Some(error)) | Landed::Unknown(error) => Err(error),
+        }
     }
 
     /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
@@ -635,80 +641,6 @@ pub(crate) struct Extras<'a> {
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.
     pub(crate) accept: Option<Accept<'a>>,
-}
-
-/// A change that has been checked and recorded.
-struct Planned<'a> {
-    dirty: &'a [Dirty],
-    /// The blocks next to them, where they are known.
-    neighbours: &'a [Dirty],
-    /// The only block is in the window already.
-    in_window: bool,
-    reset: bool,
-    /// The gauge's data memory is RAM and was lost before the write.
-    was_lost: bool,
-}
-
-/// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
-fn program(
-    gauge: &mut Gauge,
-    session: &mut Session,
-    change: &Planned<'_>,
-    accept: Option<Accept<'_>>,
-) -> Result<()> {
-    let &Planned { dirty, neighbours, in_window, reset, was_lost } = change;
-    gauge.statistics.progress.begin(dirty.len());
-    session.begin(gauge)?;
-    let (mut touched, mut finished) = (0, false);
-    let forward = dirty.iter().try_for_each(|block| {
-        let compared = session.pack.compared;
-        session.assure(gauge)?;
-        // Where the pack has been compared, other blocks were loaded.
-        let in_window = in_window && session.pack.compared == compared;
-        let block = if in_window { block.clone() } else { reload(gauge, block)? };
-        session.go_forward(gauge);
-        store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
-    });
-    let forward = forward.and_then(|()| {
-        if !reset && !sequence(gauge).always_finishes() {
-            return still_open(gauge);
-        }
-        session.leave_calibration(gauge)?;
-        finished = true;
-        session.finish(gauge)?;
-        dirty.iter().try_for_each(|block| verify_written(gauge, block))?;
-        accept.map_or(Ok(()), |accept| accept(gauge))
-    });
-    let Err(error) = forward else { return Ok(()) };
-    if touched == 0 {
-        return Err(error);
-    }
-    session.go_back(gauge);
-    if !was_lost && has_lost_memory(gauge).unwrap_or(false) {
-        session.forget_mode();
-        let why = format!("{error}; the gauge has lost its power, and its data memory with it");
-        return Err(Error::new("", Cause::StateUnknown(why)));
-    }
-    let (written, waiting) = dirty.split_at(touched.min(dirty.len()));
-    let back = session.restore(gauge, written.iter().chain(neighbours), finished);
-    let mut back = back.and_then(|()| session.restore_erased(gauge, waiting));
-    if back.is_ok() && finished && !sequence(gauge).always_finishes() {
-        // The gauge may work with the new values.
-        back = session.finish(gauge).and_then(|()| {
-            let olds = dirty.iter().map(|block| Dirty { new: block.old, ..block.clone() });
-            olds.into_iter().try_for_each(|block| verify_written(gauge, &block))
-        });
-    }
-    match back {
-        Ok(()) => {
-            let why = format!("{error}; the old value was restored and verified");
-            Err(Error::new("", Cause::RolledBack(why)))
-        }
-        Err(second) => {
-            let why = format!("{error}; then {second}: data flash contents unknown");
-            Err(Error::new("", Cause::StateUnknown(why)))
-        }
-    }
 }
 
 impl Place {

@@ -19,12 +19,13 @@ use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::io::{COMMITTED, STORES, is_passing, patiently};
+use super::io::COMMITTED;
+use super::job::Job;
 use super::keyrow::{keeps_unseal_key, quietly, stored};
 use super::pack::{Match, compare};
 use super::planned::{self, Held, look};
 use super::schemes::sequence;
-use super::session::{Left, RESTORES, Session, own_up};
+use super::session::{ByKeys, Left, RESTORES, Session, own_up, store};
 use super::verdict::{Verdict, unrestored};
 use super::window::{Dirty, Window};
 use super::window::{learned, locate, secrets};
@@ -34,7 +35,7 @@ use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::Bytes;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal, Statistics};
+use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal};
 use crate::journal::{Identity, KEYS_WRITTEN, KeyPlan, Plan};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
@@ -805,38 +806,12 @@ impl<'a> Task<'a> {
             let learned = Bytes::of(|at| !goes.has(at));
             let mut block = Dirty { place: self.place, old: *present, new: *present, written: goes, learned };
             goes.iter().for_each(|at| block.new[at] = keys[at]);
-            let stored = self.commit(gauge, &block, touched);
+            // The keys that it has taken show that it is the one.
+            let stored = store(gauge, &mut ByKeys, &block, touched);
             block.old.zeroize();
             block.new.zeroize();
             stored
         })
-    }
-
-    /// Programs the keys and reads them back. A commit that was not acknowledged and has changed nothing is repeated.
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-        let keeps = |gauge: &mut Gauge, keys: &[u8; WINDOW]| {
-            let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
-            let present = present.map_err(|error| error.at(Step::Verify))?;
-            if block.written.iter().all(|at| present[at] == keys[at]) {
-                return Ok(());
-            }
-            let why = "the gauge keeps other keys than were written";
-            Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
-        };
-        *touched += 1;
-        for attempt in 1.. {
-            Statistics::count(&gauge.statistics.flash_writes);
-            let committed = sequence(gauge).pieces(block).iter().try_for_each(|piece| {
-                sequence(gauge).fill(gauge, piece).and_then(|()| sequence(gauge).commit(gauge, piece))
-            });
-            let Err(error) = patiently(gauge, |gauge| keeps(gauge, &block.new)) else { return Ok(()) };
-            let unchanged = committed.as_ref().is_err_and(is_passing) && keeps(gauge, &block.old).is_ok();
-            if attempt == STORES || !unchanged {
-                // A checksum may take effect even if its acknowledgement was lost.
-                return Err(committed.err().unwrap_or(error));
-            }
-        }
-        Ok(())
     }
 
     /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and
@@ -1124,18 +1099,14 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
         let why = "a row next to the keys has changed, which the change of keys does not touch";
         return Err(Error::new("", Cause::Protocol(why.into())).at(Step::Restore));
     }
-    let torn: Vec<&Dirty> = seen
-        .iter()
-        .filter(|seen| matches!(seen.held, Held::Torn | Held::Unexplained))
-        .map(|seen| &seen.block)
-        .collect();
-    if torn.is_empty() {
+    let mut job = Job::interrupted(seen, false);
+    if job.is_intact() {
         return Ok(());
     }
     // The keys that it took have shown that it is the one.
     session.pack.begin(gauge);
     gauge.learn_selection();
-    quietly(gauge, |gauge| session.restore(gauge, torn.into_iter(), false))
+    quietly(gauge, |gauge| job.back(gauge, session, true))
 }
 
 /// Whether the gauge answers a random challenge as only this key does.

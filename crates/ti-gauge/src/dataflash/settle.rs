@@ -11,18 +11,18 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::io::{COMMITTED, reload, verify_written};
+use super::io::COMMITTED;
+use super::job::{Job, Landed, Side, converge};
 use super::keychange::way_out;
 use super::measured;
 use super::owedseal::OwedSeal;
 use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
 use super::planned::{Held, Seen, identify, look, look_by, serial_number};
 use super::schemes::sequence;
-use super::session::{Left, Reference, Session, in_time, store};
+use super::session::{Left, Reference, Session, in_time};
 use super::state::has_lost_memory;
 use super::verdict::{Verdict, unrestored};
-use super::window::{Dirty, Window};
-use super::window::{holds_keys, secrets};
+use super::window::{Window, holds_keys, secrets};
 use super::{DataFlash, Place};
 use crate::chip::{Chip, KeyStorage, Kind};
 use crate::codec::{self, WINDOW};
@@ -953,14 +953,14 @@ impl Task<'_> {
             measured::is_over(gauge)?;
         }
         let moment = gauge.moment();
-        let seen = look(gauge, self.plan)?;
-        let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
-        let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
-        let whole = intact && (all(Held::Old) || all(Held::New));
+        let mut job = Job::interrupted(look(gauge, self.plan)?, self.plan.reset);
+        let seen = &job.blocks;
+        let (all_old, all_new, intact) = (job.all(Held::Old), job.all(Held::New), job.is_intact());
+        let whole = intact && (all_old || all_new);
         let mut done: fn(String) -> Verdict = Verdict::Done;
         let mut another = None;
         if let Some(decision) = self.decision {
-            another = match self.chosen(gauge, decision, &seen)? {
+            another = match self.chosen(gauge, decision, seen)? {
                 Chosen::Itself => None,
                 Chosen::Another(pack) => Some(pack),
                 Chosen::Not(why) => return Ok(Verdict::Undecided(why)),
@@ -968,9 +968,9 @@ impl Task<'_> {
             session.pack.pack = Some(self.present(gauge)?);
             session.pack.certain_since(moment);
         } else {
-            match self.doubt(gauge, &seen)? {
+            match self.doubt(gauge, seen)? {
                 Doubt::None => session.pack.certain_since(moment),
-                Doubt::Weak if self.plan.by_gauge && !all(Held::Old) => {
+                Doubt::Weak if self.plan.by_gauge && !all_old => {
                     let why = "it was not judged what the gauge has measured and stored, and this gauge has the serial \
                                number and the calibration of every new one, so it may be another pack";
                     return Ok(Verdict::Undecided(why.into()));
@@ -981,7 +981,7 @@ impl Task<'_> {
                     done = Verdict::Plausible;
                 }
                 Doubt::Weak if whole => {
-                    let held = if all(Held::Old) { "old" } else { "new" };
+                    let held = if all_old { "old" } else { "new" };
                     let why = format!("a write was interrupted; data flash holds the {held} values");
                     return Ok(Verdict::Plausible(why));
                 }
@@ -1010,13 +1010,13 @@ impl Task<'_> {
         let forward = match self.decision {
             Some(Decision::Finish(_)) => true,
             Some(Decision::Undo(_) | Decision::Discard) => false,
-            None => intact && all(Held::New) && !self.plan.by_gauge,
+            None => intact && all_new && !self.plan.by_gauge,
         };
         if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
             let why = "what the gauge has measured was lost while it was stored: it can only be undone";
             return Ok(Verdict::Undecided(why.into()));
         }
-        if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
+        if !forward && intact && all_old && !self.plan.reset_sent {
             if let Some(pack) = another {
                 let why = format!(
                     "another pack than an interrupted write was begun on, {pack}, has the old values already"
@@ -1025,8 +1025,14 @@ impl Task<'_> {
             }
             return Ok(done("a write was interrupted; data flash holds the old values".into()));
         }
-        let settled =
-            if forward { self.finish(gauge, session, &seen) } else { self.undo(gauge, session, &seen) };
+        let erased = seen.iter().any(|seen| {
+            let secrets = secrets(chip, seen.block.place);
+            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
+        });
+        let side = if forward { Side::New } else { Side::Old };
+        if let Landed::Unknown(error) = converge(gauge, session, &mut job, side, None) {
+            return Err(unrestored(error));
+        }
         let message = match (forward, self.plan.by_gauge) {
             (true, false) => {
                 "a write was interrupted after its last block; it has been finished and verified"
@@ -1043,12 +1049,8 @@ impl Task<'_> {
                 "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
                  verified"
             );
-            return settled.map(|()| Verdict::Plausible(message)).map_err(unrestored);
+            return Ok(Verdict::Plausible(message));
         }
-        let erased = seen.iter().any(|seen| {
-            let secrets = secrets(chip, seen.block.place);
-            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
-        });
         let keys = match erased {
             true => {
                 "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
@@ -1056,7 +1058,7 @@ impl Task<'_> {
             }
             false => "",
         };
-        settled.map(|()| done(format!("{message}{keys}"))).map_err(unrestored)
+        Ok(done(format!("{message}{keys}")))
     }
 
     /// Whether the gauge is the one about which a person has decided.
@@ -1136,46 +1138,6 @@ impl Task<'_> {
         }
         let plan = Plan { marks: known.marks(gauge.chip), ..self.plan.clone() };
         Ok(Reference { identity: self.now.clone(), plan })
-    }
-
-    /// Writes the old values. Torn blocks are restored as a whole; of the others only the written bytes, which
-    /// keeps what the gauge has learned since.
-    fn undo(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
-        let whole = |seen: &&Seen| matches!(seen.held, Held::Torn | Held::Unexplained);
-        let torn = seen.iter().filter(whole).map(|seen| &seen.block);
-        session.restore(gauge, torn, false)?;
-        let new = seen.iter().filter(|seen| seen.held == Held::New).map(|seen| &seen.block);
-        session.restore(gauge, new, true)?;
-        if self.plan.reset || sequence(gauge).always_finishes() {
-            session.finish(gauge)?;
-        }
-        for Seen { block, .. } in seen {
-            let back = Dirty { new: block.old, ..block.clone() };
-            verify_written(gauge, &back).map_err(|error| error.at(Step::Restore))?;
-        }
-        Ok(())
-    }
-
-    /// Writes the new values where they are not.
-    fn finish(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
-        for Seen { block, stored, held } in seen {
-            if *held == Held::New || *held == Held::Old && block.is_neighbour() {
-                continue;
-            }
-            session.assure(gauge)?;
-            session.begin(gauge)?;
-            let mut new = block.new;
-            let erased = block.is_erased(stored);
-            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && !erased) {
-                new[at] = stored[at];
-            }
-            let block = reload(gauge, &block.replacing(*stored, new))?;
-            store(gauge, session, &block, &mut 0)?;
-        }
-        if self.plan.reset || sequence(gauge).always_finishes() {
-            session.finish(gauge)?;
-        }
-        seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
     }
 }
 
