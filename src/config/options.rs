@@ -4,8 +4,6 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::ValueEnum;
-
 use super::option::{self, At, Effect, Opt, Options, put};
 use super::values::{self, Key};
 use gaugefs_client::condition::Condition;
@@ -527,7 +525,7 @@ pub(crate) struct StationOptions {
 }
 
 /// The source of the serial numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SerialFrom {
     /// One after the other.
     Counter,
@@ -537,8 +535,13 @@ pub(crate) enum SerialFrom {
     Input,
 }
 
+impl SerialFrom {
+    const WORDS: &[(&str, Self)] =
+        &[("counter", Self::Counter), ("list", Self::List), ("input", Self::Input)];
+}
+
 /// How to treat a pack that was programmed before.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Seen {
     /// Refuses it.
     #[default]
@@ -547,8 +550,12 @@ pub(crate) enum Seen {
     Redo,
 }
 
+impl Seen {
+    const WORDS: &[(&str, Self)] = &[("refuse", Self::Refuse), ("redo", Self::Redo)];
+}
+
 /// How to treat an interrupted write that may have been another pack's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Unsettled {
     /// Programs no pack until a person has settled the write.
     #[default]
@@ -557,75 +564,74 @@ pub(crate) enum Unsettled {
     Discard,
 }
 
-impl StationOptions {
-    /// For a row of the table; PRODUCTION.md explains the keys.
-    const KEY: Opt<Self> = Opt { at: IN_FILE, ..Opt::NEW };
+impl Unsettled {
+    const WORDS: &[(&str, Self)] = &[("refuse", Self::Refuse), ("discard", Self::Discard)];
+}
 
-    const fn switch(name: &'static str, set: fn(&mut Self, bool)) -> Opt<Self> {
-        Opt { name, effect: Effect::Switch(set), ..Self::KEY }
-    }
+/// For a key of a station; PRODUCTION.md explains it.
+const OF_STATION: Opt<StationOptions> = Opt { at: IN_FILE, ..Opt::NEW };
 
-    const fn file(name: &'static str, field: fn(&mut Self) -> &mut Option<PathBuf>) -> Opt<Self> {
-        Opt { name, effect: Effect::File("FILE", field), sample: "'file'", ..Self::KEY }
-    }
+type SetText = fn(&mut StationOptions, &str) -> Result<(), String>;
 
-    const fn number(
-        name: &'static str,
-        set: fn(&mut Self, &str) -> Result<(), String>,
-        sample: &'static str,
-    ) -> Opt<Self> {
-        Opt { name, effect: Effect::Number("N", set), sample, ..Self::KEY }
-    }
+const fn switch(name: &'static str, set: fn(&mut StationOptions, bool)) -> Opt<StationOptions> {
+    Opt { name, effect: Effect::Switch(set), ..OF_STATION }
+}
 
-    const fn text(
-        name: &'static str,
-        set: fn(&mut Self, &str) -> Result<(), String>,
-        sample: &'static str,
-    ) -> Opt<Self> {
-        Opt { name, effect: Effect::Text("TEXT", set), sample, ..Self::KEY }
-    }
+const fn file(
+    name: &'static str,
+    field: fn(&mut StationOptions) -> &mut Option<PathBuf>,
+) -> Opt<StationOptions> {
+    Opt { name, effect: Effect::File("FILE", field), sample: "'file'", ..OF_STATION }
+}
+
+const fn number(name: &'static str, set: SetText, sample: &'static str) -> Opt<StationOptions> {
+    Opt { name, effect: Effect::Number("N", set), sample, ..OF_STATION }
+}
+
+const fn text(name: &'static str, set: SetText, sample: &'static str) -> Opt<StationOptions> {
+    Opt { name, effect: Effect::Text("TEXT", set), sample, ..OF_STATION }
 }
 
 impl Options for StationOptions {
     const TABLE: &'static [Opt<Self>] = &[
-        Self::text("name", |to, text| put(&mut to.name, Ok(text.into())), "'line 1'"),
-        Self::file("record", |to| &mut to.record),
-        Self::file("images", |to| &mut to.images),
-        Self::file("state-dir", |to| &mut to.state_dir),
-        Self::switch("no-backup", |to, on| to.no_backup = on),
+        text("name", |to, text| put(&mut to.name, Ok(text.into())), "'line 1'"),
+        file("record", |to| &mut to.record),
+        file("images", |to| &mut to.images),
+        file("state-dir", |to| &mut to.state_dir),
+        switch("no-backup", |to, on| to.no_backup = on),
         Opt {
             name: "exclude",
             effect: Effect::Words("GROUP", |word| Ok(word.into()), |to, words| to.exclude = Some(words)),
             sample: "['serial']",
-            ..Self::KEY
+            ..OF_STATION
         },
-        Self::switch("data-flash", |to, on| to.data_flash = on),
-        Self::switch("same-chemistry", |to, on| to.same_chemistry = on),
-        Self::text("serial", |to, text| put(&mut to.serial, values::one_of(text)), "'counter'"),
-        Self::number("first-serial", |to, text| put(&mut to.first_serial, values::integer(text)), "1000"),
-        Self::number("last-serial", |to, text| put(&mut to.last_serial, values::integer(text)), "2000"),
-        Self::file("serial-list", |to| &mut to.serial_list),
-        Self::text("serial-parameter", |to, text| put(&mut to.serial_parameter, Ok(text.into())), "'48/1'"),
-        Self::text("date", |to, text| put(&mut to.date, Ok(text.into())), "'today'"),
-        Self::number("pack-lot", |to, text| put(&mut to.pack_lot, values::integer(text)), "0x12"),
-        Self::number("pcb-lot", |to, text| put(&mut to.pcb_lot, values::integer(text)), "0x12"),
-        Self::number("cells", |to, text| put(&mut to.cells, values::count(text)), "4"),
-        Self::number("divider", |to, text| put(&mut to.divider, values::divider(text)), "33000"),
-        Self::number(
-            "pack-voltage",
-            |to, text| put(&mut to.pack_voltage, values::pack_voltage(text)),
-            "15420",
+        switch("data-flash", |to, on| to.data_flash = on),
+        switch("same-chemistry", |to, on| to.same_chemistry = on),
+        text("serial", |to, text| put(&mut to.serial, values::one_of(text, SerialFrom::WORDS)), "'counter'"),
+        number("first-serial", |to, text| put(&mut to.first_serial, values::integer(text)), "1000"),
+        number("last-serial", |to, text| put(&mut to.last_serial, values::integer(text)), "2000"),
+        file("serial-list", |to| &mut to.serial_list),
+        text("serial-parameter", |to, text| put(&mut to.serial_parameter, Ok(text.into())), "'48/1'"),
+        text("date", |to, text| put(&mut to.date, Ok(text.into())), "'today'"),
+        number("pack-lot", |to, text| put(&mut to.pack_lot, values::integer(text)), "0x12"),
+        number("pcb-lot", |to, text| put(&mut to.pcb_lot, values::integer(text)), "0x12"),
+        number("cells", |to, text| put(&mut to.cells, values::count(text)), "4"),
+        number("divider", |to, text| put(&mut to.divider, values::divider(text)), "33000"),
+        number("pack-voltage", |to, text| put(&mut to.pack_voltage, values::pack_voltage(text)), "15420"),
+        switch("board-offset", |to, on| to.board_offset = on),
+        switch("cc-offset", |to, on| to.cc_offset = on),
+        number("voltage", |to, text| put(&mut to.voltage, values::pack_voltage(text)), "15420"),
+        number("current", |to, text| put(&mut to.current, values::meter_current(text)), "-2000"),
+        number("temperature", |to, text| put(&mut to.temperature, values::celsius(text)), "23.5"),
+        switch("seal", |to, on| to.seal = Some(on)),
+        file("new-key-file", |to| &mut to.new_key_file),
+        text("seen", |to, text| put(&mut to.seen, values::one_of(text, Seen::WORDS)), "'redo'"),
+        text(
+            "unsettled",
+            |to, text| put(&mut to.unsettled, values::one_of(text, Unsettled::WORDS)),
+            "'discard'",
         ),
-        Self::switch("board-offset", |to, on| to.board_offset = on),
-        Self::switch("cc-offset", |to, on| to.cc_offset = on),
-        Self::number("voltage", |to, text| put(&mut to.voltage, values::pack_voltage(text)), "15420"),
-        Self::number("current", |to, text| put(&mut to.current, values::meter_current(text)), "-2000"),
-        Self::number("temperature", |to, text| put(&mut to.temperature, values::celsius(text)), "23.5"),
-        Self::switch("seal", |to, on| to.seal = Some(on)),
-        Self::file("new-key-file", |to| &mut to.new_key_file),
-        Self::text("seen", |to, text| put(&mut to.seen, values::one_of(text)), "'redo'"),
-        Self::text("unsettled", |to, text| put(&mut to.unsettled, values::one_of(text)), "'discard'"),
-        Self::number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
+        number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
     ];
 }
 

@@ -5,7 +5,6 @@ use std::ptr;
 use std::str::FromStr;
 use std::time::Duration;
 
-use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
@@ -70,11 +69,11 @@ pub(super) fn integer(text: &str) -> Result<i64, String> {
     number.ok_or_else(|| "expected a whole number".into())
 }
 
-/// One of the words for a value.
-pub(super) fn one_of<T: ValueEnum>(text: &str) -> Result<T, String> {
-    let words = T::value_variants().iter().filter_map(T::to_possible_value);
-    let words = words.map(|word| word.get_name().to_string()).collect::<Vec<_>>().join(", ");
-    T::from_str(text, false).map_err(|_| format!("expected one of: {words}"))
+/// The value that a word stands for.
+pub(super) fn one_of<T: Copy>(text: &str, words: &[(&str, T)]) -> Result<T, String> {
+    let known = || words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ");
+    let found = words.iter().find(|(word, _)| *word == text);
+    found.map(|(_, value)| *value).ok_or_else(|| format!("expected one of: {}", known()))
 }
 
 pub(super) fn key(text: &str) -> Result<Key, String> {
