@@ -51,7 +51,7 @@ pub(crate) use backup::readable;
 use debt::Debt;
 pub(crate) use direct::Direct;
 use handle::Shared;
-pub use handle::{Handle, Published, Signal, Snapshot};
+pub use handle::{Failure, Handle, Published, Signal, Snapshot};
 use operation::Request;
 pub(crate) use operation::{Context, Spoken};
 pub use operation::{Done, Operation};

@@ -10,7 +10,7 @@ use jiff::Timestamp;
 use super::attribute::Kind;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
-use crate::owner::{Answers, Done, Operation, Spoken, operations as op};
+use crate::owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
 use crate::report;
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
@@ -272,16 +272,16 @@ fn auth_order(gauge: &Supply) -> Option<String> {
 
 fn last_error(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
-    let error = published.failed.as_ref().map(|(at, _)| (*at, &*published.last_error));
-    owed_and(Some((published.owed_since, &*published.owed)).filter(|(_, owed)| !owed.is_empty()), error)
+    let owed = Some((published.owed_since, &*published.owed)).filter(|(_, owed)| !owed.is_empty());
+    owed_and(owed, published.failed.as_ref().map(|failed| (failed, &*published.last_error)))
 }
 
 /// Both begin with their time. What is owed goes first: it must not be lost among less important errors.
-fn owed_and(owed: Option<(Timestamp, &str)>, error: Option<(Timestamp, &str)>) -> Option<String> {
-    let owes = owed.map_or("", |(_, owed)| owed);
-    let error = error.filter(|(_, error)| owes.is_empty() || !error.contains(owes));
+fn owed_and(owed: Option<(Timestamp, &str)>, failed: Option<(&Failure, &str)>) -> Option<String> {
+    // The failure that has left what is owed is shown as that.
+    let failed = failed.filter(|(failed, _)| owed.is_none() || !failed.owed);
     let show = |(at, text)| format!("{at:.0}: {text}");
-    match (owed.map(show), error.map(show)) {
+    match (owed.map(show), failed.map(|(failed, text)| show((failed.at, text)))) {
         (None, None) => empty(),
         (Some(only), None) | (None, Some(only)) => line(only),
         (Some(owed), Some(error)) => line(format_args!("{owed}; last error: {error}")),
@@ -335,6 +335,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
+    use crate::owner::Attempt;
     use ti_gauge::chip::CHIPS;
 
     #[test]
@@ -360,14 +361,16 @@ mod tests {
 
     #[test]
     fn last_error_shows_what_is_owed_until_it_is_paid() {
+        const REFUSED: &str = "df/80/53: it is not sealed";
         let at = |second: i64| Timestamp::from_second(1_800_000_000 + second).expect("a time");
         let shown = |owed: &'static str, error: &'static str| {
-            let timed = |second, text: &'static str| Some((at(second), text)).filter(|_| !text.is_empty());
-            owed_and(timed(0, owed), timed(7, error)).expect("the file is there")
+            let owes = Some((at(0), owed)).filter(|_| !owed.is_empty());
+            let failure = Failure { at: at(7), attempt: Attempt::Poll, owed: error == REFUSED };
+            owed_and(owes, Some((&failure, error)).filter(|_| !error.is_empty())).expect("the file is there")
         };
-        let (owed, failure) = ("a seal is owed", "df/80/53: a seal is owed");
+        let owed = "a seal is owed";
+        assert_eq!(shown(owed, REFUSED), format!("2027-01-15T08:00:00Z: {owed}\n"));
         let (owed_shown, nack) = ("2027-01-15T08:00:00Z: a seal is owed", "2027-01-15T08:00:07Z: NACK");
-        assert_eq!(shown(owed, failure), format!("{owed_shown}\n"));
         assert_eq!(shown(owed, "NACK"), format!("{owed_shown}; last error: {nack}\n"));
         assert_eq!(shown(owed, ""), format!("{owed_shown}\n"));
         assert_eq!(shown("", "NACK"), format!("{nack}\n"));

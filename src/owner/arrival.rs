@@ -168,7 +168,7 @@ impl Owner {
             return;
         }
         let outcome = self.dataflash.write(&mut self.gauge, &self.restore, Duration::ZERO);
-        self.note_debt();
+        let outcome = self.noted(outcome);
         self.forget_dataflash();
         match outcome {
             Ok(outcome) => {
@@ -194,7 +194,8 @@ impl Owner {
             "tried again with the next poll, but the gauge no longer reports the loss: if gaugefs ends before it has \
              succeeded, write the configuration with `gaugefs import`"
         };
-        let error = Error::new("--restore", Cause::NotNow(format!("{error}; {what}")));
+        let owed = error.facts().owed;
+        let error = Error::new("--restore", Cause::NotNow(format!("{error}; {what}"))).owing(owed);
         let line = error.to_string();
         match &self.loss {
             // In the log only once.

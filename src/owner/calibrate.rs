@@ -28,7 +28,7 @@ impl Owner {
         if let Ok(reached) = &outcome {
             tell(reached);
         }
-        self.note_debt();
+        let outcome = self.noted(outcome);
         self.forget_dataflash();
         self.schedule.hurry();
         self.publish_seal();

@@ -20,8 +20,6 @@ const LONGEST: Duration = Duration::from_secs(30);
 #[derive(Debug, Default)]
 pub(super) struct Debt {
     next: Option<(Duration, Duration)>,
-    /// The debt as it was at first, before it was tried again.
-    cause: String,
 }
 
 impl Debt {
@@ -45,27 +43,33 @@ impl Debt {
 }
 
 impl Owner {
-    /// Notes and publishes what is owed.
-    pub(super) fn note_debt(&mut self) {
+    /// Notes and publishes what is owed after an access. The error of one that has left it, or has found why it is still
+    /// owed, says so.
+    pub(super) fn noted<T>(&mut self, outcome: ti_gauge::error::Result<T>) -> ti_gauge::error::Result<T> {
+        let is_new = self.note_debt();
+        outcome.map_err(|error| error.owing(is_new))
+    }
+
+    /// Notes and publishes what is owed. Returns whether that is something new.
+    fn note_debt(&mut self) -> bool {
         let owed = self.dataflash.owed();
         let can_be_paid = owed.as_ref().is_some_and(|owed| !owed.needs_decision);
         self.debt.note(can_be_paid, self.gauge.clock.now());
         let text = owed.map_or(String::new(), |owed| owed.why.into_owned());
         let published = self.shared.published();
-        if *published.owed != *text {
-            if published.owed.is_empty() {
-                self.debt.cause = text.clone();
-            }
-            // The failure that has left it is over when it is no longer owed.
-            if text.is_empty() && published.last_error.contains(&self.debt.cause) {
-                self.shared.clear_error();
-            }
-            // What was shown of an interrupted write before is out of date.
-            self.shared.publish(|published| {
-                (published.owed, published.settling) = (text.as_str().into(), "".into());
-                published.owed_since = Timestamp::now();
-            });
+        if *published.owed == *text {
+            return false;
         }
+        // The failure that has left it is over when it is no longer owed.
+        if text.is_empty() && published.failed.as_ref().is_some_and(|failed| failed.owed) {
+            self.shared.clear_error();
+        }
+        // What was shown of an interrupted write before is out of date.
+        self.shared.publish(|published| {
+            (published.owed, published.settling) = (text.as_str().into(), "".into());
+            published.owed_since = Timestamp::now();
+        });
+        !text.is_empty()
     }
 
     /// Tries to pay what is owed.
@@ -107,7 +111,8 @@ impl Owner {
 
     /// Settles what an earlier process has left, before anybody sees what data flash holds.
     pub(super) fn settle(&mut self) {
-        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
+        let outcome = self.dataflash.settle(&mut self.gauge, Duration::ZERO);
+        match self.noted(outcome) {
             Ok(Some(found)) => {
                 self.forget_dataflash();
                 self.shared
@@ -116,7 +121,6 @@ impl Owner {
             Ok(None) => {}
             Err(error) => self.shared.report(Attempt::SETTLE, &error.into()),
         }
-        self.note_debt();
     }
 
     /// Shows what is known of an interrupted write, or settles it as somebody has decided.
@@ -131,8 +135,7 @@ impl Owner {
         if decision.is_some() {
             self.after_settling();
         }
-        self.note_debt();
-        let told = outcome?;
+        let told = self.noted(outcome)?;
         if decision.is_some() {
             log::warn!("{}: {told}", self.shared.name());
         }
@@ -207,6 +210,27 @@ mod tests {
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert_eq!(*rig.handle.published().owed, *"");
+    }
+
+    #[test]
+    fn a_refusal_because_of_what_is_owed_ends_with_it_and_other_failures_stay() {
+        let mut rig = left_open();
+        let refused = write(&mut rig).expect_err("it is still silent");
+        assert!(refused.facts().owed, "{refused}");
+        assert_eq!(*rig.handle.published().last_error, *refused.to_string());
+        rig.clock.sleep(Duration::from_secs(60));
+        rig.owner.pay();
+        assert_eq!(*rig.handle.published().last_error, *"");
+
+        let mut rig = left_open();
+        let owed = rig.handle.published().owed.clone();
+        // It tells what is owed, and is about something else.
+        let error = Error::new("line 1", Cause::Invalid(owed.to_string()));
+        rig.handle.report(Attempt::STAGE, &error);
+        rig.clock.sleep(Duration::from_secs(60));
+        rig.owner.pay();
+        assert_eq!(*rig.handle.published().owed, *"");
+        assert_eq!(*rig.handle.published().last_error, *error.to_string());
     }
 
     #[test]

@@ -66,8 +66,8 @@ pub struct Published {
     pub interval: Duration,
     /// The last failure, one line; empty for none.
     pub last_error: Arc<str>,
-    /// When that was, and what had failed.
-    pub failed: Option<(Timestamp, Attempt)>,
+    /// What is known of it; `None` for none.
+    pub failed: Option<Failure>,
     /// The work that a failed access has left, one line; empty for none.
     pub owed: Arc<str>,
     /// Since when that has been owed.
@@ -78,6 +78,17 @@ pub struct Published {
     pub calibration: Arc<str>,
     /// The last report that somebody has asked for.
     pub report: Option<Arc<Report>>,
+}
+
+/// A failure that `gauge/last_error` shows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failure {
+    /// When it was.
+    pub at: Timestamp,
+    /// What has failed.
+    pub attempt: Attempt,
+    /// It has left what is owed, or was refused because of it.
+    pub owed: bool,
 }
 
 /// The part of an owner that its handles share.
@@ -183,17 +194,18 @@ impl Shared {
     /// more important.
     pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
+        let failure = Failure { at: Timestamp::now(), attempt, owed: error.facts().owed };
         self.publish(|published| {
             let shown = published.failed.as_ref().filter(|_| !published.owed.is_empty());
-            if shown.is_none_or(|(_, shown)| shown.importance() <= attempt.importance()) {
-                (published.last_error, published.failed) = (line.into(), Some((Timestamp::now(), attempt)));
+            if shown.is_none_or(|shown| shown.attempt.importance() <= failure.attempt.importance()) {
+                (published.last_error, published.failed) = (line.into(), Some(failure));
             }
         });
     }
 
     /// Clears `gauge/last_error` if it shows a failure of what has now succeeded.
     pub(super) fn succeeded(&self, attempt: &Attempt) {
-        if self.published().failed.as_ref().is_some_and(|(_, failed)| attempt.includes(failed)) {
+        if self.published().failed.as_ref().is_some_and(|failed| attempt.includes(&failed.attempt)) {
             self.clear_error();
         }
     }

@@ -119,7 +119,7 @@ impl Owner {
             log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
         }
         let outcome = self.dataflash.go_to(&mut self.gauge, goal, asked.waited);
-        self.note_debt();
+        let outcome = self.noted(outcome);
         self.publish_seal();
         Ok(outcome?)
     }
@@ -142,7 +142,7 @@ impl Owner {
         if settles {
             self.after_settling();
         }
-        self.note_debt();
+        let outcome = self.noted(outcome);
         self.publish_seal();
         outcome?;
         log::info!("{}{} key: changed and tried", self.shared.prefix, change.name.as_str());
@@ -182,7 +182,7 @@ impl Owner {
             Some(owed) => {
                 let why =
                     format!("no subcommand is sent while an interrupted access is not settled: {}", owed.why);
-                Err(Error::new(self.gauge.chip.name, Cause::Busy(why)))
+                Err(Error::new(self.gauge.chip.name, Cause::Busy(why)).owing(true))
             }
         }
     }
@@ -233,7 +233,7 @@ impl Owner {
         wanted: &[usize],
         read: ti_gauge::error::Result<Vec<Vec<u8>>>,
     ) -> Result<Vec<Arc<[u8]>>> {
-        self.note_debt();
+        let read = self.noted(read);
         let first = &self.gauge.chip.subclasses[wanted[0]];
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
         let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
@@ -271,7 +271,7 @@ impl Owner {
         }
         let waited = waited + self.gauge.clock.now().saturating_sub(begun);
         let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
-        self.note_debt();
+        let outcome = self.noted(outcome);
         match &outcome {
             Ok(Outcome::Unchanged) => {}
             Ok(Outcome::Written { reset: false, .. }) => {

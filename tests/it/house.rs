@@ -207,3 +207,78 @@ fn a_circle_is_found() {
     let uses = self::uses(&modules);
     assert!(!reached(&uses[&Module::new()], "a").contains("a"), "{uses:?}");
 }
+
+/// The places in a text where the words of a message are compared with words of the program: the name of what is compared.
+fn compared(text: &str) -> Vec<&str> {
+    const MESSAGES: [&str; 11] = [
+        "cause",
+        "error",
+        "failure",
+        "last_error",
+        "message",
+        "reason",
+        "refused",
+        "said",
+        "told",
+        "warning",
+        "why",
+    ];
+    const COMPARISONS: [&str; 7] = [
+        ".contains(\"",
+        ".starts_with(\"",
+        ".ends_with(\"",
+        ".find(\"",
+        ".strip_prefix(\"",
+        " == \"",
+        " != \"",
+    ];
+    let places = COMPARISONS.iter().flat_map(|comparison| text.match_indices(comparison));
+    let named = places.filter_map(|(at, _)| {
+        let mut before = text[..at].trim_end();
+        // Whatever is called on it, such as `to_string()`, is still the message.
+        while let Some(call) = before.strip_suffix("()") {
+            before = call.rsplit_once('.')?.0.trim_end();
+        }
+        let start = before.rfind(|letter: char| !letter.is_alphanumeric() && letter != '_');
+        Some(&before[start.map_or(0, |start| start + 1)..])
+    });
+    named.filter(|name| MESSAGES.contains(name)).collect()
+}
+
+/// An error has a cause and facts. Whoever compared its words instead would decide otherwise when they are improved.
+#[test]
+fn nothing_is_decided_by_the_words_of_a_message() {
+    // fusermount3 says in words only why it has not unmounted.
+    const OF_OTHERS: [(&str, &str); 1] = [("daemon/mountpoint", "said")];
+    let mut found = Vec::new();
+    for folder in crates() {
+        for (module, text) in modules(&folder.join("src")) {
+            let name = module.join("/");
+            if module.last().is_some_and(|name| name == "tests" || name == "rig") {
+                continue;
+            }
+            let compared = compared(&text).into_iter().filter(|one| !OF_OTHERS.contains(&(&name, one)));
+            found.extend(
+                compared.map(|one| format!("{}: {name} compares the words of {one}", folder.display())),
+            );
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn a_comparison_of_words_is_found() {
+    for (text, name) in [
+        ("if error.to_string().contains(\"seal\") {", "error"),
+        ("published.last_error.starts_with(\"x\")", "last_error"),
+        ("told.trim() != \"nothing to settle\"", "told"),
+        ("said\n    .to_lowercase()\n    .contains(\"busy\")", "said"),
+    ] {
+        assert_eq!(compared(text), [name], "{text}");
+    }
+    for text in
+        ["name.contains(\"x\")", "error.cause() == Cause::Gone", "seal.trim() == \"sealed\"", "why(\"x\")"]
+    {
+        assert_eq!(compared(text), [""; 0], "{text}");
+    }
+}

@@ -75,7 +75,7 @@ impl GaugeFile {
         let time = told.split_once(": ").and_then(|(time, _)| time.parse::<Timestamp>().ok());
         // It has whole seconds. What is owed is the state of the gauge, however long it has been.
         let is_new = time.is_some_and(|time| time.as_second() >= self.opened.as_second());
-        let is_owed = || read("gauge/owed").trim() == "1";
+        let is_owed = || is_set(&read(OWED));
         match told.trim() {
             told if !told.is_empty() && (is_new || is_owed()) => {
                 Error::told(&self.gauge, with_path(told, &self.gauge), error)
@@ -83,6 +83,14 @@ impl GaugeFile {
             _ => Error::failed(&self.gauge, error),
         }
     }
+}
+
+/// It has 1 while a seal is owed, or a write that is neither done nor undone.
+pub(crate) const OWED: &str = "gauge/owed";
+
+/// Whether a file of 0 and 1 has 1.
+pub(crate) fn is_set(flag: &str) -> bool {
+    flag.trim() == "1"
 }
 
 /// Whether a call has failed because the daemon of the mount has ended.

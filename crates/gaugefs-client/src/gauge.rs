@@ -14,7 +14,7 @@ use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
-use crate::file::{self, GaugeFile, LONGEST, is_dead};
+use crate::file::{self, GaugeFile, LONGEST, OWED, is_dead, is_set};
 use crate::hang;
 use crate::mounts;
 use crate::names;
@@ -22,9 +22,6 @@ use crate::place::{self, EVERY, not_a_gauge, shown, with_path};
 use crate::sample::Sample;
 use crate::value::Value;
 use ti_gauge::notation;
-
-/// What `gauge/settle` shows where nothing was interrupted.
-const SETTLED: &str = "nothing to settle";
 
 /// A mounted gauge, by its folder.
 ///
@@ -148,7 +145,9 @@ impl Gauge {
     /// The write that was interrupted and waits for a decision: its parameters with old, new and present values. `None`
     /// if there is none. Before it shows that, the daemon tries to settle it.
     pub fn unsettled(&self) -> Result<Option<String>> {
-        Some(self.settling("show")?).filter(|told| told.trim() != SETTLED).map(Ok).transpose()
+        let told = self.settling("show")?;
+        let owed = self.text(OWED).map_err(|error| error.doing("cannot read whether anything is owed"))?;
+        Ok(is_set(&owed).then_some(told))
     }
 
     /// Carries out what somebody has decided about the write that was interrupted, and returns what was done. What is
@@ -174,7 +173,7 @@ impl Gauge {
 
     /// Whether something is owed: a seal, or a write that is neither done nor undone.
     pub fn is_owed(&self) -> bool {
-        self.text("gauge/owed").is_ok_and(|owed| owed.trim() == "1")
+        self.text(OWED).is_ok_and(|owed| is_set(&owed))
     }
 
     /// Writes a request to a file of its folder, and waits for the outcome.

@@ -6,7 +6,7 @@ use std::{fmt, io};
 use nix::errno::Errno;
 use serde::Serialize;
 use ti_gauge::dataflash::Place;
-pub use ti_gauge::error::{Cause, Step};
+pub use ti_gauge::error::{Cause, Facts, Step};
 use ti_gauge::image::Faults;
 use ti_gauge::text;
 
@@ -46,6 +46,12 @@ impl Error {
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
         let errno = error.raw_os_error().map(Errno::from_raw);
         Self { errno, ..ti_gauge::error::Error::io(subject, what, error).into() }
+    }
+
+    /// Notes whether it is about what is owed, unless that is known already.
+    #[must_use]
+    pub fn owing(self, owed: bool) -> Self {
+        Self { inner: self.inner.owing(owed), ..self }
     }
 
     /// Adds the step it happened in, unless one is known already.
@@ -90,6 +96,11 @@ impl Error {
         self.inner.cause()
     }
 
+    /// What it is about.
+    pub fn facts(&self) -> &Facts {
+        self.inner.facts()
+    }
+
     /// The step that failed, where there is one.
     pub fn step(&self) -> Option<Step> {
         self.inner.step()
@@ -102,7 +113,7 @@ impl Error {
 
     /// What a program is told of it.
     pub fn details(&self) -> Details {
-        let facts = self.inner.facts();
+        let facts = self.facts();
         let [least, greatest] = facts.limits.clone().map_or([None, None], |limits| limits.map(Some));
         Details {
             errno: format!("{:?}", self.errno()),

@@ -131,6 +131,8 @@ pub struct Facts {
     pub limits: Option<[String; 2]>,
     /// What the gauge shows instead, in the same unit.
     pub value: Option<i64>,
+    /// The access has left something to do, or was refused because of what an earlier one has left.
+    pub owed: bool,
 }
 
 /// One failure: subject, step and cause.
@@ -212,6 +214,15 @@ impl Error {
         self
     }
 
+    /// Notes whether it is about what is owed, unless that is known already.
+    #[must_use]
+    pub fn owing(mut self, owed: bool) -> Self {
+        if owed {
+            self.more().facts.owed = true;
+        }
+        self
+    }
+
     /// Adds the step it happened in, unless one is known already.
     #[must_use]
     pub fn at(mut self, step: Step) -> Self {
@@ -249,7 +260,7 @@ impl Error {
 
     /// What it is about.
     pub fn facts(&self) -> &Facts {
-        static NOTHING: Facts = Facts { register: None, place: None, limits: None, value: None };
+        static NOTHING: Facts = Facts { register: None, place: None, limits: None, value: None, owed: false };
         self.more.as_ref().map_or(&NOTHING, |more| &more.facts)
     }
 }

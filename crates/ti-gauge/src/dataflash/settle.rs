@@ -798,6 +798,10 @@ impl DataFlash {
     /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
     /// requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
+        self.pay_first(gauge, waited).map_err(|error| error.owing(self.owed().is_some()))
+    }
+
+    fn pay_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         let begun = gauge.clock.now();
         if let Some(Pending { why, undecided: true, .. }) = self.find_pending() {
             return Err(Error::new("", Cause::Busy(why)));
