@@ -33,8 +33,8 @@ impl Bench {
         bench
     }
 
-    /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
-    /// `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
+    /// Plays a transcript: `W register bytes`, `R register count -> bytes` (the count is 1 if it is left out), either with
+    /// `-> NACK`, and `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
     #[track_caller]
     pub(crate) fn replay(&self, text: &str) {
         let mut bus = self.sim.bus();
@@ -52,7 +52,7 @@ impl Bench {
                 "W" => bus.transfer(&hex(rest), &mut []).map(|()| Vec::new()),
                 "R" => {
                     let numbers = hex(rest);
-                    let mut read = vec![0; usize::from(numbers[1])];
+                    let mut read = vec![0; usize::from(numbers.get(1).copied().unwrap_or(1))];
                     bus.transfer(&numbers[..1], &mut read).map(|()| read)
                 }
                 _ => panic!("{line}"),

@@ -1,16 +1,11 @@
 //! The simulated bq27441-G1, bq27421-G1, bq27426, bq27427, bq27621-G1 and bq27520-G3, compared byte by byte with the manuals.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError};
-use gauge_sim::{Options, Sim};
+use gauge_bus::clock::Clock;
+use gauge_sim::Options;
 
-struct Bench {
-    sim: Sim,
-    clock: Arc<SimClock>,
-}
+use super::bench::Bench;
 
 const UNSEAL: &str = "W 00 00 80 ; W 00 00 80";
 /// Enters or ends CONFIG UPDATE, and waits until the gauge has done so.
@@ -18,19 +13,13 @@ const BEGIN: &str = "W 00 13 00 ; X 1200";
 const END: &str = "W 00 42 00 ; X 1200";
 
 impl Bench {
-    fn new(chip: &str) -> Self {
-        Self::with(chip, &Options::default())
-    }
-
-    fn with(chip: &str, options: &Options) -> Self {
-        let clock = Arc::new(SimClock::new());
-        let sim = Sim::new(chip, options, clock.clone()).unwrap();
-        Self { sim, clock }
+    fn part(chip: &str) -> Self {
+        Self::of(chip, &Options::default())
     }
 
     /// The state after a power loss: UNSEALED, data memory as in ROM.
     fn fresh(chip: &str) -> Self {
-        let bench = Self::new(chip);
+        let bench = Self::part(chip);
         bench.cycle();
         bench
     }
@@ -41,74 +30,19 @@ impl Bench {
         self.clock.sleep(Duration::from_secs(5));
     }
 
-    /// Plays a transcript: `W register bytes`, `R register count -> bytes`, either with `-> NACK`, and
-    /// `X ms` to wait. Numbers are hexadecimal, except after X; `..` matches any further bytes.
-    #[track_caller]
-    fn replay(&self, text: &str) {
-        let mut bus = self.sim.bus();
-        for line in text.split([';', '\n']).map(str::trim).filter(|line| !line.is_empty()) {
-            let (sent, expected) = line.split_once("->").unwrap_or((line, ""));
-            let expected = expected.trim();
-            let (kind, rest) = sent.split_at(1);
-            let numbers = if kind == "X" { Vec::new() } else { hex(rest) };
-            let result = match kind {
-                "X" => {
-                    self.clock.sleep(Duration::from_millis(rest.trim().parse().unwrap()));
-                    continue;
-                }
-                "W" => bus.transfer(&numbers, &mut []).map(|()| Vec::new()),
-                _ => {
-                    let mut read = vec![0; usize::from(numbers.get(1).copied().unwrap_or(1))];
-                    bus.transfer(&numbers[..1], &mut read).map(|()| read)
-                }
-            };
-            match (result, expected) {
-                (Err(error), "NACK") => assert_eq!(error, BusError::NoAck, "{line}"),
-                (Ok(_), "NACK") => panic!("{line}: acknowledged"),
-                (Ok(read), _) if expected.ends_with("..") => {
-                    let start = hex(expected.trim_end_matches("..").trim());
-                    assert_eq!(read[..start.len()], start, "{line}");
-                }
-                (Ok(read), _) if kind == "R" => assert_eq!(read, hex(expected), "{line}"),
-                (Ok(_), _) => {}
-                (Err(error), _) => panic!("{line}: {error}"),
-            }
-        }
-    }
-
     /// A block of an UNSEALED gauge as text, without trailing zeros, and its checksum.
     #[track_caller]
-    fn block(&self, class: u8, block: u8) -> (String, u8) {
-        let mut bus = self.sim.bus();
-        for write in [[0x61, 0], [0x3E, class], [0x3F, block]] {
-            bus.transfer(&write, &mut []).unwrap();
-        }
-        let mut read = [0; 33];
-        bus.transfer(&[0x40], &mut read).unwrap();
-        let end = read[..32].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
-        let text: Vec<String> = read[..end].iter().map(|byte| format!("{byte:02X}")).collect();
-        (text.join(" "), read[32])
-    }
-
-    fn word(&self, register: u8) -> u16 {
-        let mut read = [0; 2];
-        self.sim.bus().transfer(&[register], &mut read).unwrap();
-        u16::from_le_bytes(read)
-    }
-
-    #[track_caller]
-    fn set(&self, knob: &str, text: &str) {
-        self.sim.set(knob, text).unwrap();
+    fn block_text(&self, class: u8, block: u8) -> (String, u8) {
+        let (bytes, checksum) = self.block(class, block);
+        let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+        let text: Vec<String> = bytes[..end].iter().map(|byte| format!("{byte:02X}")).collect();
+        (text.join(" "), checksum)
     }
 
     #[track_caller]
     fn shows(&self, knob: &str, text: &str) {
         assert_eq!(self.sim.get(knob).as_deref(), Some(text), "{knob}");
     }
-}
-
-fn hex(text: &str) -> Vec<u8> {
-    text.split_whitespace().map(|digits| u8::from_str_radix(digits, 16).unwrap()).collect()
 }
 
 // Flags() of the parts with RAM.
@@ -123,13 +57,13 @@ mod bq27441 {
 
     #[test]
     fn identity_and_copies() {
-        let bench = Bench::new("bq27441-g1");
+        let bench = Bench::part("bq27441-g1");
         bench.replay("W 00 01 00 ; R 00 2 -> 21 04");
         bench.replay("W 00 02 00 ; R 00 2 -> 09 01");
         bench.replay("W 00 08 00 ; R 00 2 -> 28 01");
         bench.replay("W 00 04 00 ; R 00 2 -> 48 00");
         bench.replay("R 3A 2 -> F8 25 ; R 3C 2 -> 3C 05");
-        let other = Bench::new("bq27421-g1");
+        let other = Bench::part("bq27421-g1");
         other.replay("W 00 01 00 ; R 00 2 -> 21 04 ; W 00 02 00 ; R 00 2 -> 09 01");
         other.replay("W 00 04 00 ; R 00 2 -> 01 00");
     }
@@ -138,7 +72,7 @@ mod bq27441 {
     /// example, but follow the manual's rule.
     #[test]
     fn design_capacity_as_in_the_manual() {
-        let bench = Bench::new("bq27441-g1");
+        let bench = Bench::part("bq27441-g1");
         bench.replay("W 00 00 00 ; R 00 2 -> 98 20");
         bench.replay(UNSEAL);
         bench.replay("W 00 00 00 ; R 00 2 -> 98 00");
@@ -175,7 +109,7 @@ mod bq27441 {
             (0x70, 0, "80 00 80", 0xFF),
             (0x24, 0, "00 19 28 63 5F FF 62 00 32", 0x69),
         ] {
-            assert_eq!(bench.block(class, block), (bytes.into(), sum), "{class:02X}/{block}");
+            assert_eq!(bench.block_text(class, block), (bytes.into(), sum), "{class:02X}/{block}");
         }
     }
 
@@ -204,7 +138,7 @@ mod bq27441 {
 
     #[test]
     fn a_sealed_gauge_hides_the_data_window() {
-        let bench = Bench::new("bq27441-g1");
+        let bench = Bench::part("bq27441-g1");
         bench.replay(
             "W 3E 52 -> NACK ; W 3F 00 -> NACK ; W 60 00 -> NACK ; W 61 00 -> NACK ; W 40 00 -> NACK",
         );
@@ -327,7 +261,7 @@ mod bq27441 {
         let options = Options { state: Some(folder.join("state")), ..Options::default() };
         let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0";
         {
-            let bench = Bench::with("bq27441-g1", &options);
+            let bench = Bench::of("bq27441-g1", &options);
             bench.replay(UNSEAL);
             bench.replay(BEGIN);
             bench.replay(write);
@@ -335,13 +269,13 @@ mod bq27441 {
             bench.replay(END);
         }
         {
-            let bench = Bench::with("bq27441-g1", &options);
+            let bench = Bench::of("bq27441-g1", &options);
             bench.shows("seal", "sealed");
             bench.replay("R 3C 2 -> B0 04");
             assert_eq!(bench.word(FLAGS) & ITPOR, 0);
             bench.cycle();
         }
-        let bench = Bench::with("bq27441-g1", &options);
+        let bench = Bench::of("bq27441-g1", &options);
         bench.shows("seal", "unsealed");
         bench.replay("R 3C 2 -> 3C 05");
         assert_eq!(bench.word(FLAGS) & ITPOR, ITPOR);
@@ -400,7 +334,7 @@ mod bq27427 {
         bench.replay("W 45 00 ; W 4A AC ; W 4B 0D ; W 48 23 ; W 49 00 ; W 60 03");
         let after =
             "05 00 0A 00 04 00 64 00 23 00 AC 0D 00 C8 00 32 00 14 03 E8 01 0A 00 00 0A FF CE FF CE 00 01";
-        assert_eq!(bench.block(0x52, 0), (after.into(), 0x03));
+        assert_eq!(bench.block_text(0x52, 0), (after.into(), 0x03));
         bench.replay("W 00 0C 00 ; W 00 42 00 ; X 1200");
         assert_eq!(bench.word(FLAGS) & CFGUPMODE, 0);
     }
@@ -422,7 +356,7 @@ mod bq27427 {
             (0x6D, 0, 0x81),
             (0x70, 0, 0xFF),
         ] {
-            assert_eq!(bench.block(class, block).1, sum, "{class:02X}/{block}");
+            assert_eq!(bench.block_text(class, block).1, sum, "{class:02X}/{block}");
         }
     }
 
@@ -452,7 +386,7 @@ mod bq27427 {
         assert!(bench.word(0x0C) > begun + 40, "it counts upwards");
         bench.replay(BEGIN);
         bench.replay("W 61 00 ; W 3E 69 ; W 3F 00 ; R 44 4 -> 7F AD 8E A8");
-        let sum = bench.block(0x69, 0).1;
+        let sum = bench.block_text(0x69, 0).1;
         bench.replay(&format!("W 45 2D ; W 60 {:02X}", sum ^ 0x80));
         bench.replay(END);
         bench.replay("X 120000");
@@ -489,7 +423,7 @@ mod bq27426 {
         let bench = Bench::fresh("bq27426");
         let sums = [(0x53, 0, 0x9F), (0x53, 1, 0x6E), (0x54, 1, 0xB7), (0x55, 0, 0x5A), (0x6C, 0, 0xD3)];
         for (class, block, sum) in sums {
-            assert_eq!(bench.block(class, block).1, sum, "{class:02X}/{block}");
+            assert_eq!(bench.block_text(class, block).1, sum, "{class:02X}/{block}");
         }
         bench.replay(BEGIN);
         for (class, block, length, sum) in
@@ -501,9 +435,9 @@ mod bq27426 {
             bench.replay(&format!("{select} ; W 40{bytes} ; {commit}"));
         }
         bench.replay(END);
-        assert_eq!(bench.block(0x53, 1).1, 0x44);
+        assert_eq!(bench.block_text(0x53, 1).1, 0x44);
         bench.cycle();
-        assert_eq!(bench.block(0x53, 1).1, 0x6E);
+        assert_eq!(bench.block_text(0x53, 1).1, 0x6E);
     }
 }
 
@@ -527,7 +461,7 @@ mod bq27621 {
     fn design_capacity() {
         let bench = Bench::fresh("bq27621-g1");
         assert_eq!(bench.word(0x3C), 1340);
-        let sum = bench.block(0x52, 0).1;
+        let sum = bench.block_text(0x52, 0).1;
         let new = sum.wrapping_add(0x05 + 0x3C).wrapping_sub(0x04).wrapping_sub(0xB0);
         bench.replay(BEGIN);
         bench.replay(&format!("W 61 00 ; W 3E 52 ; W 3F 00 ; X 30 ; W 43 04 B0 ; W 60 {new:02X}"));
@@ -556,7 +490,7 @@ mod bq27520 {
 
     #[test]
     fn identity() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay("W 00 01 00 ; R 00 2 -> 20 05 ; W 00 02 00 ; R 00 2 -> 24 03");
         bench.replay("W 00 1F 00 ; R 00 2 -> 01 00 ; R 3C 2 -> E8 03");
         bench.replay("R 6B 1 -> 00 ; R 6C 1 -> NACK");
@@ -564,7 +498,7 @@ mod bq27520 {
 
     #[test]
     fn seal_states() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         let level = || {
             bench.replay("W 00 00 00");
             bench.word(0x00) & 0x6000
@@ -580,7 +514,7 @@ mod bq27520 {
 
     #[test]
     fn reading_and_writing_whole_blocks() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay(KEYS);
         for (class, bytes, sum) in [
             (0x51, "00 3C 00 4B 00 28 00 3C 3C 01 80 80 01 90", 0x46),
@@ -588,18 +522,18 @@ mod bq27520 {
             (0x02, "02 26 02 01 F4 02 58 02 02 26", 0x5C),
             (0x20, "00 00 01 C2 00 32", 0x0A),
         ] {
-            assert_eq!(bench.block(class, 0), (bytes.into(), sum), "{class:02X}");
+            assert_eq!(bench.block_text(class, 0), (bytes.into(), sum), "{class:02X}");
         }
     }
 
     /// A published driver's sequence that writes Terminate Voltage at 80/45.
     #[test]
     fn terminate_voltage() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay(KEYS);
         bench.replay("W 61 00 ; W 3E 50 ; W 3F 01 ; X 50 ; R 4D 2 -> 0B B8 ; W 4D 0C ; W 4E 1C");
         bench.replay("W 60 00 ; X 200 ; W 3F 01 ; R 4D 2 -> 0B B8");
-        let (_, sum) = bench.block(0x50, 1);
+        let (_, sum) = bench.block_text(0x50, 1);
         let new = sum.wrapping_add(0x0B).wrapping_add(0xB8).wrapping_sub(0x0C).wrapping_sub(0x1C);
         bench.replay(&format!("W 4D 0C ; W 4E 1C ; W 60 {new:02X} ; X 200 ; W 3F 01 ; R 4D 2 -> 0C 1C"));
         // Flash keeps the value without power.
@@ -610,7 +544,7 @@ mod bq27520 {
 
     #[test]
     fn the_write_limit_compares_the_unscaled_voltage() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay(KEYS);
         bench.set("voltage_mv", "2799");
         let write = "W 61 00 ; W 3E 39 ; W 3F 00 ; W 40 5A ; W 60 A5 ; X 200 ; W 3F 00";
@@ -626,7 +560,7 @@ mod bq27520 {
 
     #[test]
     fn subcommand_0x13_sets_sleep_plus_and_not_config_update() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay(
             "W 00 13 00 ; X 2000 ; W 00 00 00 ; R 00 1 -> B3 ; W 00 14 00 ; W 00 00 00 ; R 00 1 -> 93",
         );
@@ -635,14 +569,14 @@ mod bq27520 {
 
     #[test]
     fn at_rate() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.replay("R 04 2 -> FF FF ; W 02 9C FF ; R 02 2 -> 9C FF");
         assert_eq!(bench.word(0x04), 600 * 60 / 100);
     }
 
     #[test]
     fn registers_are_those_of_the_register_map() {
-        let bench = Bench::new("bq27520-g3");
+        let bench = Bench::part("bq27520-g3");
         bench.set("load_ma", "300");
         bench.replay("X 120000");
         assert_eq!((bench.word(0x14) as i16, bench.word(0x30) as i16), (-300, -300));
