@@ -302,7 +302,10 @@ fn alerts_of_a_file_are_checked_before_anything_runs() {
     refused(&format!("{mounted}when = \"capcity<20\"\n"), &["line 4: when", "did you mean capacity?"]);
     refused(&format!("{mounted}when = \"missing\"\nexce = []\n"), &["line 5: exce", "unknown key", "exec"]);
     refused(&format!("{mounted}exec = [\"true\"]\n"), &["when"]);
-    refused(&format!("{mounted}when = \"missing\"\nexec = \"true\"\n"), &["line 5: exec", "sequence"]);
+    refused(
+        &format!("{mounted}when = \"missing\"\nexec = \"true\"\n"),
+        &["line 5: exec", "expected an array of strings"],
+    );
     refused(&format!("{mounted}when = \"missing\"\nfor = -1\n"), &["line 5: for", "0 to 86400"]);
     // The mount sees such a mistake as well.
     fs::write(&file, format!("{mounted}when = \"capcity<20\"\n[[gauge]]\nsim = \"bq35100\"\n"))
