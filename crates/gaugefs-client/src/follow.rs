@@ -20,8 +20,9 @@ use crate::error::{Error, Result};
 use crate::gauge::Gauge;
 use crate::hang::thread;
 pub use crate::hang::{PATIENCE, SILENT};
+use crate::place;
 use crate::sample::{self, if_readable, of_one_poll, text};
-use crate::watch::{INTERVAL, supplies, trouble};
+use crate::watch::{INTERVAL, trouble};
 
 /// What a thread that follows a gauge reports.
 #[derive(Clone, Debug)]
@@ -139,13 +140,13 @@ fn next_poll(folder: &Path) -> Option<Duration> {
 }
 
 /// The gauges at a path, which is a mount point or a gauge's folder; an error after 5 s without an answer.
-pub fn supplies_at(path: &Path) -> Result<Vec<PathBuf>> {
+pub fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
     let name = path.display().to_string();
     // Symbolic links are not resolved: that may hang.
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let (sender, found) = mpsc::channel();
     thread(move || {
-        let found = supplies(&path).map_err(|error| trouble(&path, &error));
+        let found = place::gauges_at(&path).map_err(|error| trouble(&path, &error));
         // It cannot be heard any more after 5 s.
         let _ = sender.send(found);
     })?;
@@ -154,9 +155,4 @@ pub fn supplies_at(path: &Path) -> Result<Vec<PathBuf>> {
         Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),
         Err(_) => Err(Error::host(name, Errno::ETIMEDOUT, SILENT)),
     }
-}
-
-/// The name of a gauge's folder.
-pub fn folder_name(gauge: &Path) -> String {
-    gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

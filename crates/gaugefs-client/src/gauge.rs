@@ -18,7 +18,7 @@ use crate::file::{self, GaugeFile, LONGEST, OWED, is_dead, is_set};
 use crate::hang;
 use crate::mounts;
 use crate::names;
-use crate::place::{self, EVERY, not_a_gauge, shown, with_path};
+use crate::place::{self, EVERY, last_name, not_a_gauge, shown, with_path};
 use crate::sample::Sample;
 use crate::value::Value;
 use ti_gauge::notation;
@@ -91,7 +91,7 @@ impl Gauge {
 
     /// The gauges below a mount point.
     pub fn below(mountpoint: &Path) -> Vec<Self> {
-        place::gauges_below(mountpoint).iter().map(|folder| Self::of(folder)).collect()
+        place::gauges_below(mountpoint).unwrap_or_default().iter().map(|folder| Self::of(folder)).collect()
     }
 
     /// Whether a path is the folder of a mounted gauge.
@@ -366,7 +366,7 @@ impl fmt::Display for Polled {
 /// The name of a folder, with symbolic links resolved.
 pub fn folder_name(gauge: &Path) -> String {
     let whole = fs::canonicalize(gauge).unwrap_or_else(|_| gauge.to_path_buf());
-    whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    last_name(&whole)
 }
 
 fn invalid(subject: String, why: String) -> ti_gauge::error::Error {

@@ -105,5 +105,5 @@ pub use file::GaugeFile;
 pub use gauge::{Decision, Gauge, Polled, folder_name};
 pub use hang::within;
 pub use parameter::{Changed, Transaction, Wanted, row};
-pub use place::died;
+pub use place::{died, gauges_at, last_name};
 pub use value::Value;

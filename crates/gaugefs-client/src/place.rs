@@ -1,5 +1,6 @@
 //! Where gauges are mounted, as far as an error says it.
 
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
@@ -21,6 +22,11 @@ pub fn died(mount: impl fmt::Display) -> String {
     format!("its daemon has died; remove the mount with: gaugefs umount {mount}")
 }
 
+/// The same of a path in a mount, which may not be there any more.
+pub(crate) fn dead(path: &Path) -> String {
+    died(shown(mounts::of(path).as_deref().unwrap_or(path)))
+}
+
 pub(crate) fn shown(path: &Path) -> String {
     text::printable(&path.to_string_lossy())
 }
@@ -31,14 +37,14 @@ pub(crate) fn not_a_gauge(path: &Path) -> Error {
     let why = match mounts::of(path) {
         // Only STATFS is never answered from the kernel's cache.
         Some(mount) if matches!(statvfs(&mount), Err(Errno::ENOTCONN | Errno::ECONNABORTED)) => {
-            return Error::host(name, Errno::ENOTCONN, died(shown(&mount)));
+            return Error::host(name, Errno::ENOTCONN, dead(&mount));
         }
         Some(mount) => {
             let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
             let inside =
                 || whole.ancestors().skip(1).filter(|above| above.starts_with(&mount)).map(Path::to_path_buf);
             let what = if whole == mount { "the mount point of" } else { "inside the mount of" };
-            let below = || gauges_below(&mount).into_iter().next();
+            let below = || gauges_below(&mount).unwrap_or_default().into_iter().next();
             match inside().find(|path| is_gauge(path)).or_else(below) {
                 Some(gauge) => {
                     format!("it is {what} gauges; give the folder of one, such as {}", shown(&gauge))
@@ -82,10 +88,26 @@ pub(crate) fn is_gauge(path: &Path) -> bool {
     path.join(EVERY).exists()
 }
 
-/// The folders of the gauges below a mount point.
-pub(crate) fn gauges_below(mountpoint: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(mountpoint).into_iter().flatten().flatten().map(|entry| entry.path());
+/// The folders of the gauges below a mount point. A Mains supply is none, nor is what the mount covers.
+pub(crate) fn gauges_below(mountpoint: &Path) -> io::Result<Vec<PathBuf>> {
+    let entries = fs::read_dir(mountpoint)?.flatten().map(|entry| entry.path());
     let mut gauges: Vec<_> = entries.filter(|entry| is_gauge(entry)).collect();
     gauges.sort();
-    gauges
+    Ok(gauges)
+}
+
+/// The gauges at a path: itself, or those below it. It is an error if there are none.
+pub fn gauges_at(path: &Path) -> io::Result<Vec<PathBuf>> {
+    match fs::metadata(path.join(EVERY)) {
+        Ok(_) => return Ok(vec![path.to_path_buf()]),
+        Err(error) if error.kind() == ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let gauges = gauges_below(path)?;
+    if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
+}
+
+/// The name of a gauge's folder as the path has it. Symbolic links are not resolved: that may hang.
+pub fn last_name(gauge: &Path) -> String {
+    gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

@@ -3,8 +3,7 @@
 //! If a daemon hangs, a read of its files blocks, perhaps for ever. So only these threads read them; their
 //! owner notices that a mount has stopped reporting.
 
-use std::fs;
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,10 +15,10 @@ use ti_gauge::chip::{Chip, Parameter, Subclass, kebab_case};
 use ti_gauge::learning::Limits;
 
 use crate::error::{Error, Result};
-use crate::file::{content, send, text};
+use crate::file::{content, is_dead, send, text};
 use crate::hang::{PATIENCE, SILENT, thread};
 use crate::mounts;
-use crate::place::died;
+use crate::place::{dead, gauges_at};
 use crate::sample::Sample;
 
 /// TI's name for the subclass with the values that a gauge has learned.
@@ -184,7 +183,7 @@ fn watch(
     loop {
         let mut next = INTERVAL;
         set(reading, Some(Instant::now()));
-        let listening = match supplies(path) {
+        let listening = match gauges_at(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
                 let sample = Sample::read(gauge);
                 // There may be many, each of which takes a moment.
@@ -225,25 +224,10 @@ fn watch(
     }
 }
 
-/// The gauges at a path: itself, or the folders in it.
-pub fn supplies(path: &Path) -> io::Result<Vec<PathBuf>> {
-    match fs::metadata(path.join("uevent")) {
-        Ok(_) => return Ok(vec![path.to_path_buf()]),
-        Err(error) if error.kind() == ErrorKind::NotFound => {}
-        Err(error) => return Err(error),
-    }
-    let entries = fs::read_dir(path)?.flatten().map(|entry| entry.path());
-    let mut gauges: Vec<_> = entries.filter(|entry| entry.join("uevent").exists()).collect();
-    gauges.sort();
-    if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
-}
-
+/// Why nothing can be read at a path.
 pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::ENOTCONN | Errno::ECONNABORTED) => {
-            let mount = mounts::of(root);
-            died(mount.as_deref().unwrap_or(root).display())
-        }
+        _ if is_dead(error) => dead(root),
         None | Some(Errno::ENOENT) => {
             "not mounted; give the folder of a mounted gauge, or its mount point".into()
         }

@@ -128,8 +128,8 @@ struct Watching {
 
 impl Watching {
     fn start(place: &Path, rules: &[Rule]) -> Result<Self> {
-        let folders = follow::supplies_at(place)?;
-        let names = folders.iter().map(|gauge| follow::folder_name(gauge)).collect::<Vec<_>>();
+        let folders = follow::gauges_at(place)?;
+        let names = folders.iter().map(|gauge| gaugefs_client::last_name(gauge)).collect::<Vec<_>>();
         let mut alerts = Vec::new();
         for rule in rules {
             if let Some(wanted) = &rule.gauge
@@ -281,7 +281,8 @@ fn event(alert: &Alert) -> &'static str {
 
 /// A line for each change.
 fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
-    let (name, values) = (follow::folder_name(&gauge.folder), alert.rule.when.values(gauge.texts.as_ref()));
+    let (name, values) =
+        (gaugefs_client::last_name(&gauge.folder), alert.rule.when.values(gauge.texts.as_ref()));
     let line = format!("{:.0} {name}: {} {} ({values})", Timestamp::now(), event(alert), alert.rule.shown());
     print(&(ti_gauge::text::printable(&line) + "\n"))
 }

@@ -13,7 +13,6 @@ use gauge_bus::regular::Replace;
 
 use gaugefs_client::follow;
 use gaugefs_client::mounts;
-use gaugefs_client::watch::supplies;
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::{print_file, say, write_file};
 
@@ -194,10 +193,10 @@ fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
     if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
-    for folder in supplies(path)? {
+    for folder in gaugefs_client::gauges_at(path)? {
         // One that goes away meanwhile is not there.
         let Ok(texts) = follow::all(&folder, &names) else { continue };
-        if !report(page::Gauge { name: follow::folder_name(&folder), texts }) {
+        if !report(page::Gauge { name: gaugefs_client::last_name(&folder), texts }) {
             break;
         }
     }

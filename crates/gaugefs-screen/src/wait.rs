@@ -8,7 +8,7 @@ use clap::Args;
 use nix::errno::Errno;
 
 use gaugefs_client::condition::Condition;
-use gaugefs_client::follow::{Follow, supplies_at};
+use gaugefs_client::follow::{Follow, gauges_at};
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::say;
 
@@ -52,7 +52,7 @@ impl Wait {
     pub(super) fn run(self) -> Result<ExitCode> {
         let begun = Instant::now();
         let name = self.gauge.display().to_string();
-        let [gauge] = &supplies_at(&self.gauge)?[..] else {
+        let [gauge] = &gauges_at(&self.gauge)?[..] else {
             let why = "more than one gauge is mounted here; name the folder of one";
             return Err(Error::host(name, Errno::EINVAL, why));
         };

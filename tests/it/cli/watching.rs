@@ -409,6 +409,22 @@ fn log_writes_each_poll_once_and_continues() {
 }
 
 #[test]
+fn regression_a_mains_supply_counted_as_a_gauge() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, "--ac", &at]).done();
+    let logged = gaugefs(&["log", "--count", "1", &at]).done();
+    let gauges: Vec<_> = logged.lines().skip(1).filter_map(|line| line.split(',').nth(1)).collect();
+    assert_eq!(gauges, ["BAT0"]);
+    // It is the only gauge of its mount.
+    gaugefs(&["wait", &at, "capacity<200", "--timeout", "60"]).done();
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
 fn log_continues_after_an_absence() {
     if !can_mount() {
         return;
