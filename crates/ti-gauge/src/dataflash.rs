@@ -22,7 +22,7 @@ use crate::chip::{Chip, FLAT, Kind, Subclass};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Entry, Identity, Journal, Mark, OpenJournal, Plan};
+use crate::journal::{Identity, Journal, OpenJournal};
 
 mod anonymous;
 mod blocks;
@@ -30,6 +30,7 @@ mod calmode;
 mod change;
 mod checks;
 mod erased;
+mod guard;
 mod io;
 mod job;
 mod keychange;
@@ -61,7 +62,7 @@ use pack::Known;
 pub use pack::distinguishes;
 use preflight::{Found, KnownPack};
 use schemes::sequence;
-use session::{Left, Reference, Session, in_time};
+use session::{Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
 use state::has_lost_memory;
@@ -241,51 +242,54 @@ impl DataFlash {
             if !allowed(found) {
                 return Ok(None);
             }
-            let mut session = Session::new(found, asked);
-            session.pack.begin(gauge);
-            if found == Seal::Sealed {
-                let owed = match self.find_pending() {
-                    None => {
-                        self.owe(gauge, &mut session, 0).and_then(|()| self.note_marks(gauge, &mut session))
-                    }
-                    Some(_) => self.owe_seal(gauge, &mut session),
-                };
-                match owed {
-                    Ok(()) => self.unrecorded = false,
-                    // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it
-                    // leaves the gauge unsealed.
-                    Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
-                        if !std::mem::replace(&mut self.unrecorded, true) {
-                            log::warn!("{error}");
-                        }
-                    }
-                    Err(error) => return Err(error),
-                }
-            }
-            let read = session.open(gauge).and_then(|()| {
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                if found == Seal::Sealed { this.record_read(gauge, session) } else { Ok(()) }
+            };
+            let read = self.session(gauge, (found, asked), record, |this, gauge, session| {
+                session.open(gauge)?;
                 let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
                 if is_broken {
-                    self.suspect(gauge.chip);
+                    this.suspect(gauge.chip);
                 }
                 // Marks for later comparison. Failing to read them must not fail the read.
-                match self.learn_marks(gauge) {
+                match this.learn_marks(gauge) {
                     Ok(Some(row)) if is_broken => {
                         session.pack.is_exchanged();
-                        return Err(self.other_pack(gauge, row));
+                        return Err(this.other_pack(gauge, row));
                     }
                     Ok(_) => {}
                     Err(error) => log::debug!("{}: {error}", gauge.chip.name),
                 }
-                self.refer(gauge, &mut session);
-                wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
-            });
-            let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
-            if read.is_ok() {
+                this.refer(gauge, session);
+                let read = wanted.iter().map(|subclass| this.read_subclass(gauge, subclass));
+                let read = read.collect::<Result<_>>()?;
+                this.learn_gate(gauge)?;
                 gauge.note_open();
-            }
-            self.end(session, gauge, read).map(Some)
+                Ok(read)
+            });
+            read.map(Some)
         });
         self.noted(outcome)
+    }
+
+    /// Records that a sealed gauge is about to be opened for a read.
+    fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        let owed = match self.find_pending() {
+            None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
+            Some(_) => self.owe_seal(gauge, session),
+        };
+        match owed {
+            Ok(()) => self.unrecorded = false,
+            // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
+            // unsealed.
+            Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
+                if !std::mem::replace(&mut self.unrecorded, true) {
+                    log::warn!("{error}");
+                }
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
     }
 
     /// Forgets the gate's values after any failure: the next write reads them again.
@@ -355,13 +359,14 @@ impl DataFlash {
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            let mut session = Session::new(found, asked);
-            session.pack.begin(gauge);
-            self.owe(gauge, &mut session, 0)?;
-            session.now = None;
-            let left = calmode::leave(gauge, calibration);
-            self.in_calibration &= left.is_err();
-            self.end(session, gauge, left)
+            let record =
+                |this: &mut Self, gauge: &mut Gauge, session: &mut Session| this.owe(gauge, session, 0);
+            self.session(gauge, (found, asked), record, |this, gauge, session| {
+                session.now = None;
+                let left = calmode::leave(gauge, calibration);
+                this.in_calibration &= left.is_err();
+                left
+            })
         })
     }
 
@@ -381,18 +386,20 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let mut session = Session::new(found.seal, asked);
-            session.pack.begin(gauge);
-            self.owe(gauge, &mut session, blocks(changes))?;
-            let opened = match found.seal {
-                Seal::Sealed => self.look_while_opening(gauge, &mut session, &found, changes),
-                Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                this.owe(gauge, session, blocks(changes))
             };
-            let outcome = opened.and_then(|found| self.change(gauge, changes, &found, extras, &mut session));
-            if outcome.is_err() && self.doubts {
-                session.pack.is_exchanged();
-            }
-            let outcome = self.end(session, gauge, outcome);
+            let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
+                let opened = match found.seal {
+                    Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),
+                    Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+                };
+                let outcome = opened.and_then(|found| this.change(gauge, changes, &found, extras, session));
+                if outcome.is_err() && this.doubts {
+                    session.pack.is_exchanged();
+                }
+                outcome
+            });
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
                            memory may be lost";
@@ -400,81 +407,6 @@ impl DataFlash {
             }
             outcome
         })
-    }
-
-    /// Records that a session is about to change the gauge's state.
-    fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
-        let identity = self.identity(gauge)?;
-        gauge.watch();
-        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
-        session.entry = Some(entry);
-        self.refer(gauge, session);
-        if let Some(journal) = &self.journal {
-            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
-        }
-        Ok(())
-    }
-
-    fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
-        if let Some(journal) = &mut session.journal {
-            journal.plan(&plan)?;
-        }
-        if let Some(entry) = &mut session.entry {
-            entry.plan = Some(plan);
-        }
-        Ok(())
-    }
-
-    /// Records what is known of the pack of which only the seal will be owed.
-    fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
-        let marks = self.marks(gauge.chip);
-        if marks.is_empty() {
-            return Ok(());
-        }
-        self.note(session, Plan::of_marks(marks))
-    }
-
-    /// What distinguishes the pack, as far as it is known.
-    fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
-        let known = if self.fingerprint.is_empty() { &self.known } else { &self.fingerprint };
-        known.marks(chip)
-    }
-
-    /// From now on the session's pack is compared with what is known of it.
-    fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
-        let Some(entry) = &session.entry else { return };
-        let mut reference = Reference::of(entry);
-        if entry.owes_seal() {
-            reference.plan.marks = self.marks(gauge.chip);
-        }
-        session.pack.pack = Some(reference);
-    }
-
-    /// Ends a session, and keeps what it leaves to be settled.
-    fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
-        let (outcome, left) = session.close(gauge, outcome);
-        if session.pack.is_another {
-            self.forget();
-            self.doubts = true;
-        }
-        self.in_calibration |= session.calibrating.is_some();
-        if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {
-            // Nothing was written: what its pack is known by is all that is left of it.
-            let marks = session.pack.pack.take().map_or(Vec::new(), |pack| pack.plan.marks);
-            if let Err(error) = self.note(&mut session, Plan::of_marks(marks)) {
-                log::warn!("{error}");
-            }
-        }
-        let plan = session.entry.as_ref().and_then(|entry| entry.plan.as_ref());
-        let by_gauge = outcome.is_ok() && plan.is_some_and(|plan| plan.by_gauge);
-        match left.or_else(|| by_gauge.then(|| Left::to_be_judged(session.pack.since()))) {
-            None => session.remove_journal(),
-            Some(left) => {
-                let journal = session.journal.take();
-                self.keep(gauge, session.entry.take(), journal, left);
-            }
-        }
-        outcome
     }
 
     /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.

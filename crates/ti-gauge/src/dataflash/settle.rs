@@ -7,6 +7,7 @@
 //! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
 use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -436,13 +437,14 @@ impl DataFlash {
             if open.is_empty() {
                 return Ok(others);
             }
-            let mut session = Session::new(gauge.seal_anew()?, asked);
-            session.pack.begin(gauge);
-            if session.found == Seal::Sealed {
-                self.owe(gauge, &mut session, 0)?;
-            }
-            let compared = session.open(gauge).and_then(|()| others_of(gauge, &now, &open));
-            others.extend(self.end(session, gauge, compared)?);
+            let found = gauge.seal_anew()?;
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                if found == Seal::Sealed { this.owe(gauge, session, 0) } else { Ok(()) }
+            };
+            others.extend(self.session(gauge, (found, asked), record, |_, gauge, session| {
+                session.open(gauge)?;
+                others_of(gauge, &now, &open)
+            })?);
             Ok(others)
         });
         match ruled_out {
@@ -494,13 +496,14 @@ impl DataFlash {
             self.identity = None;
             let now = self.identity(gauge)?;
             let found = gauge.seal_anew()?;
-            let mut session = Session::new(found, asked);
-            let look = session.open(gauge).and_then(|()| {
+            // The seal is owed already.
+            let recorded = |_: &mut Self, _: &mut Gauge, _: &mut Session| Ok(());
+            let (seen, same) = self.session(gauge, (found, asked), recorded, |_, gauge, session| {
+                session.open(gauge)?;
                 let seen = look(gauge, &plan)?;
                 let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
                 Ok((seen, same))
-            });
-            let (seen, same) = session.close(gauge, look).0?;
+            })?;
             if let Match::Other(name) = same {
                 text += &match number_of(gauge.chip, &now) {
                     Some(serial) => format!(
@@ -576,7 +579,7 @@ impl DataFlash {
             }
             (session.now, session.entry) = (None, Some(entry));
             session.pack.pack = Some(reference);
-            self.end(session, gauge, Ok(()))
+            self.guard(gauge, session, |_, _, _| Ok(()), Self::end)
         });
         if let Err(error) = &ended
             && self.pending.is_none()
@@ -695,68 +698,86 @@ impl DataFlash {
                 None => None,
             },
         };
-        if !elsewhere {
-            self.take_over(gauge, entry, &mut session)?;
-        }
-        let mut outcome = match &entry.plan {
-            _ if entry.owes_seal() && decision.is_none() && session.is_plainly_another(gauge, now)? => {
-                let why = "another pack was left open, and is not here";
-                Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why.into()) })
+        let undecided = OnceCell::new();
+        let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+            if !elsewhere {
+                this.take_over(gauge, entry, session)?;
             }
+            let outcome = this.judge(gauge, session, (entry, pending), decision, (&identity, now));
+            if let Ok(Verdict::Undecided(why)) = &outcome {
+                undecided.get_or_init(|| why.clone());
+            }
+            if elsewhere && !matches!(outcome, Ok(Verdict::Another | Verdict::Undecided(_))) {
+                let taken = this.take_over(gauge, entry, session);
+                return outcome.and_then(|verdict| taken.map(|()| verdict));
+            }
+            outcome
+        };
+        self.guard(gauge, session, run, |this, mut session, _, outcome, left| {
+            this.in_calibration &= session.calibrating.is_some();
+            let mut held = || session.journal.take().filter(|_| pending.watched);
+            if let Some(left_open) = session.pack.left_open.take() {
+                this.held = held();
+                return Ok(Verdict::Undecided(undecided.get().cloned().unwrap_or(left_open)));
+            }
+            match (&outcome, left) {
+                (Ok(Verdict::Done(_)), None) => session.remove_journal(),
+                (Ok(Verdict::Plausible(message)), None) => {
+                    let opened = session.journal.take();
+                    let Some((journal, opened)) = this.journal.as_ref().zip(opened.as_ref()) else {
+                        return outcome;
+                    };
+                    let kept = journal.wait(opened.path())?;
+                    let message = format!("{message}; its journal waits for its pack as {}", kept.display());
+                    this.judged.push(kept);
+                    return Ok(Verdict::Plausible(message));
+                }
+                _ => this.held = held(),
+            }
+            outcome
+        })
+    }
+
+    /// What has become of an interrupted access, as far as the gauge shows; what can be settled is.
+    fn judge(
+        &mut self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        (entry, pending): (&Entry, &Pending),
+        decision: Option<Decision>,
+        (identity, now): (&Identity, Seal),
+    ) -> Result<Verdict> {
+        let elsewhere = pending.elsewhere && decision.is_none();
+        let nothing = || Ok(Verdict::Done("an access was interrupted before anything was written".into()));
+        match &entry.plan {
             _ if entry.owes_seal() => {
-                Ok(Verdict::Done("an access was interrupted before anything was written".into()))
+                if decision.is_none() && session.is_plainly_another(gauge, now)? {
+                    let why = "another pack was left open, and is not here";
+                    return Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why.into()) });
+                }
+                nothing()
             }
-            None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
+            None => nothing(),
             Some(plan) if plan.key.is_some() => {
-                let identities = [&entry.identity, &identity];
-                match elsewhere && !is_certainly(gauge, identities, plan, &mut session) {
+                let identities = [&entry.identity, identity];
+                match elsewhere && !is_certainly(gauge, identities, plan, session) {
                     true => Ok(Verdict::Another),
-                    false => self.settle_keys(gauge, plan, identities, pending.watched, &mut session),
+                    false => self.settle_keys(gauge, plan, identities, pending.watched, session),
                 }
             }
             Some(plan) => {
                 session.pack.was_opened = now == Seal::Sealed;
                 let open = if now == Seal::Sealed { self.unseal(gauge, plan) } else { Ok(()) };
                 gauge.learn_selection();
-                open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
-                    let then = &entry.identity;
-                    let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
-                    let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
-                    let task =
-                        Task { plan, then, now: &identity, watched, certain, decision, shown, elsewhere };
-                    task.run(gauge, &mut session)
-                })
+                open?;
+                sequence(gauge).enable(gauge)?;
+                let then = &entry.identity;
+                let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
+                let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
+                let task = Task { plan, then, now: identity, watched, certain, decision, shown, elsewhere };
+                task.run(gauge, session)
             }
-        };
-        if elsewhere && !matches!(outcome, Ok(Verdict::Another | Verdict::Undecided(_))) {
-            let taken = self.take_over(gauge, entry, &mut session);
-            outcome = outcome.and_then(|verdict| taken.map(|()| verdict));
         }
-        let undecided = match &outcome {
-            Ok(Verdict::Undecided(why)) => Some(why.clone()),
-            _ => None,
-        };
-        let (outcome, left) = session.close(gauge, outcome);
-        self.in_calibration &= session.calibrating.is_some();
-        if let Some(left_open) = session.pack.left_open.take() {
-            self.held = session.journal.take().filter(|_| pending.watched);
-            return Ok(Verdict::Undecided(undecided.unwrap_or(left_open)));
-        }
-        match (&outcome, left) {
-            (Ok(Verdict::Done(_)), None) => session.remove_journal(),
-            (Ok(Verdict::Plausible(message)), None) => {
-                let opened = session.journal.take();
-                let Some((journal, opened)) = self.journal.as_ref().zip(opened.as_ref()) else {
-                    return outcome;
-                };
-                let kept = journal.wait(opened.path())?;
-                let message = format!("{message}; its journal waits for its pack as {}", kept.display());
-                self.judged.push(kept);
-                return Ok(Verdict::Plausible(message));
-            }
-            _ => self.held = session.journal.take().filter(|_| pending.watched),
-        }
-        outcome
     }
 
     /// The gauge is the one of an entry: the session leaves it as the entry demands.
