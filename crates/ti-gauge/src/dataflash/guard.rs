@@ -63,10 +63,7 @@ impl DataFlash {
         let by_gauge = outcome.is_ok() && plan.is_some_and(|plan| plan.by_gauge);
         match left.or_else(|| by_gauge.then(|| Left::to_be_judged(session.pack.since()))) {
             None => session.remove_journal(),
-            Some(left) => {
-                let journal = session.journal.take();
-                self.keep(gauge, session.entry.take(), journal, left);
-            }
+            Some(left) => self.leave(gauge, session, left),
         }
         outcome
     }
@@ -117,5 +114,11 @@ impl DataFlash {
             reference.plan.marks = self.marks(gauge.chip);
         }
         session.pack.pack = Some(reference);
+    }
+
+    /// Keeps what a session leaves, with its record.
+    pub(super) fn leave(&mut self, gauge: &Gauge, mut session: Session, left: Left) {
+        let journal = session.journal.take();
+        self.keep(gauge, session.entry.take(), journal, left);
     }
 }
