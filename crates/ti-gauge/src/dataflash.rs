@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use crate::chip::{Chip, FLAT, Kind, Subclass};
 use crate::codec::{Bytes, WINDOW};
+use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Identity, Journal, OpenJournal};
@@ -36,6 +37,7 @@ mod job;
 mod keychange;
 mod keyrow;
 mod measured;
+mod now;
 mod owedseal;
 mod pack;
 mod planned;
@@ -57,9 +59,10 @@ use io::read_subclass;
 use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
 pub(crate) use measured::BEGINS;
+use now::{Arrival, Name, Now, Pack, Values};
 use owedseal::OwedSeal;
-use pack::Known;
 pub use pack::distinguishes;
+use pack::{Known, NOTHING};
 use preflight::{Found, KnownPack};
 use schemes::sequence;
 use session::{Session, in_time};
@@ -120,24 +123,26 @@ pub struct DataFlash {
     wear: Wear,
     /// The gauge whose values were read.
     known_pack: Option<KnownPack>,
+    /// Since when what is known holds.
+    now: Now,
     /// Another gauge has answered at its address.
-    doubts: bool,
+    doubts: Fact<(), Arrival>,
     /// A failed write left its mode on; the next write ends it.
     mode_left_on: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
-    gate: Option<(i16, u16)>,
+    gate: Fact<(i16, u16), Values>,
     /// A session of ours may have left calibration mode on.
     in_calibration: bool,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
-    signed: bool,
+    signed: Fact<(), Pack>,
     /// Records each write before it starts.
     journal: Option<Journal>,
-    /// Identity of the gauge for the journal; `None` until it is first needed.
-    identity: Option<Identity>,
+    /// Identity of the gauge for the journal.
+    identity: Fact<Identity, Name>,
     /// Blocks of this gauge as they were last read or written.
-    known: Known,
+    known: Fact<Known, Pack>,
     /// What distinguishes the pack, from before a time in which it may have been exchanged; empty once compared.
-    fingerprint: Known,
+    fingerprint: Fact<Known, Pack>,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
     /// What was last shown of it.
@@ -145,12 +150,12 @@ pub struct DataFlash {
     /// Its journal, locked while this process may go on with it.
     held: Option<OpenJournal>,
     /// How far the journals of other gauges have been compared with this one, and those that are not of it.
-    searched: Searched,
-    judged: Vec<PathBuf>,
+    searched: Fact<Searched, Arrival>,
+    judged: Fact<Vec<PathBuf>, Arrival>,
     /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
     unfinished: Option<Unfinished>,
     /// The gauge has refused the key of erased flash.
-    no_erased_key: bool,
+    no_erased_key: Fact<(), Arrival>,
     /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
     /// The journal of a read could not be written, which has been reported.
@@ -165,31 +170,28 @@ impl DataFlash {
 
     /// Forgets what was read from data flash: the gauge has lost it, or is another one.
     pub fn forget(&mut self) {
-        (self.gate, self.signed) = (None, false);
-        self.known.clear();
-        self.fingerprint.clear();
+        self.now.may_be_another();
     }
 
     /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
     /// compared when data flash is open for the next time.
     pub fn suspect(&mut self, chip: &'static Chip) {
-        let known = std::mem::take(&mut self.known);
-        let mut fingerprint = std::mem::take(&mut self.fingerprint);
-        self.forget();
+        let mut fingerprint = self.fingerprint.get(self.now.pack).cloned().unwrap_or_default();
+        for place in pack::mark_windows(chip) {
+            if let Some(content) = self.known().get(place) {
+                fingerprint.note(chip, place, content);
+            }
+        }
+        self.now.may_be_another();
         // An exchange of a gauge with RAM is a loss of power, which it reports.
         if chip.volatile.is_none() {
-            for place in pack::mark_windows(chip) {
-                if let Some(content) = known.get(place) {
-                    fingerprint.note(chip, place, content);
-                }
-            }
-            self.fingerprint = fingerprint;
+            self.fingerprint.learn(self.now.pack, fingerprint);
         }
     }
 
     /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
     pub fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
-        if self.fingerprint.is_empty() || gauge.seal()? == Seal::Sealed {
+        if self.fingerprint().is_empty() || gauge.seal()? == Seal::Sealed {
             return Ok(());
         }
         sequence(gauge).enable(gauge)?;
@@ -294,7 +296,7 @@ impl DataFlash {
 
     /// Forgets the gate's values after any failure: the next write reads them again.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
-        outcome.inspect_err(|_| self.gate = None)
+        outcome.inspect_err(|_| self.now.may_have_changed())
     }
 
     /// Changes the seal state on request.
@@ -395,7 +397,7 @@ impl DataFlash {
                     Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
                 };
                 let outcome = opened.and_then(|found| this.change(gauge, changes, &found, extras, session));
-                if outcome.is_err() && this.doubts {
+                if outcome.is_err() && this.doubts() {
                     session.pack.is_exchanged();
                 }
                 outcome
@@ -468,19 +470,19 @@ impl DataFlash {
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let neighbours = self.neighbours(gauge, &dirty)?;
-        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
+        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known().marks(gauge.chip));
         self.note(session, plan)?;
         self.refer(gauge, session);
         // The write may change the serial number.
-        self.identity = None;
+        self.now.may_be_renamed();
         gauge.statistics.progress.begin(dirty.len());
         let mut job = Job::write(dirty, neighbours, reset);
         (job.in_window, job.was_lost) = (in_window, found.lost);
         let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
         for block in job.changed() {
             match landed {
-                Landed::New => self.known.note(gauge.chip, block.place, block.new),
-                Landed::Old(_) | Landed::Unknown(_) => self.known.forget(block.place),
+                Landed::New => self.note_block(gauge, block.place, block.new),
+                Landed::Old(_) | Landed::Unknown(_) => self.known.in_epoch(self.now.pack).forget(block.place),
             }
         }
         match landed {
@@ -494,33 +496,50 @@ impl DataFlash {
     fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
-            if self.known.get(place).is_none() {
+            if self.known().get(place).is_none() {
                 let content = sequence(gauge).load(gauge, place)?;
-                other = other.or(self.fingerprint.contradicts(gauge.chip, place, &content));
-                self.known.note(gauge.chip, place, content);
+                other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
+                self.note_block(gauge, place, content);
             }
         }
-        self.fingerprint.clear();
-        self.doubts |= other.is_some();
+        // It has been compared.
+        self.fingerprint = Fact::default();
+        if other.is_some() {
+            self.doubt_pack();
+        }
         Ok(other)
     }
 
     fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
         let chip = gauge.chip;
         read_subclass(gauge, subclass, |place, content| {
-            if chip.volatile.is_none() && self.known.contradicts(chip, place, content).is_some() {
-                self.known.clear();
-                self.doubts = true;
+            if chip.volatile.is_none() && self.known().contradicts(chip, place, content).is_some() {
+                self.now.may_be_another();
+                self.doubt_pack();
             }
-            self.known.note(chip, place, *content);
+            self.known.in_epoch(self.now.pack).note(chip, place, *content);
         })
+    }
+
+    fn note_block(&mut self, gauge: &Gauge, place: Window, content: [u8; WINDOW]) {
+        self.known.in_epoch(self.now.pack).note(gauge.chip, place, content);
+    }
+
+    /// Blocks of this pack as they were last read or written.
+    fn known(&self) -> &Known {
+        self.known.get(self.now.pack).unwrap_or(&NOTHING)
+    }
+
+    /// What distinguished the pack before it may have been exchanged; empty once that was compared.
+    fn fingerprint(&self) -> &Known {
+        self.fingerprint.get(self.now.pack).unwrap_or(&NOTHING)
     }
 
     /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
-        let before = [&self.known, &self.fingerprint];
+        let before = [self.known(), self.fingerprint()];
         let Some(row) = before.iter().find_map(|known| known.contradicts(gauge.chip, place, content)) else {
-            self.known.note(gauge.chip, place, *content);
+            self.note_block(gauge, place, *content);
             return Ok(());
         };
         Err(self.other_pack(gauge, row))
@@ -533,8 +552,8 @@ impl DataFlash {
             row.1.name,
             Place::of(row)
         );
-        self.forget();
-        self.doubts = true;
+        self.now.may_be_another();
+        self.doubt_pack();
         Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify)
     }
 
@@ -546,15 +565,15 @@ impl DataFlash {
             one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
         };
         for place in dirty.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
-            if place.subclass == FLAT && self.known.get(place).is_none() {
+            if place.subclass == FLAT && self.known().get(place).is_none() {
                 // Beyond the end of data flash there is none.
                 if let Ok(content) = sequence(gauge).load(gauge, place) {
-                    self.known.note(gauge.chip, place, content);
+                    self.note_block(gauge, place, content);
                 }
             }
             let is_new = found.iter().all(|block| apart(block.place, place))
                 && dirty.iter().all(|block| apart(block.place, place));
-            if let Some(content) = self.known.get(place).filter(|_| is_new) {
+            if let Some(content) = self.known().get(place).filter(|_| is_new) {
                 let learned = learned(gauge.chip, place);
                 found.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
             }

@@ -49,8 +49,8 @@ impl DataFlash {
         left: Option<Left>,
     ) -> Result<T> {
         if session.pack.is_another {
-            self.forget();
-            self.doubts = true;
+            self.now.may_be_another();
+            self.doubt_pack();
         }
         if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {
             // Nothing was written: what its pack is known by is all that is left of it.
@@ -102,7 +102,7 @@ impl DataFlash {
 
     /// What distinguishes the pack, as far as it is known.
     pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
-        let known = if self.fingerprint.is_empty() { &self.known } else { &self.fingerprint };
+        let known = if self.fingerprint().is_empty() { self.known() } else { self.fingerprint() };
         known.marks(chip)
     }
 

@@ -669,7 +669,7 @@ impl<'a> Task<'a> {
                 rows.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
-        let marks = dataflash.known.marks(gauge.chip);
+        let marks = dataflash.known().marks(gauge.chip);
         let mut plan = planned::plan(gauge, false, &[], &rows, marks);
         let is_erased = |name: &Name| match name {
             Name::Authentication => {

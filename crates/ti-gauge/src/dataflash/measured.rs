@@ -66,7 +66,7 @@ impl DataFlash {
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
         self.note(session, Plan { by_gauge: true, ..plan })?;
-        blocks.iter().for_each(|block| self.known.forget(block.place));
+        blocks.iter().for_each(|block| self.known.in_epoch(self.now.pack).forget(block.place));
         Ok(olds)
     }
 

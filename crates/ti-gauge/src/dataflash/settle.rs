@@ -154,7 +154,7 @@ enum Chosen {
 impl DataFlash {
     /// Identity of the gauge for the journal, read on first use after the gauge was connected.
     pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
-        if let Some(identity) = &self.identity {
+        if let Some(identity) = self.identity.get(self.now.name) {
             return Ok(identity.clone());
         }
         let firmware = match self.known_pack {
@@ -162,14 +162,14 @@ impl DataFlash {
             None => agreed("Control(FW_VERSION)", || gauge.firmware_version())?,
         };
         let identity = Identity::of(gauge.chip, firmware, serial_number(gauge)?);
-        self.identity = Some(identity.clone());
+        self.identity.learn(self.now.name, identity.clone());
         Ok(identity)
     }
 
     /// Whether the gauge, which is open, is certainly the one whose values were read.
     pub(super) fn is_certain(&mut self, gauge: &mut Gauge) -> Result<bool> {
         let plan = Plan::of_marks(self.marks(gauge.chip));
-        let Some(then) = self.identity.clone() else { return Ok(false) };
+        let Some(then) = self.identity.get(self.now.name).cloned() else { return Ok(false) };
         let now = identify(gauge)?;
         sequence(gauge).enable(gauge)?;
         let same = compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place))?;
@@ -238,7 +238,7 @@ impl DataFlash {
 
     /// Adopts what is left of a change of keys, for somebody who makes it once more.
     pub(super) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        self.identity = None;
+        self.now.may_be_renamed();
         self.identity(gauge)?;
         session.decided = true;
         session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
@@ -266,8 +266,6 @@ impl DataFlash {
     pub(super) fn look_again(&mut self) {
         // The pack may come back elsewhere, where its journal must not be taken for one in use.
         self.held = None;
-        self.no_erased_key = false;
-        (self.searched, self.judged) = (Searched::default(), Vec::new());
         match &mut self.pending {
             Some(pending) if pending.elsewhere => self.pending = None,
             Some(pending) => {
@@ -280,7 +278,7 @@ impl DataFlash {
     /// The files that need not be looked at: what they say of this gauge is known.
     fn known_files(&self) -> Vec<PathBuf> {
         let held = self.held.iter().map(|held| held.path().to_path_buf());
-        held.chain(self.judged.iter().cloned()).collect()
+        held.chain(self.judged.get(self.now.arrival).into_iter().flatten().cloned()).collect()
     }
 
     /// Whether what is pending has been settled at another place, or its journal was moved away.
@@ -375,17 +373,17 @@ impl DataFlash {
     /// was the one.
     fn search(&mut self, gauge: &mut Gauge, place: Where, waited: Duration) -> Result<Vec<String>> {
         let (begun, mut told) = (gauge.clock.now(), Vec::new());
-        let done = match place {
-            Where::Places => self.searched.places,
-            Where::Waiting => self.searched.waiting,
-        };
+        let done = self.searched.get(self.now.arrival).is_some_and(|searched| match place {
+            Where::Places => searched.places,
+            Where::Waiting => searched.waiting,
+        });
         let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
             return Ok(told);
         };
         let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
         found.retain(|found| !found.is_here);
         let others = self.rule_out(gauge, &found, waited)?;
-        self.judged.extend(others.iter().cloned());
+        self.judged.in_epoch(self.now.arrival).extend(others.iter().cloned());
         found.retain(|found| !others.contains(&found.path));
         for found in found {
             let file = found.path.clone();
@@ -399,11 +397,12 @@ impl DataFlash {
                 return settled.map(|_| told);
             }
             told.extend(settled?);
-            self.judged.push(file);
+            self.judged.in_epoch(self.now.arrival).push(file);
         }
+        let searched = self.searched.in_epoch(self.now.arrival);
         match place {
-            Where::Places => self.searched.places = true,
-            Where::Waiting => self.searched.waiting = true,
+            Where::Places => searched.places = true,
+            Where::Waiting => searched.waiting = true,
         }
         Ok(told)
     }
@@ -425,7 +424,7 @@ impl DataFlash {
         }
         let ruled_out = in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            self.identity = None;
+            self.now.may_be_renamed();
             let now = self.identity(gauge)?;
             let (mut others, mut open) = (Vec::new(), Vec::new());
             for (path, entry) in entries {
@@ -493,7 +492,7 @@ impl DataFlash {
             return Ok(format!("{text}the {names} key {how}\n"));
         }
         in_time(gauge, waited, |gauge, asked| {
-            self.identity = None;
+            self.now.may_be_renamed();
             let now = self.identity(gauge)?;
             let found = gauge.seal_anew()?;
             // The seal is owed already.
@@ -612,7 +611,7 @@ impl DataFlash {
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
             None => Err(Error::new("", Cause::Busy(pending.why.clone()))),
         };
-        self.identity = None;
+        self.now.may_be_renamed();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
             matches!(error.cause(), Cause::StateUnknown(_)) && error.step() == Some(Step::Restore)
         });
@@ -620,7 +619,7 @@ impl DataFlash {
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
-                self.known.clear();
+                self.now.may_be_another();
                 if let Some(known_pack) = &mut self.known_pack {
                     known_pack.rewritten();
                 }
@@ -672,7 +671,7 @@ impl DataFlash {
         let elsewhere = pending.elsewhere && decision.is_none();
         gauge.claim()?;
         gauge.confirm_identity()?;
-        self.identity = None;
+        self.now.may_be_renamed();
         let identity = self.identity(gauge)?;
         if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;
@@ -729,7 +728,7 @@ impl DataFlash {
                     };
                     let kept = journal.wait(opened.path())?;
                     let message = format!("{message}; its journal waits for its pack as {}", kept.display());
-                    this.judged.push(kept);
+                    this.judged.in_epoch(this.now.arrival).push(kept);
                     return Ok(Verdict::Plausible(message));
                 }
                 _ => this.held = held(),
@@ -800,11 +799,13 @@ impl DataFlash {
             done => return done,
         };
         // No journal has the keys. Each wrong one locks the gauge for a while, so it is tried once.
-        if !self.no_erased_key && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place())) {
+        if !self.no_erased_key.is_known(self.now.arrival)
+            && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
+        {
             if gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)? {
                 return Ok(());
             }
-            self.no_erased_key = true;
+            self.no_erased_key.learn(self.now.arrival, ());
         }
         Err(refused)
     }
