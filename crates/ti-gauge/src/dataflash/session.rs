@@ -29,6 +29,8 @@ const LEAST_BACK: Duration = Duration::from_secs(5);
 /// each of these ends up to 1.6 s late, by a wait and a transfer.
 const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
+/// Between two attempts to restore the seal state of a gauge that does not answer.
+const TRY_AGAIN: Duration = Duration::from_millis(200);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
 /// Times that RESET is sent, and how long it may take to show: up to 500 ms in which the gauge does not answer,
@@ -49,12 +51,23 @@ pub(super) struct Session {
     begun: bool,
     /// Calibration mode was entered and must be left on every exit.
     pub(super) calibrating: Option<&'static Calibration>,
+    /// How long the seal state is restored; `None` while a short time is enough.
+    pub(super) patience: Option<Patience>,
     /// What is known of the gauge that answers.
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     /// The journal on disk that says the same.
     pub(super) journal: Option<OpenJournal>,
+}
+
+/// How long the seal state of a gauge is restored whose keys have been tried.
+#[derive(Clone, Copy)]
+pub(super) struct Patience {
+    /// Time in which a gauge that does not answer may restart.
+    pub(super) silence: Duration,
+    /// Time for it all, with the pauses after keys that were refused.
+    pub(super) refusals: Duration,
 }
 
 /// What a session leaves to be settled.
@@ -91,6 +104,7 @@ impl Session {
             decided: false,
             begun: false,
             calibrating: None,
+            patience: None,
             pack: Assurance::default(),
             entry: None,
             journal: None,
@@ -103,6 +117,11 @@ impl Session {
         if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
             log::warn!("{error}");
         }
+    }
+
+    /// The gauge is in that seal state and stays in it: nobody may be able to open it again.
+    pub(super) fn stays(&mut self, now: Seal) {
+        (self.found, self.now) = (now, Some(now));
     }
 
     /// Makes data flash readable.
@@ -250,24 +269,22 @@ impl Session {
     /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
     /// two. Returns what is left to be settled.
     pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
-        gauge.limit_until(Some((self.asked + ANSWER).max(gauge.clock.now() + LEAST_CLOSE)));
+        let begun = gauge.clock.now();
+        let least = self.patience.map_or(LEAST_CLOSE, |patience| patience.refusals);
+        gauge.limit_until(Some((self.asked + ANSWER).max(begun + least)));
         // A mode that is still on is not that of another pack, which is left as it was found.
         let is_another = outcome.is_err() && self.is_another(gauge);
         let left = if is_another { Ok(()) } else { self.leave_calibration(gauge) };
         let finished = left.and_then(|()| if self.begun { self.finish(gauge) } else { Ok(()) });
         let unfinished = finished.is_err();
-        // After a failure the state is read again: a gauge that lost its power comes back sealed.
-        let closed = match self.now.filter(|_| outcome.is_ok()) {
-            Some(now) if now == self.found => Ok(()),
-            Some(_) if self.found == Seal::Sealed => self.seal(gauge),
-            Some(now) => gauge.go(now, self.found),
-            // CONTROL_STATUS may still show the state before the last key.
-            None if self.now != Some(self.found) && self.found == Seal::Sealed => {
-                gauge.wait(SEAL_LAG);
-                self.seal(gauge)
-            }
-            None => self.go_to_found(gauge),
-        };
+        let mut closed = self.restore_seal(gauge, outcome.is_ok());
+        while closed.is_err()
+            && self.patience.is_some_and(|patience| gauge.may_try_until(begun + patience.silence))
+        {
+            gauge.wait(TRY_AGAIN);
+            gauge.forget_refusal();
+            closed = self.restore_seal(gauge, false);
+        }
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
         // To a recording nothing is owed.
         let recorded = [&finished, &closed].into_iter().any(|end| {
@@ -304,6 +321,21 @@ impl Session {
                 let left = if data || self.found == Seal::Sealed { left(data, &error) } else { None };
                 (Err(error), left)
             }
+        }
+    }
+
+    fn restore_seal(&mut self, gauge: &mut Gauge, is_done: bool) -> Result<()> {
+        // After a failure the state is read again: a gauge that lost its power comes back sealed.
+        match self.now.filter(|_| is_done) {
+            Some(now) if now == self.found => Ok(()),
+            Some(_) if self.found == Seal::Sealed => self.seal(gauge),
+            Some(now) => gauge.go(now, self.found),
+            // CONTROL_STATUS may still show the state before the last key.
+            None if self.now != Some(self.found) && self.found == Seal::Sealed => {
+                gauge.wait(SEAL_LAG);
+                self.seal(gauge)
+            }
+            None => self.go_to_found(gauge),
         }
     }
 }
