@@ -11,7 +11,6 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
-use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
 #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use the rest"))]
 mod alert;
@@ -25,7 +24,6 @@ pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, U
 
 pub(crate) use alert::AlertOptions;
 use node::Node;
-pub(crate) use source::Source;
 use values::Key;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
 
@@ -269,12 +267,6 @@ impl GaugeOptions {
         [sim_state, bus, replay, restore, key_file, trace].into_iter().flatten()
     }
 
-    /// Time between two polls.
-    pub(crate) fn interval(&self) -> Duration {
-        let on_bus = matches!(Source::of(self), Source::Bus { .. });
-        self.poll.unwrap_or(Duration::from_secs(if on_bus { 30 } else { 3 }))
-    }
-
     pub(crate) fn scales(&self) -> Scales {
         Scales {
             current: self.current_scale.unwrap_or(1.0),
@@ -282,13 +274,6 @@ impl GaugeOptions {
             energy: self.energy_scale.unwrap_or(1.0),
             absolute_current: self.absolute_current.unwrap_or_default(),
             energy_shown: self.energy.unwrap_or_default(),
-        }
-    }
-
-    pub(crate) fn limits(&self) -> Limits {
-        Limits {
-            allow_learning: self.allow_learning.unwrap_or_default(),
-            writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
         }
     }
 }
@@ -316,7 +301,7 @@ impl Setup {
             "the gauge's flash is read from it and written to it",
         )?;
         mount.check_log()?;
-        crate::key_file::check_name(gauge.key_file.as_deref())?;
+        gauge_owner::key_file::check_name(gauge.key_file.as_deref())?;
         gauge.replay = gauge.replay.map(standard_input);
         gauge.restore = gauge.restore.map(standard_input);
         make_absolute(mount.paths().chain(gauge.paths()), Path::new(""))?;

@@ -20,13 +20,12 @@ use ti_gauge::keys::{Keys, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
-use crate::config::{Date, GaugeOptions, Source, StationSetup};
-use crate::daemon::{self, gauges, journal_dir};
+use crate::config::{Date, GaugeOptions, StationSetup};
+use crate::daemon;
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
-use crate::owner::Settings;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
+use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
 use gaugefs_host::input;
 use ti_gauge::notation;
 
@@ -74,7 +73,7 @@ pub(crate) trait Screen: Send + Sync {
 /// One place of a station at which packs are connected.
 pub(crate) struct Bench {
     name: String,
-    gauge: GaugeOptions,
+    gauge: GaugeSetup,
     keys: Keys,
     /// The keys that the packs get.
     new_keys: Option<Keys>,
@@ -110,7 +109,7 @@ pub(crate) struct Plan {
     serial_row: Option<Row>,
     date_row: Option<Row>,
     date: Option<Date>,
-    names: Vec<String>,
+    gauges: Vec<(String, GaugeSetup)>,
     keys: Vec<(Keys, Option<Keys>)>,
 }
 
@@ -125,20 +124,16 @@ impl Plan {
         let name = input::name(image_path);
         let source = input::Source::read(image_path)?;
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
-        let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
+        let chip = setup.gauges.iter().find_map(|gauge| gauge.source().chip());
         let mut image = source.image(chip, setup.station.data_flash)?;
         let refuse = |why: String| Err(Error::new(&name, Cause::Invalid(why)));
         image.exclude(&setup.station.groups().map_err(of_key)?);
         if let Some(left) = image.left_out.first() {
             return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
         }
-        for gauge in &setup.gauges {
-            if Source::of(gauge).chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
-                return refuse(format!(
-                    "it is for a {}, and {} is none",
-                    image.chip.model,
-                    Source::of(gauge)
-                ));
+        for source in setup.gauges.iter().map(GaugeOptions::source) {
+            if source.chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
+                return refuse(format!("it is for a {}, and {source} is none", image.chip.model));
             }
         }
         for entry in &image.entries {
@@ -204,8 +199,9 @@ impl Plan {
             }
         }
         let names = daemon::names(&setup.gauges, &[]);
-        let keys = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
-            let keys = gauges::keys(gauge, name)?;
+        let gauges: Vec<_> = names.into_iter().zip(setup.gauges.iter().map(GaugeOptions::setup)).collect();
+        let keys = gauges.iter().map(|(name, gauge)| {
+            let keys = gauge.keys(name)?;
             let new =
                 station.new_key_file.as_ref().map(|path| key_file::from_file(path, name)).transpose()?;
             if new.as_ref().is_some_and(|new| Name::ALL.iter().all(|name| new.secret(*name).is_none())) {
@@ -214,7 +210,7 @@ impl Plan {
             Ok((keys, new))
         });
         let keys = keys.collect::<Result<Vec<_>>>()?;
-        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, names, keys };
+        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, gauges, keys };
         // What a list holds is checked as well.
         struct Nobody;
         impl Scanner for Nobody {
@@ -238,8 +234,8 @@ impl Plan {
             setup.record.display(),
             setup.images.display()
         );
-        for (name, gauge) in self.names.iter().zip(&setup.gauges) {
-            text += &format!("{name}: {}\n", Source::of(gauge));
+        for (name, gauge) in &self.gauges {
+            text += &format!("{name}: {}\n", gauge.source);
         }
         text
     }
@@ -252,9 +248,9 @@ impl Plan {
         let of_gauge = |name: &str| {
             let Some((number, rest)) = name.split_once('-') else { return false };
             let is_number = number.len() >= 6 && number.bytes().all(|byte| byte.is_ascii_digit());
-            let of_name =
-                |gauge: &String| rest.strip_prefix(&**gauge).and_then(|rest| rest.strip_prefix('-'));
-            is_number && self.names.iter().filter_map(of_name).any(|rest| !rest.starts_with("before."))
+            let after = |gauge: &str| rest.strip_prefix(gauge).and_then(|rest| rest.strip_prefix('-'));
+            let mut of_names = self.gauges.iter().filter_map(|(gauge, _)| after(gauge));
+            is_number && of_names.any(|rest| !rest.starts_with("before."))
         };
         let found = std::fs::read_dir(images).into_iter().flatten().flatten();
         match found.map(|file| file.file_name().to_string_lossy().into_owned()).find(|name| of_gauge(name)) {
@@ -268,11 +264,6 @@ impl Plan {
                 Err(Error::new(self.setup.record.display().to_string(), Cause::Gone(why)))
             }
         }
-    }
-
-    /// The gauges with their names.
-    pub(crate) fn gauges(&self) -> impl Iterator<Item = (&str, &GaugeOptions)> {
-        self.names.iter().map(String::as_str).zip(&self.setup.gauges)
     }
 
     /// The part of all packs.
@@ -293,7 +284,7 @@ impl Plan {
         // A journal of packs on a bus is where a mount would look for it.
         let folder = if journal_key.is_some() { self.setup.station.state_dir.as_deref() } else { folder };
         let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
-        let (name, gauge) = (self.names[at].clone(), self.setup.gauges[at].clone());
+        let (name, gauge) = self.gauges[at].clone();
         Ok(Bench { name, gauge, keys, new_keys, subject, place, byte_writes })
     }
 }
@@ -328,7 +319,7 @@ impl Bench {
         let place = Some(self.place.clone());
         let keys = self.keys.clone();
         let mut settings =
-            gauges::settings(&self.gauge, keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
+            self.gauge.settings(keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
         settings.journal = settings.journal.map(|journal| journal.on(station.disk.clone()));
         Ok(settings)
     }
@@ -340,7 +331,7 @@ impl Bench {
     }
 
     fn allow_unproven(&self) -> bool {
-        self.gauge.allow_unproven.unwrap_or_default()
+        self.gauge.allow_unproven
     }
 }
 

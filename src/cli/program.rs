@@ -105,7 +105,7 @@ fn watch_signals() -> Result<Arc<AtomicBool>> {
     thread::spawn(move || {
         while signals.wait().is_ok() {
             if watched.swap(true, Ordering::SeqCst) {
-                crate::lock::remove_all();
+                gauge_owner::lock::remove_all();
                 std::process::exit(1);
             }
             say("ending after the packs that are being programmed; once more to end at once");

@@ -20,10 +20,10 @@ use ti_gauge::value::Value;
 use super::record::{Entry, Event};
 use super::target::{self, Flash, Place};
 use super::{Bench, Slot, Station, serial};
-use crate::chemistry;
 use crate::config::{Date, Seen, Unsettled};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
+use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
+use gaugefs_host::chemistry;
 
 /// How often a pack that was just connected is tried, and the time between.
 const TRIES: usize = 4;

@@ -23,7 +23,7 @@ use super::target::Flash;
 use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
 use crate::config::{StationOptions, StationSetup};
 use crate::error::Result;
-use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
+use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
 use ti_gauge::notation;
 
 /// A station's folder, which is removed at the end.
