@@ -18,14 +18,14 @@ mod file;
 mod from_toml;
 mod node;
 mod source;
-mod station;
+mod station_file;
 mod values;
-pub(crate) use station::{Date, Seen, SerialFrom, StationOptions, StationSetup, Unsettled};
 
 pub(crate) use alert::AlertOptions;
 use node::Node;
+pub(crate) use station_file::station;
 use values::Key;
-pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
+pub(crate) use values::{address, chip_names, chips};
 
 // No documentation on these two: clap would take it for the description of the subcommand.
 

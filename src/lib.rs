@@ -1,7 +1,7 @@
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
 //!
 //! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim`,
-//! `ti-gauge`, `gauge-owner` and `gaugefs-client`. `docs/ARCHITECTURE.md` has the picture.
+//! `ti-gauge`, `gauge-owner`, `gauge-station` and `gaugefs-client`. `docs/ARCHITECTURE.md` has the picture.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
@@ -14,5 +14,4 @@ mod config;
 pub mod daemon;
 pub mod fs;
 pub mod fuse;
-mod program;
 mod report;

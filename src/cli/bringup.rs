@@ -7,9 +7,9 @@ use clap::Args;
 
 use super::calibrate::request;
 use super::mounted;
-use crate::config;
 use crate::error::Result;
 use gaugefs_client::Gauge;
+use gaugefs_host::meter;
 
 const BRINGUP: &str = "\
 A new bq34z100 behind an external divider measures too little: below Flash Update OK Cell Volt it
@@ -34,11 +34,11 @@ pub(super) struct BringUp {
     #[arg(long, value_name = "N")]
     cells: u8,
     /// Voltage Divider: the pack voltage at the converter's full scale, such as 33V or 33000 mV
-    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::divider)]
+    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = meter::divider)]
     divider: u16,
     /// Voltage of the pack that a meter shows, such as 26.985V or 26985 mV [default: 1500 to 4600 mV for
     /// each cell]
-    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::pack_voltage)]
+    #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = meter::pack_voltage)]
     voltage_now: Option<f64>,
 }
 

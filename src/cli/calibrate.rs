@@ -9,10 +9,10 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use super::mounted;
-use crate::config;
 use crate::error::Result;
 use crate::output::print;
 use gaugefs_client::Gauge;
+use gaugefs_host::meter;
 
 /// Time between two looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
@@ -48,19 +48,19 @@ enum What {
     /// Voltage Divider
     Voltage {
         /// Voltage of the pack that a meter shows, such as 25.2V; without a unit, mV
-        #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = config::pack_voltage)]
+        #[arg(long, value_name = "VOLTAGE", allow_hyphen_values = true, value_parser = meter::pack_voltage)]
         actual: f64,
     },
     /// CC Gain and CC Delta
     Current {
         /// Current that a meter shows, such as -2A; without a unit, mA; negative while discharging
-        #[arg(long, value_name = "CURRENT", allow_hyphen_values = true, value_parser = config::meter_current)]
+        #[arg(long, value_name = "CURRENT", allow_hyphen_values = true, value_parser = meter::meter_current)]
         actual: f64,
     },
     /// Offset of the temperature sensor that Temperature() shows
     Temperature {
         /// Temperature of that sensor, in degrees Celsius
-        #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = config::celsius)]
+        #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = meter::celsius)]
         actual: f64,
     },
     /// Leave calibration mode, in which a program has left the gauge

@@ -51,6 +51,14 @@ impl Head {
     pub(super) fn of<Options: Args>(name: &'static str, lists: &'static [&'static str]) -> Self {
         Self { name, lists, keys: keys::<Options>() }
     }
+
+    pub(super) fn with_keys(
+        name: &'static str,
+        lists: &'static [&'static str],
+        keys: &[&'static str],
+    ) -> Self {
+        Self { name, lists, keys: keys.iter().map(ToString::to_string).collect() }
+    }
 }
 
 /// Largest size of a file. Thousands of gauges need less.

@@ -8,27 +8,9 @@ use serde::{Deserialize, Deserializer};
 
 use super::values::{self, Key};
 use gaugefs_client::condition::Condition;
+use gaugefs_host::word;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
-
-fn word<'de, D: Deserializer<'de>, T>(
-    from: D,
-    parse: impl FnOnce(&str) -> Result<T, String>,
-) -> Result<Option<T>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged, expecting = "expected a number or a string")]
-    enum Word {
-        Integer(i64),
-        Float(f64),
-        String(String),
-    }
-    let text = match Word::deserialize(from)? {
-        Word::Integer(number) => number.to_string(),
-        Word::Float(number) => number.to_string(),
-        Word::String(text) => text,
-    };
-    parse(&text).map(Some).map_err(D::Error::custom)
-}
 
 /// `true` for the usual name, `false` for none, or a name.
 pub(super) fn ac<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Option<String>>, D::Error> {
@@ -52,28 +34,12 @@ pub(super) fn address<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u8>, 
     })
 }
 
-pub(super) fn celsius<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    word(from, values::celsius)
-}
-
 pub(super) fn condition<'de, D: Deserializer<'de>>(from: D) -> Result<Condition, D::Error> {
     String::deserialize(from)?.parse().map_err(D::Error::custom)
 }
 
 pub(super) fn clear<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Condition>, D::Error> {
     condition(from).map(Some)
-}
-
-pub(super) fn divider<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u16>, D::Error> {
-    word(from, values::divider)
-}
-
-pub(super) fn meter_current<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    word(from, values::meter_current)
-}
-
-pub(super) fn pack_voltage<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    word(from, values::pack_voltage)
 }
 
 pub(super) fn chip<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static Chip>, D::Error> {

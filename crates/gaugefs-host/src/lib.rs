@@ -8,6 +8,8 @@
 
 use std::time::Duration;
 
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use ti_gauge::unit;
 
 pub mod chemistry;
@@ -15,6 +17,7 @@ mod errno;
 pub mod error;
 pub mod folders;
 pub mod input;
+pub mod meter;
 pub mod output;
 
 /// A time of a command line or a configuration file: in seconds, or with a unit such as `2min`.
@@ -24,4 +27,24 @@ pub fn seconds(text: &str, (least, most): (f64, f64)) -> Result<Duration, String
         Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
         None => Err(format!("expected {least} to {most} seconds, or a time such as 2min")),
     }
+}
+
+/// A value of a file that may be a number or a string there, read as on the command line.
+pub fn word<'de, D: Deserializer<'de>, T>(
+    from: D,
+    parse: impl FnOnce(&str) -> Result<T, String>,
+) -> Result<Option<T>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a number or a string")]
+    enum Word {
+        Integer(i64),
+        Float(f64),
+        String(String),
+    }
+    let text = match Word::deserialize(from)? {
+        Word::Integer(number) => number.to_string(),
+        Word::Float(number) => number.to_string(),
+        Word::String(text) => text,
+    };
+    parse(&text).map(Some).map_err(D::Error::custom)
 }

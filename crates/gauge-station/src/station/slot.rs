@@ -12,16 +12,16 @@ use gauge_owner::lock::{self, Lock};
 use ti_gauge::chip::{Chip, Role};
 
 /// A place for packs, held by this process.
-pub(crate) struct Place {
-    pub(crate) bench: Bench,
-    pub(crate) slot: Box<dyn Slot>,
+pub(super) struct Place {
+    pub(super) bench: Bench,
+    pub(super) slot: Box<dyn Slot>,
 }
 
 impl Place {
     /// All places of a station.
-    pub(crate) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
+    pub(super) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
         let mut places = Vec::new();
-        for (at, (name, gauge)) in plan.gauges.iter().enumerate() {
+        for (at, (name, gauge)) in plan.setup.gauges.iter().enumerate() {
             places
                 .push(Self::open(plan, at, gauge.source.clone(), clock).map_err(|error| error.within(name))?);
         }
@@ -33,7 +33,7 @@ impl Place {
         if let Source::Sim { state, .. } = &source {
             let subject = source.to_string();
             let key = state.as_deref().map(lock::key_of_state);
-            let packs = plan.setup.station.packs.unwrap_or(1);
+            let packs = plan.setup.options.packs.unwrap_or(1);
             let slot = Simulated {
                 source,
                 clock: clock.clone(),
