@@ -29,10 +29,10 @@ use std::time::{Duration, Instant};
 
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::{Bus, BusError};
+use gauge_owner::{self as owner, Handle, Settings, Signal};
 use gauge_sim::{Options, Sim, SimBus};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::owner::{self, Handle, Settings, Signal};
 use ti_gauge::chip::{Chip, Register, Role};
 
 mod report;

@@ -9,8 +9,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::daemon::{look, service};
 use crate::error::{Error, Result};
-use crate::key_file;
 use crate::output::{print, print_error, say_error};
+use gauge_owner::key_file;
 use ti_gauge::text;
 
 mod assignment;

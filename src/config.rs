@@ -2,11 +2,9 @@
 //! once.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
-use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
 mod file;
 mod node;
@@ -15,14 +13,11 @@ mod options;
 mod source;
 mod station;
 mod values;
-pub(crate) use station::{Date, StationSetup};
 
 use node::Node;
 pub(crate) use option::{At, Given, Opt, Options, names};
-pub(crate) use options::{
-    AlertOptions, GaugeOptions, MountOptions, Seen, SerialFrom, StationOptions, Unsettled,
-};
-pub(crate) use source::Source;
+pub(crate) use options::{AlertOptions, GaugeOptions, MountOptions};
+pub(crate) use station::station;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
 
 impl MountOptions {
@@ -39,12 +34,6 @@ impl GaugeOptions {
         Ok(Self { bus: Some(bus), address: self.address.or(Some(address)), chip: self.chip.or(chip), ..self })
     }
 
-    /// Time between two polls.
-    pub(crate) fn interval(&self) -> Duration {
-        let on_bus = matches!(Source::of(self), Source::Bus { .. });
-        self.poll.unwrap_or(Duration::from_secs(if on_bus { 30 } else { 3 }))
-    }
-
     pub(crate) fn scales(&self) -> Scales {
         Scales {
             current: self.current_scale.unwrap_or(1.0),
@@ -52,13 +41,6 @@ impl GaugeOptions {
             energy: self.energy_scale.unwrap_or(1.0),
             absolute_current: self.absolute_current,
             energy_shown: self.energy,
-        }
-    }
-
-    pub(crate) fn limits(&self) -> Limits {
-        Limits {
-            allow_learning: self.allow_learning,
-            writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
         }
     }
 }
@@ -86,7 +68,7 @@ impl Setup {
             "the gauge's flash is read from it and written to it",
         )?;
         mount.check_log()?;
-        crate::key_file::check_name(gauge.key_file.as_deref())?;
+        gauge_owner::key_file::check_name(gauge.key_file.as_deref())?;
         gauge.replay = gauge.replay.map(standard_input);
         gauge.restore = gauge.restore.map(standard_input);
         make_absolute(&mut mount, Path::new(""))?;

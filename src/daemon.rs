@@ -1,21 +1,21 @@
 //! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
 
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Fs, free_name};
+use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, Scales, free_name};
 use crate::fuse;
 use crate::output::say;
-use crate::owner::{Handle, Signal};
 use gauge_bus::clock::{Clock, RealClock};
+use gauge_owner::{Handle, Opening, Ready, Signal};
 
 mod adapters;
 pub mod background;
-pub(crate) mod gauges;
-pub(crate) mod journal_dir;
+mod knobs;
 pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
@@ -23,14 +23,10 @@ pub(crate) mod preflight;
 mod report;
 pub mod service;
 mod shutdown;
-pub(crate) mod source;
 
-use gauges::{Opening, Ready};
+use knobs::SimKnobs;
 pub(crate) use report::report;
 use shutdown::{Phase, Shutdown, finish};
-pub use source::of_sim;
-#[cfg(test)]
-pub(crate) use source::recorded;
 
 /// How the daemon of a mount runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,35 +65,41 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
     let signal = Arc::new(Signal::default());
     let opening = Opening {
-        mountpoint: mountpoint.clone(),
-        clock: clock.clone(),
         signal: signal.clone(),
         read_only: mount.read_only,
         no_backup: mount.no_backup,
         state_dir: mount.state_dir.clone(),
+        ..Opening::new(mountpoint.clone(), clock.clone())
     };
-    let named = names.into_iter().zip(gauges);
-    let gauges: Vec<Ready> = if configured {
-        opening.many(named.collect(), mode == Mode::Background)?
-    } else {
-        named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
-    };
-
-    for line in gauges.iter().flat_map(|gauge| gauge.entry.warnings()) {
+    let warn = |line: &str| {
         ::log::warn!("{line}");
         if mode == Mode::Background {
             say(format_args!("warning: {line}"));
         }
-    }
-    let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.entry.handle.clone()).collect();
-    let nodes = gauges.iter().filter_map(|gauge| Some((gauge.node.clone()?, gauge.entry.handle.clone())));
-    adapters::watch(nodes);
-    let (mut entries, mut locks, mut logged) = (Vec::new(), Vec::new(), Vec::new());
-    for Ready { entry, what, lock, .. } in gauges {
-        logged.push((what, format!("{}/{}", mountpoint.display(), entry.name)));
-        entries.push(entry);
+    };
+    let scales = names.iter().cloned().zip(gauges.iter().map(GaugeOptions::scales));
+    let mut scales: HashMap<String, Scales> = scales.collect();
+    let named = names.into_iter().zip(gauges.iter().map(GaugeOptions::setup));
+    let gauges: Vec<Ready> = if configured {
+        let (gauges, lines) = opening.many(named.collect())?;
+        lines.iter().for_each(|line| warn(line));
+        gauges
+    } else {
+        named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
+    };
+
+    let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.handle.clone()).collect();
+    let (mut entries, mut nodes, mut locks, mut logged) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for Ready { name, handle, sim, what, lock, node } in gauges {
+        nodes.extend(node.map(|node| (node, handle.clone())));
+        logged.push((what, format!("{}/{name}", mountpoint.display())));
+        let scales = scales.remove(&name).unwrap_or_default();
+        let knobs = sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>);
+        entries.push(MountedGauge { name, handle, scales, knobs });
         locks.push(lock);
     }
+    entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
+    adapters::watch(nodes.into_iter());
     // What root mounts is root's, whoever serves it.
     let (uid, gid) = match mode {
         Mode::Service => (0, 0),

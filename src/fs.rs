@@ -22,7 +22,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Attempt, Done, Handle};
+use gauge_owner::{Attempt, Done, Handle};
 
 mod attribute;
 mod covered;

@@ -25,7 +25,7 @@ use fuser::{Config, MountOption, Session, SessionACL};
 
 use crate::error::{Error, Result};
 use crate::fs::{Fs, Node};
-use crate::owner::Signal;
+use gauge_owner::Signal;
 
 mod adapter;
 mod inodes;

@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use crate::owner::{Effect, Origin, Report, Times};
 use gauge_bus::{regular, trace};
+use gauge_owner::{Effect, Origin, Report, Times};
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
 use ti_gauge::dataflash::Place;
 use ti_gauge::notation;
@@ -151,9 +151,9 @@ mod tests {
     use std::{fs, process};
 
     use super::*;
-    use crate::daemon::recorded;
-    use crate::owner::rig::{INTERVAL, Rig};
-    use crate::owner::{Settings, Startup, operations as op};
+    use gauge_owner::recorded;
+    use gauge_owner::rig::{INTERVAL, Rig};
+    use gauge_owner::{Settings, Startup, operations as op};
     use ti_gauge::dataflash::sample;
 
     /// Mounts a report as `--replay` does, and compares what its gauge shows with what the report says.

@@ -8,8 +8,8 @@ use nix::errno::Errno;
 
 use super::{mounted, trouble};
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
 use crate::output::{print, say};
+use gauge_owner::key_file;
 use gaugefs_client::Gauge;
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
 

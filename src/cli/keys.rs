@@ -14,8 +14,8 @@ use zeroize::Zeroizing;
 
 use super::mounted;
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
 use crate::output::print;
+use gauge_owner::key_file;
 use gaugefs_client::Gauge;
 use ti_gauge::keys::{Name, Secret};
 

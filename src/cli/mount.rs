@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 
 use super::align;
-use crate::config::{At, GaugeOptions, Given, MountOptions, Setup, Source, names, standard_input};
+use crate::config::{At, GaugeOptions, Given, MountOptions, Setup, names, standard_input};
 use crate::daemon::{self, Mode, background, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
@@ -107,7 +107,7 @@ fn check(setup: &Setup) -> Result<ExitCode> {
 
 fn plan(setup: &Setup, names: &[String]) -> String {
     let rows = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
-        let source = Source::of(gauge);
+        let source = gauge.source();
         let chip = source.chip().map_or("asked", |chip| chip.name);
         let place = setup.mountpoint().join(name).display().to_string();
         [place, source.to_string(), chip.to_string()]

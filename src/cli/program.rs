@@ -11,13 +11,14 @@ use std::time::Duration;
 use clap::Args;
 use nix::sys::signal::{SigSet, Signal};
 
-use crate::config::StationSetup;
+use crate::config;
+use crate::daemon;
 use crate::error::{Cause, Error, Result};
 use crate::output::{self, print, say};
-use crate::program::{Place, Plan, Scanner, Screen, Station};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
-use ti_gauge::journal::{Disk, Host};
+use gauge_owner::lock;
+use gauge_station::{Plan, Scanner, Screen};
 
 const PROGRAM: &str = "\
 Waits for a pack, identifies it, writes the image, serial number, date and lot, calibrates it if the
@@ -69,7 +70,7 @@ impl Program {
             let why = "it has the serial numbers that are scanned; name files for --image and --station";
             return Err(Error::new("standard input", Cause::Invalid(why.into())));
         }
-        let setup = StationSetup::read(&self.station)?;
+        let setup = config::station(&self.station, |gauges| daemon::names(gauges, &[]))?;
         let plan = Plan::read(&self.image, setup)?;
         if self.check {
             print(&plan.describe())?;
@@ -77,21 +78,12 @@ impl Program {
         }
         let stops = watch_signals()?;
         let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-        let mut places = Place::all(&plan, &clock)?;
         let packs = if self.once { Some(1) } else { self.count };
-        let disk: Arc<dyn Disk> = Arc::new(Host);
         let failed = Arc::new(AtomicBool::new(false));
         let terminal = Terminal { stops: stops.clone(), failed: failed.clone() };
         let scanner = Box::new(Input::new(terminal.clone()));
-        let station = Station::start(plan, disk, Box::new(terminal), scanner, packs, stops)?;
-        station.close_unfinished(&places.iter().map(|place| &place.bench).collect::<Vec<_>>())?;
-        thread::scope(|scope| {
-            for place in &mut places {
-                let station = &station;
-                scope.spawn(move || station.run(&place.bench, &mut *place.slot));
-            }
-        });
-        let passed = station.all_passed() && !failed.load(Ordering::SeqCst);
+        let passed = gauge_station::run(plan, &clock, Box::new(terminal), scanner, packs, stops)?;
+        let passed = passed && !failed.load(Ordering::SeqCst);
         Ok(if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 }
@@ -105,7 +97,7 @@ fn watch_signals() -> Result<Arc<AtomicBool>> {
     thread::spawn(move || {
         while signals.wait().is_ok() {
             if watched.swap(true, Ordering::SeqCst) {
-                crate::lock::remove_all();
+                lock::remove_all();
                 std::process::exit(1);
             }
             say("ending after the packs that are being programmed; once more to end at once");

@@ -11,12 +11,12 @@ use clap::builder::PossibleValuesParser;
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
-use crate::lock::Lock;
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gauge_owner::lock::Lock;
 use gaugefs_host::input;
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;

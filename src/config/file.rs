@@ -11,11 +11,12 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
+use super::make_absolute;
 use super::option::{At, Opt, Options, names};
 use super::options::{AlertOptions, GaugeOptions, MountOptions};
-use super::{Source, make_absolute};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
+use gauge_owner::Source;
 use ti_gauge::text::nearest;
 
 /// What a file is about, besides gauges: its first table.
@@ -372,13 +373,13 @@ enum Mark {
 
 fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     let mut marks: Vec<_> = gauge.name.iter().map(|name| ("name", Mark::Name(name.clone()))).collect();
-    match Source::of(gauge) {
+    match gauge.source() {
         Source::Bus { bus, address, .. } => {
             // Two names of one adapter are the same bus.
-            let bus = std::fs::canonicalize(bus).unwrap_or_else(|_| bus.into());
+            let bus = std::fs::canonicalize(&bus).unwrap_or(bus);
             marks.push(("address", Mark::Address(bus, address)));
         }
-        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state.into()))),
+        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state))),
         Source::Sim { .. } | Source::Recording(_) => {}
     }
     marks.extend(gauge.trace.iter().map(|trace| ("trace", Mark::File(trace.clone()))));

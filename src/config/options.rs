@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::option::{self, At, Effect, Opt, Options, put};
 use super::values::{self, Key};
+use gauge_station::{Options as StationOptions, Seen, SerialFrom, Unsettled};
 use gaugefs_client::condition::Condition;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
@@ -489,84 +490,10 @@ fn word_of_program(word: &str) -> Result<String, String> {
     }
 }
 
-/// A station, which programs one pack after the other: `[station]`.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct StationOptions {
-    pub(crate) name: Option<String>,
-    pub(crate) record: Option<PathBuf>,
-    pub(crate) images: Option<PathBuf>,
-    pub(crate) state_dir: Option<PathBuf>,
-    pub(crate) no_backup: bool,
-    pub(crate) exclude: Option<Vec<String>>,
-    pub(crate) data_flash: bool,
-    pub(crate) same_chemistry: bool,
-    pub(crate) serial: Option<SerialFrom>,
-    pub(crate) first_serial: Option<i64>,
-    pub(crate) last_serial: Option<i64>,
-    pub(crate) serial_list: Option<PathBuf>,
-    pub(crate) serial_parameter: Option<String>,
-    pub(crate) date: Option<String>,
-    pub(crate) pack_lot: Option<i64>,
-    pub(crate) pcb_lot: Option<i64>,
-    pub(crate) cells: Option<u8>,
-    pub(crate) divider: Option<u16>,
-    pub(crate) pack_voltage: Option<f64>,
-    pub(crate) board_offset: bool,
-    pub(crate) cc_offset: bool,
-    pub(crate) voltage: Option<f64>,
-    pub(crate) current: Option<f64>,
-    pub(crate) temperature: Option<f64>,
-    /// The packs are left sealed, unless it is false.
-    pub(crate) seal: Option<bool>,
-    pub(crate) new_key_file: Option<PathBuf>,
-    pub(crate) seen: Option<Seen>,
-    pub(crate) unsettled: Option<Unsettled>,
-    pub(crate) packs: Option<u32>,
-}
-
-/// The source of the serial numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum SerialFrom {
-    /// One after the other.
-    Counter,
-    /// A file.
-    List,
-    /// Standard input, such as a barcode scanner.
-    Input,
-}
-
-impl SerialFrom {
-    const WORDS: &[(&str, Self)] =
-        &[("counter", Self::Counter), ("list", Self::List), ("input", Self::Input)];
-}
-
-/// How to treat a pack that was programmed before.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Seen {
-    /// Refuses it.
-    #[default]
-    Refuse,
-    /// Programs it again; it keeps its serial number.
-    Redo,
-}
-
-impl Seen {
-    const WORDS: &[(&str, Self)] = &[("refuse", Self::Refuse), ("redo", Self::Redo)];
-}
-
-/// How to treat an interrupted write that may have been another pack's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Unsettled {
-    /// Programs no pack until a person has settled the write.
-    #[default]
-    Refuse,
-    /// Moves the journal of the write beside the images.
-    Discard,
-}
-
-impl Unsettled {
-    const WORDS: &[(&str, Self)] = &[("refuse", Self::Refuse), ("discard", Self::Discard)];
-}
+const SERIAL_FROM: &[(&str, SerialFrom)] =
+    &[("counter", SerialFrom::Counter), ("list", SerialFrom::List), ("input", SerialFrom::Input)];
+const SEEN: &[(&str, Seen)] = &[("refuse", Seen::Refuse), ("redo", Seen::Redo)];
+const UNSETTLED: &[(&str, Unsettled)] = &[("refuse", Unsettled::Refuse), ("discard", Unsettled::Discard)];
 
 /// For a key of a station; PRODUCTION.md explains it.
 const OF_STATION: Opt<StationOptions> = Opt { at: IN_FILE, ..Opt::NEW };
@@ -607,7 +534,7 @@ impl Options for StationOptions {
         },
         switch("data-flash", |to, on| to.data_flash = on),
         switch("same-chemistry", |to, on| to.same_chemistry = on),
-        text("serial", |to, text| put(&mut to.serial, values::one_of(text, SerialFrom::WORDS)), "'counter'"),
+        text("serial", |to, text| put(&mut to.serial, values::one_of(text, SERIAL_FROM)), "'counter'"),
         number("first-serial", |to, text| put(&mut to.first_serial, values::integer(text)), "1000"),
         number("last-serial", |to, text| put(&mut to.last_serial, values::integer(text)), "2000"),
         file("serial-list", |to| &mut to.serial_list),
@@ -625,12 +552,8 @@ impl Options for StationOptions {
         number("temperature", |to, text| put(&mut to.temperature, values::celsius(text)), "23.5"),
         switch("seal", |to, on| to.seal = Some(on)),
         file("new-key-file", |to| &mut to.new_key_file),
-        text("seen", |to, text| put(&mut to.seen, values::one_of(text, Seen::WORDS)), "'redo'"),
-        text(
-            "unsettled",
-            |to, text| put(&mut to.unsettled, values::one_of(text, Unsettled::WORDS)),
-            "'discard'",
-        ),
+        text("seen", |to, text| put(&mut to.seen, values::one_of(text, SEEN)), "'redo'"),
+        text("unsettled", |to, text| put(&mut to.unsettled, values::one_of(text, UNSETTLED)), "'discard'"),
         number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
     ];
 }

@@ -1,132 +1,103 @@
-//! The options of a station, which programs one pack after the other: the table `[station]` of its file.
+//! The file of a station, which programs one pack after the other.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::file::{self, File, Head};
-use super::make_absolute;
 use super::option::At;
-use super::options::{GaugeOptions, SerialFrom, StationOptions};
+use super::{GaugeOptions, absolute, make_absolute};
 use crate::error::{Cause, Error, Result};
-use ti_gauge::image::Group;
-use ti_gauge::{date, text};
+use gauge_station::{Options, Setup};
 
-/// A manufacture date.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Date {
-    /// The day on which the pack is programmed.
-    Today,
-    /// A given day, as data flash has it.
-    Day(i64),
-}
-
-/// A key with a bad value, and the reason.
-type Refused = (&'static str, String);
-
-impl StationOptions {
-    /// Refuses bad values, and keys that do not belong together.
-    pub(super) fn check(&self) -> Result<(), Refused> {
-        let refuse = |key, why: &str| Err((key, why.to_string()));
-        self.groups()?;
-        self.date()?;
-        match (self.serial, &self.serial_list) {
-            (Some(SerialFrom::List), None) => return refuse("serial", "set serial-list too"),
-            (Some(SerialFrom::List), _) | (_, None) => {}
-            (_, Some(_)) => return refuse("serial-list", "only with serial = \"list\""),
-        }
-        let is_counter = self.serial == Some(SerialFrom::Counter);
-        for (key, number) in [("first-serial", self.first_serial), ("last-serial", self.last_serial)] {
-            match number {
-                Some(_) if !is_counter => return refuse(key, "only with serial = \"counter\""),
-                Some(..0) => return refuse(key, "it must not be negative"),
-                _ => {}
-            }
-        }
-        if self.last_serial.is_some_and(|last| last < self.first_serial.unwrap_or(1)) {
-            return refuse("last-serial", "it is below first-serial");
-        }
-        if self.serial.is_none() && self.serial_parameter.is_some() {
-            return refuse("serial-parameter", "set serial too");
-        }
-        match (self.cells, self.divider, self.pack_voltage) {
-            (Some(0), ..) => refuse("cells", "a pack has at least one"),
-            (Some(_), None, _) => refuse("cells", "set divider too"),
-            (None, Some(_), _) => refuse("divider", "set cells too"),
-            (None, None, Some(_)) => refuse("pack-voltage", "set cells and divider too"),
-            _ if self.packs == Some(0) => refuse("packs", "at least 1"),
-            _ => Ok(()),
-        }
-    }
-
-    /// The groups of the image that are not written.
-    pub(crate) fn groups(&self) -> Result<Vec<Group>, Refused> {
-        let Some(names) = &self.exclude else {
-            return Ok(vec![Group::Calibration, Group::Serial, Group::Keys]);
-        };
-        let group = |name: &String| {
-            let found = Group::NAMES.iter().find(|(known, _)| known == name);
-            found.map(|(_, group)| *group).ok_or_else(|| {
-                let known = Group::NAMES.map(|(known, _)| known).join(", ");
-                ("exclude", format!("`{}` is none of: {known}", text::printable(name)))
-            })
-        };
-        names.iter().map(group).collect()
-    }
-
-    /// The manufacture date.
-    pub(crate) fn date(&self) -> Result<Option<Date>, Refused> {
-        let date = |text: &String| match text.as_str() {
-            "today" => Ok(Date::Today),
-            text => {
-                let refused = || ("date", "expected today or YYYY-MM-DD, from 1980 on".to_string());
-                date::parse(text).map(Date::Day).ok_or_else(refused)
-            }
-        };
-        self.date.as_ref().map(date).transpose()
-    }
-}
-
-impl Head for StationOptions {
+impl Head for Options {
     const NAME: &'static str = "station";
     const LISTS: &'static [&'static str] = &["gauge"];
     const GAUGES: Option<At> = Some(At::Station);
 }
 
-/// Reads the options of a station and of its gauges.
-fn read_options(path: &Path) -> Result<(StationOptions, Vec<GaugeOptions>)> {
-    let text = file::text(path)?;
-    let file = File::<StationOptions>::parse(path, &text)?;
+/// Reads the file of a station, whose gauges get the names that `named` gives them.
+pub(crate) fn station(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<String>) -> Result<Setup> {
+    let mut path = path.to_path_buf();
+    absolute(&mut path, Path::new(""))?;
+    let text = file::text(&path)?;
+    let file = File::<Options>::parse(&path, &text)?;
     let mut read = file.read()?;
-    make_absolute(&mut read.head, file::folder(path))?;
+    make_absolute(&mut read.head, file::folder(&path))?;
     read.head.check().map_err(|(key, why)| match file.place(key) {
         Some(at) => file.refuse(at, key, &why),
         None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
     })?;
-    Ok((read.head, file.complete(read.gauges, path, None)?))
+    let gauges = file.complete(read.gauges, &path, None)?;
+    let gauges = named(&gauges).into_iter().zip(gauges.iter().map(GaugeOptions::setup)).collect();
+    Ok(Setup::new(&path, read.head, gauges))
 }
 
-/// The settings of `gaugefs program`. All paths are absolute.
-#[derive(Clone, Debug)]
-pub(crate) struct StationSetup {
-    pub(crate) station: StationOptions,
-    /// Each has a source: it is simulated or on a bus.
-    pub(crate) gauges: Vec<GaugeOptions>,
-    pub(crate) name: String,
-    /// Its file, for messages.
-    pub(crate) file: String,
-    pub(crate) record: PathBuf,
-    pub(crate) images: PathBuf,
-}
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::{env, fs, process};
 
-impl StationSetup {
-    /// Reads the file of a station.
-    pub(crate) fn read(path: &Path) -> Result<Self> {
-        let mut path = path.to_path_buf();
-        super::absolute(&mut path, Path::new(""))?;
-        let (station, gauges) = read_options(&path)?;
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let record = station.record.clone().unwrap_or_else(|| path.with_extension("jsonl"));
-        let images = station.images.clone().unwrap_or_else(|| record.with_extension("images"));
-        let file = path.display().to_string();
-        Ok(Self { file, name: station.name.clone().unwrap_or(stem), station, gauges, record, images })
+    use super::super::option::names;
+    use super::*;
+
+    /// The station of a file with that text.
+    fn read(name: &str, text: &str) -> Result<Setup> {
+        let file = env::temp_dir().join(format!("gaugefs-station-{name}-{}.toml", process::id()));
+        fs::write(&file, text).expect("a file");
+        let setup = station(&file, |gauges| gauges.iter().map(|_| "BAT0".to_string()).collect());
+        fs::remove_file(&file).expect("it is there");
+        setup
+    }
+
+    #[test]
+    fn what_makes_no_sense_at_a_station_is_refused_with_its_line() {
+        let refuse = |lines: &str| {
+            let text = format!(
+                "[station]\nno-backup = true\nstate-dir = 'journals'\n{lines}\n[[gauge]]\nsim = 'bq34z100-g1'\n"
+            );
+            read("refused", &text).err().map_or(String::new(), |error| error.to_string())
+        };
+        for (lines, says) in [
+            (
+                "serial = 'counter'\nfirst-serial = 7\nlast-serial = 6",
+                "line 6: last-serial: it is below first-serial",
+            ),
+            ("serial = 'list'", "line 4: serial: set serial-list too"),
+            ("serial = 'lst'", "line 4: serial:"),
+            ("sreial = 'list'", "line 4: sreial: unknown key; did you mean `serial`?"),
+            ("date = 'tomorrow'", "line 4: date: expected today or YYYY-MM-DD"),
+            ("exclude = ['all']", "line 4: exclude: `all` is none of: calibration, serial,"),
+            ("divider = 33000", "line 4: divider: set cells too"),
+            ("first-serial = 3", "line 4: first-serial: only with serial"),
+            ("packs = 0", "line 4: packs: at least 1"),
+            ("[defaults]\npoll = 3", "line 5: poll: has no meaning at a station"),
+            ("[mount]\nprivate = true", "line 4: mount: unknown key"),
+        ] {
+            let error = refuse(lines);
+            assert!(error.contains(says), "{lines}: {error}");
+        }
+        assert_eq!(refuse(""), "");
+    }
+
+    #[test]
+    fn the_manual_has_every_key_of_a_station() {
+        let manual =
+            include_str!("../../docs/PRODUCTION.md").split_once("\n## A station\n").expect("a section").1;
+        let keys: Vec<&str> = names::<Options>(At::Table).collect();
+        assert!(keys.len() > 25);
+        let table = manual.lines().filter(|line| line.starts_with("| `"));
+        let listed: BTreeSet<&str> = table
+            .flat_map(|line| line.split('|').nth(1))
+            .flat_map(|cell| cell.split('`').skip(1).step_by(2))
+            .collect();
+        assert_eq!(listed, keys.into_iter().collect());
+        let (_, of_gauges) = manual.split_once("with the keys that make sense here:").expect("a list");
+        let of_gauges = of_gauges.split("for simulated packs").next().unwrap_or_default();
+        let of_gauges: BTreeSet<&str> = of_gauges.split('`').skip(1).step_by(2).collect();
+        assert_eq!(of_gauges, names::<GaugeOptions>(At::Station).collect());
+        // The example is accepted.
+        let example =
+            manual.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+        let setup = read("manual", example).expect("a station");
+        assert_eq!((setup.gauges.len(), setup.options.first_serial), (2, Some(1000)));
     }
 }

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, WatchDescriptor};
 
-use crate::owner::{Handle, operations};
+use gauge_owner::{Handle, operations};
 
 /// The events of a node when its device goes, comes, or gets its permissions from udev.
 const EVENTS: AddWatchFlags = AddWatchFlags::IN_CREATE

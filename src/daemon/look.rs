@@ -9,7 +9,7 @@ use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -76,7 +76,15 @@ impl Look {
 
     fn begin_with(path: &Path, options: &[&str]) -> Result<Self> {
         let mut command = Command::new("/proc/self/exe");
-        command.arg("look").args(options).arg("--").arg(path).stdin(Stdio::null()).stdout(Stdio::piped());
+        // One that is left behind must not stand in the mount.
+        let path = match absolute(path) {
+            Ok(absolute) => {
+                command.current_dir("/");
+                absolute
+            }
+            Err(_) => path.to_path_buf(),
+        };
+        command.arg("look").args(options).arg("--").arg(&path).stdin(Stdio::null()).stdout(Stdio::piped());
         let child = command.stderr(Stdio::null()).spawn().map_err(|error| {
             Error::io(path.display().to_string(), "cannot start a process to examine it", &error)
         })?;

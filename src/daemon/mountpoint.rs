@@ -23,9 +23,9 @@ use super::look::{self, Found, Look};
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
-use crate::lock;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
+use gauge_owner::lock;
 use gaugefs_client::Gauge;
 use gaugefs_client::mounts::{self, Mount, containing, list, topmost};
 

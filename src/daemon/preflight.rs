@@ -10,13 +10,13 @@ use std::sync::Arc;
 use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
-use super::gauges::{check_trace, keys, saved};
-use super::{journal_dir, log, mountpoint};
-use crate::config::{GaugeOptions, MountOptions, Setup, Source};
+use super::{log, mountpoint};
+use crate::config::{MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
+use gauge_owner::{GaugeSetup, Source, journal_dir};
 
 const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
@@ -35,7 +35,7 @@ pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_servic
     found.extend(mount.state_dir.as_deref().filter(|_| !mount.read_only).map(journal_dir::check));
     found.push(super::mains_name(mount, names, taken).map(drop));
     found.push(distinct(setup));
-    found.extend(gauges.iter().map(check_trace));
+    found.extend(gauges.iter().map(|gauge| gauge.setup().check_trace()));
     found.into_iter().filter_map(Result::err).collect()
 }
 
@@ -55,7 +55,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     found.extend(mount(setup, &names, &taken, false));
     found.extend(device().err());
     for (name, gauge) in names.iter().zip(&setup.gauges) {
-        found.extend(needs_of(name, gauge, &mountpoint).into_iter().map(|error| error.within(name)));
+        found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));
     }
     (names, found)
 }
@@ -133,9 +133,9 @@ fn group(options: &MountOptions) -> Result<()> {
 }
 
 /// The problems of one gauge.
-fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
+fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
     let mut found: Vec<Error> = Vec::new();
-    match keys(gauge, name) {
+    match gauge.keys(name) {
         Err(error) => found.push(error),
         Ok(keys) => {
             let none = keys.unseal.is_none() && keys.full_access.is_none() && keys.authentication.is_none();
@@ -147,13 +147,12 @@ fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
         }
     }
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-    let source = Source::of(gauge);
-    found.extend(source.check(mountpoint, &clock).err().map(|error| match source {
+    found.extend(gauge.source.check(mountpoint, &clock).err().map(|error| match gauge.source {
         Source::Bus { chip: Some(_), .. } => waited_for(&error),
         _ => error,
     }));
-    if let (Some(path), Some(chip)) = (&gauge.restore, Source::of(gauge).chip()) {
-        found.extend(saved(chip, path).err());
+    if let Some(chip) = gauge.source.chip() {
+        found.extend(gauge.restored(chip).err());
     }
     found
 }

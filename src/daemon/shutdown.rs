@@ -9,9 +9,9 @@ use nix::sys::signal::{SigSet, Signal};
 use super::mountpoint;
 use crate::error::{Error, Result};
 use crate::fuse;
-use crate::lock;
 use crate::output::say;
-use crate::owner::{Handle, operations as op};
+use gauge_owner::lock;
+use gauge_owner::{Handle, operations as op};
 use gaugefs_client::mounts;
 
 /// The phase of a mount.

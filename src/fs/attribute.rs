@@ -2,7 +2,7 @@
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
 
-use crate::owner::{Handle, Snapshot};
+use gauge_owner::{Handle, Snapshot};
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
 use ti_gauge::date;
 use ti_gauge::value::Value;

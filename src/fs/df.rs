@@ -9,7 +9,7 @@ use super::supply::Supply;
 use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Attempt, Done, operations as op};
+use gauge_owner::{Attempt, Done, operations as op};
 use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};

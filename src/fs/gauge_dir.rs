@@ -10,8 +10,8 @@ use jiff::Timestamp;
 use super::attribute::Kind;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
-use crate::owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
 use crate::report;
+use gauge_owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
 
@@ -335,7 +335,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
-    use crate::owner::Attempt;
+    use gauge_owner::Attempt;
     use ti_gauge::chip::CHIPS;
 
     #[test]

@@ -4,7 +4,7 @@ use nix::errno::Errno;
 
 use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, not_writable};
 use crate::error::Error;
-use crate::owner::{Attempt, Done};
+use gauge_owner::{Attempt, Done};
 
 /// An item of `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -9,7 +9,7 @@ use super::{
     Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
     SimItem, find,
 };
-use crate::owner::{Context, Done, Handle, Published, Snapshot, Spoken};
+use gauge_owner::{Context, Done, Handle, Published, Snapshot, Spoken};
 use ti_gauge::chip::Chip;
 
 /// A mounted gauge, with what the tree keeps about it.

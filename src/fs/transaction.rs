@@ -48,7 +48,7 @@ struct State {
 #[derive(Clone, Copy)]
 pub(super) struct Moment {
     pub(super) now: Duration,
-    /// See [`Published::presence`](crate::owner::Published::presence).
+    /// See [`Published::presence`](gauge_owner::Published::presence).
     pub(super) presence: u64,
 }
 

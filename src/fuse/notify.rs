@@ -30,7 +30,7 @@ use super::inodes::{Now, Value};
 use super::{Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
-use crate::owner::Signal;
+use gauge_owner::Signal;
 
 /// The code of the notification that makes the kernel look up every name again.
 const FUSE_NOTIFY_INC_EPOCH: u32 = 8;

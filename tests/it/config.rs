@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
+use gauge_owner::{self as owner, Handle, Settings, Signal, Startup, operations as op};
 use gauge_sim::{Options, Sim, SimBus};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse;
-use gaugefs::owner::{self, Handle, Settings, Signal, Startup, operations as op};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 

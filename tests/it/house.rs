@@ -1,5 +1,5 @@
 //! The structure of the code, read from its `use` lines and paths: within each folder of modules none uses one that uses
-//! it, and no test file uses another one.
+//! it, and no test file uses another one. No crate depends on one above it.
 //!
 //! A module counts with everything below it, and may use its parent: what is below is a part of it. Tests within a file
 //! are left out.
@@ -177,6 +177,26 @@ fn crates() -> Vec<std::path::PathBuf> {
 fn no_module_uses_one_that_uses_it() {
     let found: Vec<String> = crates().iter().flat_map(|folder| circles(&folder.join("src"))).collect();
     assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// What only the program may know: FUSE, and but for the crate with commands of its own, a command line.
+#[test]
+fn no_crate_depends_on_what_lies_above_it() {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for folder in crates().iter().filter(|folder| *folder != top) {
+        let text = fs::read_to_string(folder.join("Cargo.toml")).expect("a manifest");
+        let table: toml::Table = text.parse().expect("TOML");
+        let name = folder.file_name().and_then(|name| name.to_str()).expect("a name");
+        let above: &[&str] = match name {
+            "gaugefs-screen" => &["fuser", "gaugefs", "gauge-owner", "gauge-station"],
+            "gauge-station" => &["fuser", "clap", "gaugefs", "gaugefs-screen"],
+            "gauge-owner" => &["fuser", "clap", "gaugefs", "gaugefs-screen", "gauge-station"],
+            _ => &["fuser", "clap", "gaugefs", "gaugefs-screen", "gauge-station", "gauge-owner"],
+        };
+        let uses = table["dependencies"].as_table().expect("dependencies");
+        let found: Vec<_> = above.iter().filter(|above| uses.contains_key(**above)).collect();
+        assert!(found.is_empty(), "{name} depends on {found:?}");
+    }
 }
 
 #[test]

@@ -15,10 +15,10 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::Clock;
+use gauge_owner::{self as owner, Handle, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::owner::{self, Handle, Settings, Signal};
 use nix::errno::Errno;
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, SeekFrom, Timespec, Timestamps, XattrFlags};
 use rustix::process::{Gid, Uid};

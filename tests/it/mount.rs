@@ -11,9 +11,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::{Bus, BusError};
+use gauge_owner::Settings;
 use gauge_sim::Sim;
 use gaugefs::fuse::{self};
-use gaugefs::owner::Settings;
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Image;

@@ -190,7 +190,7 @@ fn another_user_is_refused_with_the_name_of_roots_daemon() {
     other.env("XDG_RUNTIME_DIR", folder.file("run")).uid(65534).gid(65534).stdin(Stdio::null());
     let who = format!("in use by process {} (gaugefs of root)", daemon.child.id());
     within(LIMIT, other).failed(&[&state, &who]);
-    let lock = format!("/run/gaugefs/{}.lock", gaugefs::lock::key_of_state(Path::new(&state)));
+    let lock = format!("/run/gaugefs/{}.lock", gauge_owner::lock::key_of_state(Path::new(&state)));
     assert!(Path::new(&lock).exists());
     gaugefs(&["umount", &at]).done();
     assert!(daemon.ends());
@@ -203,7 +203,7 @@ fn a_daemon_that_a_signal_ends_removes_its_lock() {
     let folder = Folder::new();
     let (at, state) = (folder.file("m"), folder.file("state"));
     let Some(mut daemon) = Daemon::with(at.clone(), &["--sim-state", &state]) else { return };
-    let key = format!("{}.lock", gaugefs::lock::key_of_state(Path::new(&state)));
+    let key = format!("{}.lock", gauge_owner::lock::key_of_state(Path::new(&state)));
     let folders =
         ["/run/gaugefs".to_string(), std::env::var("XDG_RUNTIME_DIR").unwrap_or_default() + "/gaugefs"];
     let left = || folders.iter().any(|folder| Path::new(folder).join(&key).exists());
@@ -265,7 +265,7 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
     }
     let arguments = ["mount", "--foreground", "--sim", CHIP, "--sim-state", &fifo, &at];
     within(LIMIT, command(&arguments)).failed(&[&fifo, "not a regular file"]);
-    let journal = folder.file(&format!("{}.journal", gaugefs::lock::key_of_state(Path::new(&state))));
+    let journal = folder.file(&format!("{}.journal", gauge_owner::lock::key_of_state(Path::new(&state))));
     mkfifo(&journal);
     let arguments =
         ["mount", "--sim", CHIP, "--sim-state", &state, "--state-dir", folder.0.to_str().expect("UTF-8")];

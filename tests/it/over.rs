@@ -10,10 +10,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::RealClock;
+use gauge_owner::{self as owner, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::owner::{self, Settings, Signal};
 use ti_gauge::chip::Chip;
 
 /// A folder that resembles `/sys`; each supply is a folder below `devices` and a link to it.

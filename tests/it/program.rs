@@ -1,5 +1,5 @@
 //! `gaugefs program`: a station with simulated packs that are kept in files. The tests of its rules and faults are in
-//! `src/program/tests.rs`.
+//! `crates/gauge-station/src/station/tests.rs`.
 
 use std::fs;
 use std::io::Write;

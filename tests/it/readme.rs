@@ -118,7 +118,7 @@ fn each_figure_has_a_measurement() {
         "benches/attributes.rs",
         "benches/bus.rs",
         "benches/gauges.rs",
-        "src/program/tests.rs",
+        "crates/gauge-station/src/station/tests.rs",
     ];
     let sources = sources.map(|path| fs::read_to_string(root().join(path)).expect("a measurement"));
     // Text that a line of source breaks.

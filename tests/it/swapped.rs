@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
+use gauge_owner::{self as owner, Settings, operations as op};
 use gauge_sim::{Options, Sim};
-use gaugefs::owner::{self, Settings, operations as op};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Outcome};
 use ti_gauge::error::Result;

@@ -4,9 +4,9 @@ use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_owner::{self as owner, Handle, Settings};
 use gauge_sim::{Options, Sim};
 use gaugefs::fs::{Access, Fs, MountedGauge, Node, Scales};
-use gaugefs::owner::{self, Handle, Settings};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::keys::Keys;

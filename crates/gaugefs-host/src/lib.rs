@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use ti_gauge::unit;
 
+pub mod chemistry;
 mod errno;
 pub mod error;
 pub mod folders;

@@ -7,8 +7,8 @@ use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use crate::daemon::look::Look;
 use crate::error::shown;
-use crate::lock::{holding, mountpoint_of, process};
 use gauge_bus::regular;
+use gauge_owner::lock::{holding, mountpoint_of, process};
 use gaugefs_client::mounts::{Mount, parse};
 
 /// Folder in which the services mount.

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use super::tests::{open, show, turn};
 use super::*;
-use crate::owner::operations as op;
-use crate::owner::rig::Rig;
+use gauge_owner::operations as op;
+use gauge_owner::rig::Rig;
 use ti_gauge::chip::{FLAT, Parameter, Subclass};
 
 /// Attributes that are numbers: the roles that they follow from, the first of which a part has, how many of their units

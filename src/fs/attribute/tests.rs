@@ -7,8 +7,8 @@ use gauge_bus::clock::Clock;
 
 use super::by_part::read_places;
 use super::*;
-use crate::owner::rig::{INTERVAL, Rig};
-use crate::owner::{Settings, Startup, operations as op};
+use gauge_owner::rig::{INTERVAL, Rig};
+use gauge_owner::{Settings, Startup, operations as op};
 
 /// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).

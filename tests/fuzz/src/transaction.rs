@@ -5,10 +5,10 @@ use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_owner::{self as owner, Settings, Signal, Startup};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::{Cause, Error, Result};
 use gaugefs::fs::{Access, Content, Fs, MountedGauge, Node, Scales};
-use gaugefs::owner::{self, Settings, Signal, Startup};
 use ti_gauge::chip::Chip;
 
 struct Tree {

@@ -11,11 +11,11 @@ use std::time::Duration;
 
 use gauge_bus::Bus;
 use gauge_bus::clock::RealClock;
+use gauge_owner::{self as owner, Handle, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::Result;
 use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
 use gaugefs::fuse::{self, Mounted};
-use gaugefs::owner::{self, Handle, Settings, Signal};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
@@ -40,7 +40,7 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.sim.set(name, text).map_err(gaugefs::daemon::of_sim)
+        self.sim.set(name, text).map_err(gauge_owner::of_sim)
     }
 }
 

@@ -12,11 +12,15 @@ use gauge_bus::replay::Replay;
 use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::chip::{Chip, Subclass};
 
-pub(crate) const INTERVAL: Duration = Duration::from_secs(8);
+/// Its time between two polls.
+pub const INTERVAL: Duration = Duration::from_secs(8);
 
-pub(crate) struct Rig {
-    pub(crate) clock: Arc<SimClock>,
-    pub(crate) sim: Sim,
+/// The owner, and what it runs on.
+pub struct Rig {
+    /// Its clock, which nothing but its owner and the test moves.
+    pub clock: Arc<SimClock>,
+    /// The gauge.
+    pub sim: Sim,
     pub(in crate::owner) direct: Direct,
 }
 
@@ -36,12 +40,12 @@ impl DerefMut for Rig {
 
 impl Rig {
     /// The gauge answers, and nothing has been sent to it yet.
-    pub(crate) fn new(startup: Startup) -> Self {
+    pub fn new(startup: Startup) -> Self {
         Self::of("bq34z100-g1", Settings::default(), startup)
     }
 
     /// A gauge of another chip, with settings.
-    pub(crate) fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
+    pub fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
         Self::on(chip, settings, startup, |bus| Box::new(bus))
     }
 
@@ -63,41 +67,42 @@ impl Rig {
     }
 
     /// A recorded gauge.
-    pub(crate) fn replay(chip: &Chip, replay: Replay) -> Self {
+    pub fn replay(chip: &Chip, replay: Replay) -> Self {
         Self::on(chip.name, Settings::default(), Startup::default(), |_| Box::new(replay))
     }
 
     /// The gauge has been identified and polled.
-    pub(crate) fn open() -> Self {
+    pub fn open() -> Self {
         let mut rig = Self::new(Startup::default());
         rig.owner.open().expect("it answers");
         rig
     }
 
     /// Identifies and polls the gauge.
-    pub(crate) fn start(&mut self) -> Result<()> {
+    pub fn start(&mut self) -> Result<()> {
         self.owner.open()
     }
 
     /// Lets time pass, and polls if that is due.
-    pub(crate) fn poll_after(&mut self, pause: Duration) {
+    pub fn poll_after(&mut self, pause: Duration) {
         self.clock.sleep(pause);
         self.owner.poll_on_time();
     }
 
     /// The index in the table of the subclass of that id.
-    pub(crate) fn index(&self, id: u8) -> usize {
+    pub fn index(&self, id: u8) -> usize {
         let is_it = |subclass: &Subclass| subclass.id == id;
         self.handle.chip().subclasses.iter().position(is_it).expect("a subclass of the table")
     }
 
     /// A report leaves no recording going on.
-    pub(crate) fn gauge_records_nothing(&mut self) -> bool {
+    pub fn gauge_records_nothing(&mut self) -> bool {
         self.owner.poll_on_time();
         self.owner.gauge.recorded().is_empty()
     }
 
-    pub(crate) fn transfers(&self) -> u64 {
+    /// How many transfers the gauge has seen from its owner.
+    pub fn transfers(&self) -> u64 {
         self.handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("it is counted").1
     }
 }

@@ -19,7 +19,7 @@ pub type Done<T> = Box<dyn FnOnce(Result<T>) + Send>;
 /// Something that a gauge's owner does when it is asked to: takes an `A`, answers with a `T`.
 pub struct Operation<A, T = ()> {
     /// Its name; where it has a file in `gauge/`, also that of the file.
-    pub(crate) name: &'static str,
+    pub name: &'static str,
     call: fn(&mut Owner, A, Asked) -> Result<T>,
     parse: Option<Parse<A>>,
     ignores_blank: bool,
@@ -33,12 +33,13 @@ pub struct Operation<A, T = ()> {
 type Parse<A> = fn(&Context, &[u8]) -> Result<A>;
 
 /// By what the text of an argument is read.
-pub(crate) struct Context {
-    pub(crate) chip: &'static Chip,
+pub struct Context {
+    /// The table of its gauge.
+    pub chip: &'static Chip,
     /// The factor of voltages in data flash; `None` while it is not known.
-    pub(crate) voltage_scale: Option<f64>,
+    pub voltage_scale: Option<f64>,
     /// The factor of currents in data flash, likewise.
-    pub(crate) current_scale: Option<f64>,
+    pub current_scale: Option<f64>,
 }
 
 /// When a request was made.
@@ -95,7 +96,7 @@ impl<A, T> Operation<A, T> {
     }
 
     /// Whether it has a file.
-    pub(crate) const fn has_file(&self) -> bool {
+    pub const fn has_file(&self) -> bool {
         self.parse.is_some()
     }
 
@@ -108,7 +109,7 @@ impl<A, T> Operation<A, T> {
 }
 
 /// An operation with a file, whatever its argument is.
-pub(crate) trait Spoken: Sync {
+pub trait Spoken: Sync {
     /// Queues a request with the argument that was written, or refuses the text.
     fn ask(&'static self, handle: &Handle, context: &Context, text: &[u8], done: Done<()>);
 }

@@ -11,13 +11,13 @@ use ti_gauge::text;
 use ti_gauge::value::{Type, Value};
 
 use super::record::Record;
-use crate::config::{SerialFrom, StationOptions};
 use crate::error::{Cause, Error, Result};
+use crate::options::{Options, SerialFrom};
 use gauge_bus::regular;
 use ti_gauge::notation;
 
 /// The source of typed or scanned lines. `None` at their end.
-pub(crate) trait Scanner: Send {
+pub trait Scanner: Send {
     /// Asks for a line. The text says for what.
     fn line(&mut self, what: &str) -> Option<String>;
 }
@@ -48,7 +48,7 @@ pub(super) fn called(chip: &'static Chip, name: &str) -> Option<Row> {
 }
 
 /// The parameter that holds the serial number.
-pub(super) fn row(chip: &'static Chip, station: &StationOptions) -> Result<Option<Row>> {
+pub(super) fn row(chip: &'static Chip, station: &Options) -> Result<Option<Row>> {
     let refuse = |key: &str, why: String| Err(Error::new(key, Cause::Invalid(why)));
     match &station.serial_parameter {
         Some(name) => match named(chip, name) {
@@ -76,7 +76,7 @@ pub(super) fn shown(row: Row, value: &Value) -> String {
 
 impl Serials {
     /// The source that a station's file names.
-    pub(super) fn of(station: &StationOptions, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
+    pub(super) fn of(station: &Options, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
         let refuse = |key: &str, why: &str| Err(Error::new(key, Cause::Invalid(why.into())));
         match from {

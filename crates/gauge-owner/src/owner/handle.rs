@@ -412,7 +412,7 @@ impl Handle {
         self.shared.clock.now()
     }
 
-    /// Wakes the FUSE side as if something had been published.
+    /// Raises the signal as if something had been published.
     pub fn raise(&self) {
         self.shared.raise();
     }
@@ -470,7 +470,7 @@ impl Handle {
     }
 }
 
-/// Raised by owners whenever something published has changed; the FUSE side waits for it.
+/// Raised by owners whenever something published has changed; whoever shows it waits for it.
 #[derive(Debug, Default)]
 pub struct Signal {
     count: Mutex<u64>,

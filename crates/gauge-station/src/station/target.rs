@@ -11,7 +11,7 @@ use ti_gauge::text;
 
 use super::record::Changed;
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, operations as op, readable};
+use gauge_owner::{Direct, operations as op, readable};
 use ti_gauge::notation;
 
 /// The place of a parameter: subclass and offset.

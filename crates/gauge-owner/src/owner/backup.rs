@@ -202,7 +202,7 @@ impl Owner {
 }
 
 /// The subclasses, by their indices in the table, that hold a configuration: all but the keys.
-pub(crate) fn readable(chip: &Chip) -> Vec<usize> {
+pub fn readable(chip: &Chip) -> Vec<usize> {
     let rows = chip.subclasses.iter().enumerate();
     rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect()
 }

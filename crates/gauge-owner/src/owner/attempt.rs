@@ -33,9 +33,9 @@ pub enum Importance {
 
 impl Attempt {
     /// To settle an interrupted write.
-    pub(crate) const SETTLE: Self = Self::Operation("settle", Importance::Owed);
+    pub const SETTLE: Self = Self::Operation("settle", Importance::Owed);
     /// To stage lines of `df/transaction`.
-    pub(crate) const STAGE: Self = Self::Operation("stage", Importance::Change);
+    pub const STAGE: Self = Self::Operation("stage", Importance::Change);
     /// To write the configuration of `--restore`.
     pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
     /// To calibrate it.

@@ -70,7 +70,7 @@ fn credential() -> Option<PathBuf> {
 }
 
 /// Refuses standard input: who else has seen what comes from there cannot be checked.
-pub(crate) fn check_name(path: Option<&Path>) -> Result<()> {
+pub fn check_name(path: Option<&Path>) -> Result<()> {
     match path {
         Some(path) if path == Path::new("-") => {
             let why = "keys are not read from it; name a file that nobody else may read";

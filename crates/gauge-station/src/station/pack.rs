@@ -20,10 +20,10 @@ use ti_gauge::value::Value;
 use super::record::{Entry, Event};
 use super::target::{self, Flash, Place};
 use super::{Bench, Slot, Station, serial};
-use crate::chemistry;
-use crate::config::{Date, Seen, Unsettled};
 use crate::error::{Cause, Error, Result};
-use crate::owner::{Direct, Seal, Settings, Startup, operations as op};
+use crate::options::{Date, Seen, Unsettled};
+use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
+use gaugefs_host::chemistry;
 
 /// How often a pack that was just connected is tried, and the time between.
 const TRIES: usize = 4;
@@ -179,7 +179,7 @@ impl Task<'_> {
             return Ok(());
         }
         if !needs_decision
-            || self.station.plan.setup.station.unsettled.unwrap_or_default() == Unsettled::Refuse
+            || self.station.plan.setup.options.unsettled.unwrap_or_default() == Unsettled::Refuse
         {
             let what = format!(
                 "{why}; connect the pack that was begun before, mount it and use gaugefs settle, or set unsettled = \
@@ -244,7 +244,7 @@ impl Task<'_> {
         let record = self.station.record();
         if let Some(seen) = record.seen(&flash.fingerprint()) {
             self.entry.seen = Some(seen.number);
-            if self.station.plan.setup.station.seen.unwrap_or_default() == Seen::Refuse {
+            if self.station.plan.setup.options.seen.unwrap_or_default() == Seen::Refuse {
                 let serial = seen
                     .serial
                     .as_ref()
@@ -259,7 +259,7 @@ impl Task<'_> {
         }
         drop(record);
         if let Some(sum) =
-            self.station.plan.image.chemistry_sum.filter(|_| !self.station.plan.setup.station.same_chemistry)
+            self.station.plan.image.chemistry_sum.filter(|_| !self.station.plan.setup.options.same_chemistry)
         {
             let id = self.gauge.handle.published().answers.chem_id;
             let id = id.map_or(String::new(), |id| format!("0x{id:04x}"));
@@ -381,7 +381,7 @@ impl Task<'_> {
 
     /// Sets up a new board of several cells. Returns what it then has, if that was necessary.
     fn bring_up(&mut self, before: &Flash) -> Result<Option<Flash>> {
-        let station = &self.station.plan.setup.station;
+        let station = &self.station.plan.setup.options;
         let (Some(cells), Some(divider)) = (station.cells, station.divider) else { return Ok(None) };
         let gate =
             self.chip().gate.as_ref().and_then(|gate| Some((gate, gate.external.as_ref()?, gate.cells?)));

@@ -5,7 +5,7 @@ use ti_gauge::chip::Chip;
 
 /// Makes sure that a gauge of that name and CHEM_ID, which `ask` asks a subcommand, has the chemistry of an image for ROM
 /// mode, which an import cannot write. `told` is how a person vouches for it. Returns a line that says so.
-pub(crate) fn check(
+pub fn check(
     name: &str,
     chip: &Chip,
     expected: u16,

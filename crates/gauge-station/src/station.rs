@@ -1,4 +1,4 @@
-//! A station that programs one pack after the other: `gaugefs program`.
+//! A station that programs one pack after the other.
 //!
 //! `pack` is the way of one pack, `target` what it is asked to have, `record` the file that says what became of each,
 //! and `serial` gives the numbers. Each bus has a thread of its own; the record is what they share.
@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -15,18 +16,17 @@ use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Chip, Kind};
 use ti_gauge::dataflash::Row;
 use ti_gauge::image::{Group, Image};
-use ti_gauge::journal::{Disk, Journal};
+use ti_gauge::journal::{Disk, Host, Journal};
 use ti_gauge::keys::{Keys, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
-use crate::config::{Date, GaugeOptions, Source, StationSetup};
-use crate::daemon::{self, gauges, journal_dir};
 use crate::error::{Cause, Error, Result};
-use crate::key_file;
-use crate::owner::Settings;
+use crate::options::Date;
+use crate::setup::Setup;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
+use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
 use gaugefs_host::input;
 use ti_gauge::notation;
 
@@ -39,17 +39,39 @@ mod target;
 mod tests;
 
 use record::{Entry, Event, Record};
-pub(crate) use serial::Scanner;
+pub use serial::Scanner;
 use serial::Serials;
-pub(crate) use slot::Place;
+use slot::Place;
 
 /// Time between two looks for a pack. The watchdog of some gauges resets them after more than two reads a second.
 const LOOK: Duration = Duration::from_millis(600);
 /// Looks in a row that must find a pack, or none: contacts bounce.
 const STEADY: u32 = 3;
 
+/// Programs pack after pack, at all places of a station at the same time, until `packs` have been begun, there are no
+/// more, or `stops` is set. Returns whether all have passed; one that an earlier run has left unfinished has not.
+pub fn run(
+    plan: Plan,
+    clock: &Arc<dyn Clock>,
+    screen: Box<dyn Screen>,
+    scanner: Box<dyn Scanner>,
+    packs: Option<u64>,
+    stops: Arc<AtomicBool>,
+) -> Result<bool> {
+    let mut places = Place::all(&plan, clock)?;
+    let station = Station::start(plan, Arc::new(Host), screen, scanner, packs, stops)?;
+    station.close_unfinished(&places.iter().map(|place| &place.bench).collect::<Vec<_>>())?;
+    thread::scope(|scope| {
+        for place in &mut places {
+            let station = &station;
+            scope.spawn(move || station.run(&place.bench, &mut *place.slot));
+        }
+    });
+    Ok(station.all_passed())
+}
+
 /// A place where packs are connected, one after the other.
-pub(crate) trait Slot: Send {
+trait Slot: Send {
     fn clock(&self) -> Arc<dyn Clock>;
     /// A bus to the pack.
     fn bus(&mut self) -> Box<dyn Bus>;
@@ -64,7 +86,7 @@ pub(crate) trait Slot: Send {
 }
 
 /// Shows people what happens.
-pub(crate) trait Screen: Send + Sync {
+pub trait Screen: Send + Sync {
     /// The outcome of a pack, one line.
     fn outcome(&self, line: &str);
     /// Tells somebody what to do.
@@ -72,9 +94,9 @@ pub(crate) trait Screen: Send + Sync {
 }
 
 /// One place of a station at which packs are connected.
-pub(crate) struct Bench {
+struct Bench {
     name: String,
-    gauge: GaugeOptions,
+    gauge: GaugeSetup,
     keys: Keys,
     /// The keys that the packs get.
     new_keys: Option<Keys>,
@@ -87,7 +109,7 @@ pub(crate) struct Bench {
 }
 
 /// The part that all benches of a station share.
-pub(crate) struct Station {
+struct Station {
     plan: Plan,
     serials: Serials,
     disk: Arc<dyn Disk>,
@@ -101,8 +123,8 @@ pub(crate) struct Station {
 }
 
 /// A station's file and its image, checked without a gauge or a record.
-pub(crate) struct Plan {
-    setup: StationSetup,
+pub struct Plan {
+    setup: Setup,
     /// The values that every pack must have.
     image: Image,
     image_name: String,
@@ -110,35 +132,30 @@ pub(crate) struct Plan {
     serial_row: Option<Row>,
     date_row: Option<Row>,
     date: Option<Date>,
-    names: Vec<String>,
     keys: Vec<(Keys, Option<Keys>)>,
 }
 
 impl Plan {
     /// Whether packs keep what no document describes.
     fn leaves_undocumented(&self) -> bool {
-        self.setup.station.groups().is_ok_and(|groups| groups.contains(&Group::Undocumented))
+        self.setup.options.groups().is_ok_and(|groups| groups.contains(&Group::Undocumented))
     }
 
     /// Reads and checks both.
-    pub(crate) fn read(image_path: &Path, setup: StationSetup) -> Result<Self> {
+    pub fn read(image_path: &Path, setup: Setup) -> Result<Self> {
         let name = input::name(image_path);
         let source = input::Source::read(image_path)?;
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
-        let chip = setup.gauges.iter().find_map(|gauge| Source::of(gauge).chip());
-        let mut image = source.image(chip, setup.station.data_flash)?;
+        let chip = setup.gauges.iter().find_map(|(_, gauge)| gauge.source.chip());
+        let mut image = source.image(chip, setup.options.data_flash)?;
         let refuse = |why: String| Err(Error::new(&name, Cause::Invalid(why)));
-        image.exclude(&setup.station.groups().map_err(of_key)?);
+        image.exclude(&setup.options.groups().map_err(of_key)?);
         if let Some(left) = image.left_out.first() {
             return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
         }
-        for gauge in &setup.gauges {
-            if Source::of(gauge).chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
-                return refuse(format!(
-                    "it is for a {}, and {} is none",
-                    image.chip.model,
-                    Source::of(gauge)
-                ));
+        for source in setup.gauges.iter().map(|(_, gauge)| &gauge.source) {
+            if source.chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
+                return refuse(format!("it is for a {}, and {source} is none", image.chip.model));
             }
         }
         for entry in &image.entries {
@@ -150,7 +167,7 @@ impl Plan {
     }
 
     /// The work of the station on packs that get an image.
-    fn of(mut image: Image, image_name: String, image_sum: String, setup: StationSetup) -> Result<Self> {
+    fn of(mut image: Image, image_name: String, image_sum: String, setup: Setup) -> Result<Self> {
         let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid(why));
         let chip = image.chip;
         if chip.access.scheme.is_ram() {
@@ -160,7 +177,8 @@ impl Plan {
             );
             return Err(invalid("image", why));
         }
-        let station = &setup.station;
+        let station = &setup.options;
+        station.check().map_err(of_key)?;
         let serial_row = serial::row(chip, station)?;
         let lots =
             [("pack-lot", "Pack Lot Code", station.pack_lot), ("pcb-lot", "PCB Lot Code", station.pcb_lot)];
@@ -203,9 +221,8 @@ impl Plan {
                 return Err(invalid("cells", why));
             }
         }
-        let names = daemon::names(&setup.gauges, &[]);
-        let keys = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
-            let keys = gauges::keys(gauge, name)?;
+        let keys = setup.gauges.iter().map(|(name, gauge)| {
+            let keys = gauge.keys(name)?;
             let new =
                 station.new_key_file.as_ref().map(|path| key_file::from_file(path, name)).transpose()?;
             if new.as_ref().is_some_and(|new| Name::ALL.iter().all(|name| new.secret(*name).is_none())) {
@@ -214,7 +231,7 @@ impl Plan {
             Ok((keys, new))
         });
         let keys = keys.collect::<Result<Vec<_>>>()?;
-        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, names, keys };
+        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, keys };
         // What a list holds is checked as well.
         struct Nobody;
         impl Scanner for Nobody {
@@ -222,12 +239,12 @@ impl Plan {
                 None
             }
         }
-        Serials::of(&plan.setup.station, plan.serial_row, Box::new(Nobody))?;
+        Serials::of(&plan.setup.options, plan.serial_row, Box::new(Nobody))?;
         Ok(plan)
     }
 
     /// The steps of a run, as lines.
-    pub(crate) fn describe(&self) -> String {
+    pub fn describe(&self) -> String {
         let Self { setup, image, .. } = self;
         let mut text = format!(
             "image {} for a {}, values: {}, SHA-256 {}\nrecord {}, images in {}\n",
@@ -238,8 +255,8 @@ impl Plan {
             setup.record.display(),
             setup.images.display()
         );
-        for (name, gauge) in self.names.iter().zip(&setup.gauges) {
-            text += &format!("{name}: {}\n", Source::of(gauge));
+        for (name, gauge) in &setup.gauges {
+            text += &format!("{name}: {}\n", gauge.source);
         }
         text
     }
@@ -252,9 +269,9 @@ impl Plan {
         let of_gauge = |name: &str| {
             let Some((number, rest)) = name.split_once('-') else { return false };
             let is_number = number.len() >= 6 && number.bytes().all(|byte| byte.is_ascii_digit());
-            let of_name =
-                |gauge: &String| rest.strip_prefix(&**gauge).and_then(|rest| rest.strip_prefix('-'));
-            is_number && self.names.iter().filter_map(of_name).any(|rest| !rest.starts_with("before."))
+            let after = |gauge: &str| rest.strip_prefix(gauge).and_then(|rest| rest.strip_prefix('-'));
+            let mut of_names = self.setup.gauges.iter().filter_map(|(gauge, _)| after(gauge));
+            is_number && of_names.any(|rest| !rest.starts_with("before."))
         };
         let found = std::fs::read_dir(images).into_iter().flatten().flatten();
         match found.map(|file| file.file_name().to_string_lossy().into_owned()).find(|name| of_gauge(name)) {
@@ -270,13 +287,8 @@ impl Plan {
         }
     }
 
-    /// The gauges with their names.
-    pub(crate) fn gauges(&self) -> impl Iterator<Item = (&str, &GaugeOptions)> {
-        self.names.iter().map(String::as_str).zip(&self.setup.gauges)
-    }
-
     /// The part of all packs.
-    pub(crate) fn chip(&self) -> &'static Chip {
+    fn chip(&self) -> &'static Chip {
         self.image.chip
     }
 
@@ -289,11 +301,11 @@ impl Plan {
         journal_key: Option<String>,
     ) -> Result<Bench> {
         let (keys, new_keys) = self.keys[at].clone();
-        let folder = self.setup.station.state_dir.as_deref().or(Some(&self.setup.images));
+        let folder = self.setup.options.state_dir.as_deref().or(Some(&self.setup.images));
         // A journal of packs on a bus is where a mount would look for it.
-        let folder = if journal_key.is_some() { self.setup.station.state_dir.as_deref() } else { folder };
+        let folder = if journal_key.is_some() { self.setup.options.state_dir.as_deref() } else { folder };
         let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
-        let (name, gauge) = (self.names[at].clone(), self.setup.gauges[at].clone());
+        let (name, gauge) = self.setup.gauges[at].clone();
         Ok(Bench { name, gauge, keys, new_keys, subject, place, byte_writes })
     }
 }
@@ -311,8 +323,8 @@ fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
 }
 
 /// A calibration, and the current in mA that must flow meanwhile.
-fn jobs(setup: &StationSetup) -> Vec<(Job, Option<f64>)> {
-    let station = &setup.station;
+fn jobs(setup: &Setup) -> Vec<(Job, Option<f64>)> {
+    let station = &setup.options;
     let offsets = [(station.board_offset, Job::BoardOffset), (station.cc_offset, Job::CcOffset)];
     let offsets = offsets.into_iter().filter(|(wanted, _)| *wanted).map(|(_, job)| (job, Some(0.0)));
     let voltage = station.voltage.map(|actual| (Job::Voltage(actual), None));
@@ -324,11 +336,11 @@ fn jobs(setup: &StationSetup) -> Vec<(Job, Option<f64>)> {
 impl Bench {
     fn settings(&self, station: &Station) -> Result<Settings> {
         let chip = station.plan.image.chip;
-        let no_backup = station.plan.setup.station.no_backup;
+        let no_backup = station.plan.setup.options.no_backup;
         let place = Some(self.place.clone());
         let keys = self.keys.clone();
         let mut settings =
-            gauges::settings(&self.gauge, keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
+            self.gauge.settings(keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
         settings.journal = settings.journal.map(|journal| journal.on(station.disk.clone()));
         Ok(settings)
     }
@@ -346,7 +358,7 @@ impl Bench {
 
 impl Station {
     /// Opens the record, and closes what a station that was stopped has left there.
-    pub(crate) fn start(
+    fn start(
         plan: Plan,
         disk: Arc<dyn Disk>,
         screen: Box<dyn Screen>,
@@ -361,7 +373,7 @@ impl Station {
         if let Some(date) = plan.date {
             pack::day(date, &pack::today(), record.last())?;
         }
-        let serials = Serials::of(&plan.setup.station, plan.serial_row, scanner)?;
+        let serials = Serials::of(&plan.setup.options, plan.serial_row, scanner)?;
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
         // Buses often belong to root, and the person is somebody else.
         let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
@@ -381,7 +393,7 @@ impl Station {
     }
 
     /// Records as failed what was begun and has no outcome.
-    pub(crate) fn close_unfinished(&self, benches: &[&Bench]) -> Result<()> {
+    fn close_unfinished(&self, benches: &[&Bench]) -> Result<()> {
         let mut record = self.record();
         for entry in record.unfinished() {
             let bench = benches.iter().find(|bench| bench.name == entry.gauge);
@@ -421,7 +433,7 @@ impl Station {
     }
 
     fn seals(&self) -> bool {
-        self.plan.setup.station.seal.unwrap_or(true)
+        self.plan.setup.options.seal.unwrap_or(true)
     }
 
     fn gives_serials(&self) -> bool {
@@ -473,12 +485,12 @@ impl Station {
     }
 
     /// Whether no pack has failed.
-    pub(crate) fn all_passed(&self) -> bool {
+    fn all_passed(&self) -> bool {
         self.failures.load(Ordering::SeqCst) == 0
     }
 
     /// Programs pack after pack, until there are no more.
-    pub(crate) fn run(&self, bench: &Bench, slot: &mut dyn Slot) {
+    fn run(&self, bench: &Bench, slot: &mut dyn Slot) {
         self.packs(bench, slot);
         if let Some(error) = slot.error() {
             self.failures.fetch_add(1, Ordering::SeqCst);

@@ -40,20 +40,20 @@ mod operation;
 pub mod operations;
 mod poll;
 mod report;
-#[cfg(test)]
-pub(crate) mod rig;
+#[cfg(any(test, feature = "rig"))]
+pub mod rig;
 mod words;
 
 use arrival::Loss;
 pub use attempt::Attempt;
 pub use backup::Backup;
-pub(crate) use backup::readable;
+pub use backup::readable;
 use debt::Debt;
-pub(crate) use direct::Direct;
+pub use direct::Direct;
 use handle::Shared;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
 use operation::Request;
-pub(crate) use operation::{Context, Spoken};
+pub use operation::{Context, Spoken};
 pub use operation::{Done, Operation};
 use poll::Schedule;
 pub use report::{Effect, Origin, Report, Times};

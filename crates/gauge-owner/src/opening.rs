@@ -1,6 +1,5 @@
-//! Opening the gauges of a mount: one that has to answer, or many at the same time, of which some may not.
+//! Opening gauges and starting their owners: one that has to answer, or many at the same time, of which some may not.
 
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -9,23 +8,16 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::journal_dir;
-use super::source::{Opened, SimKnobs};
-use crate::config::{GaugeOptions, Source};
 use crate::error::{Cause, Error, Result};
-use crate::folders;
-use crate::fs::{Knobs, MountedGauge};
-use crate::key_file;
+use crate::journal_dir;
 use crate::lock::Lock;
-use crate::output::say;
-use crate::owner::{self, Backup, Origin, Settings, Signal, Startup};
+use crate::owner::{self, Handle, Origin, Signal, Startup};
+use crate::setup::GaugeSetup;
+use crate::source::Opened;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
-use gauge_bus::trace::{self, Trace};
-use ti_gauge::chip::Chip;
-use ti_gauge::dataflash::Change;
-use ti_gauge::image::Image;
-use ti_gauge::journal::Journal;
+use gauge_bus::trace::Trace;
+use gauge_sim::Sim;
 use ti_gauge::keys::Keys;
 
 /// How long a mount of many gauges waits for those that do not answer.
@@ -33,36 +25,57 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The settings that all gauges of a mount share while they are opened.
 #[derive(Clone)]
-pub(super) struct Opening {
-    pub(super) mountpoint: PathBuf,
-    pub(super) clock: Arc<dyn Clock>,
-    pub(super) signal: Arc<Signal>,
+pub struct Opening {
+    /// Where they will be mounted: another process that finds a gauge in use names it.
+    pub mountpoint: PathBuf,
+    /// The time of all of them.
+    pub clock: Arc<dyn Clock>,
+    /// Raised when a gauge has published something.
+    pub signal: Arc<Signal>,
     /// Nothing is written, so there is neither journal nor backup.
-    pub(super) read_only: bool,
+    pub read_only: bool,
     /// Configurations are not saved before the first write.
-    pub(super) no_backup: bool,
+    pub no_backup: bool,
     /// Folder for journals and backups, if one was given.
-    pub(super) state_dir: Option<PathBuf>,
+    pub state_dir: Option<PathBuf>,
 }
 
 /// A gauge whose owner is running.
-pub(super) struct Ready {
-    pub(super) entry: MountedGauge,
+pub struct Ready {
+    /// Its name among the others.
+    pub name: String,
+    /// What everybody else sees of it.
+    pub handle: Handle,
+    /// The simulated gauge, if it is one.
+    pub sim: Option<Sim>,
     /// Its name in messages.
-    pub(super) what: String,
-    pub(super) lock: Option<Lock>,
+    pub what: String,
+    /// Keeps other processes out while it is held.
+    pub lock: Option<Lock>,
     /// The node of its adapter.
-    pub(super) node: Option<PathBuf>,
+    pub node: Option<PathBuf>,
 }
 
 /// The result of a gauge's first poll.
 type Begun = Receiver<Result<()>>;
 
 impl Opening {
+    /// Gauges that may be written to, whose journals and backups are in this account's own folder.
+    pub fn new(mountpoint: PathBuf, clock: Arc<dyn Clock>) -> Self {
+        Self {
+            mountpoint,
+            clock,
+            signal: Arc::default(),
+            read_only: false,
+            no_backup: false,
+            state_dir: None,
+        }
+    }
+
     /// Opens the only gauge of a mount.
-    pub(super) fn one(&self, name: String, gauge: GaugeOptions) -> Result<Ready> {
-        let keys = keys(&gauge, &name)?;
-        let subject = Source::of(&gauge).to_string();
+    pub fn one(&self, name: String, gauge: GaugeSetup) -> Result<Ready> {
+        let keys = gauge.keys(&name)?;
+        let subject = gauge.source.to_string();
         let (ready, begun) = self.begin(name, gauge, keys, Startup::default(), false)?;
         let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
         begun.recv().unwrap_or_else(|_| ended()).map_err(|error| error.within(&subject))?;
@@ -70,20 +83,20 @@ impl Opening {
     }
 
     /// Opens many gauges at the same time. Those that do not answer are waited for in the background if their
-    /// chip is known, and left out otherwise. Both are logged, and with `aloud` also printed.
-    pub(super) fn many(&self, gauges: Vec<(String, GaugeOptions)>, aloud: bool) -> Result<Vec<Ready>> {
+    /// chip is known, and left out otherwise: a line says so of each.
+    pub fn many(&self, gauges: Vec<(String, GaugeSetup)>) -> Result<(Vec<Ready>, Vec<String>)> {
         // A key file that cannot be used is an error of the configuration, so the mount fails.
-        let keys = gauges.iter().map(|(name, gauge)| keys(gauge, name)).collect::<Result<Vec<_>>>()?;
+        let keys = gauges.iter().map(|(name, gauge)| gauge.keys(name)).collect::<Result<Vec<_>>>()?;
         let names: Vec<String> = gauges.iter().map(|(name, _)| name.clone()).collect();
-        let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| Source::of(gauge).chip().is_some()).collect();
+        let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| gauge.source.chip().is_some()).collect();
         let (sender, opened) = mpsc::channel();
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
-            let phase = gauge.interval() * at / all;
+            let phase = gauge.interval * at / all;
             let startup = Startup { name: name.clone(), phase, ..Startup::default() };
             let (sender, opening) = (sender.clone(), self.clone());
             let open = move || {
-                let waits = Source::of(&gauge).chip().is_some();
+                let waits = gauge.source.chip().is_some();
                 // If the mount no longer waits, this drops the gauge.
                 let _ = sender.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
             };
@@ -119,25 +132,19 @@ impl Opening {
             let why = format!("no gauge can be mounted: {}", reasons.join("; "));
             return Err(Error::new("", Cause::Gone(why)));
         }
-        for line in lines {
-            log::warn!("{line}");
-            if aloud {
-                say(format_args!("warning: {line}"));
-            }
-        }
-        Ok(ready)
+        Ok((ready, lines))
     }
 
     /// Opens a gauge and starts its owner, which polls it.
     fn begin(
         &self,
         name: String,
-        gauge: GaugeOptions,
+        gauge: GaugeSetup,
         keys: Keys,
         startup: Startup,
         waits: bool,
     ) -> Result<(Ready, Begun)> {
-        let opened = Source::of(&gauge).open(&self.mountpoint, &self.clock, waits)?;
+        let opened = gauge.source.open(&self.mountpoint, &self.clock, waits)?;
         let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
         if let Some(path) = &gauge.trace {
             let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
@@ -149,65 +156,19 @@ impl Opening {
             false => journal_dir::place(self.state_dir.as_deref(), opened.journal_key)?,
         };
         let slow = chip.is_slower_than(clock_hz);
-        let settings = settings(&gauge, keys, chip, &subject, slow, place, self.no_backup)?;
+        let settings = gauge.settings(keys, chip, &subject, slow, place, self.no_backup)?;
         let origin = Origin {
-            place: Source::of(&gauge).place(),
+            place: gauge.source.place(),
             address,
             adapter: opened.node.as_deref().map_or_else(String::new, adapter),
         };
         let startup = Startup { unverified: opened.unverified, missing: opened.missing, origin, ..startup };
         let (handle, begun) =
             owner::start(chip, bus, self.clock.clone(), settings, startup, self.signal.clone())?;
-        let entry = MountedGauge {
-            name,
-            handle,
-            scales: gauge.scales(),
-            knobs: opened.sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>),
-        };
         let what = format!("{} ({subject})", chip.model);
-        Ok((Ready { entry, what, lock: opened.lock, node: opened.node }, begun))
+        let Opened { sim, lock, node, .. } = opened;
+        Ok((Ready { name, handle, sim, what, lock, node }, begun))
     }
-}
-
-/// Whether the trace of a gauge can be recorded. A file that is there is not recorded over.
-pub(super) fn check_trace(gauge: &GaugeOptions) -> Result<()> {
-    let Some(path) = &gauge.trace else { return Ok(()) };
-    trace::check(path, gauge.trace_replace).map_err(|error| {
-        let name = path.display().to_string();
-        if error.kind() == ErrorKind::AlreadyExists {
-            let why =
-                "the trace is there already; move it away, choose another name, or replace it with --trace-replace";
-            return Error::host(name, Errno::EEXIST, why);
-        }
-        Error::io(name, "cannot write the trace", &error)
-    })
-}
-
-/// How a gauge is run, as its options have it. `place` is the folder of its journals and backups, and its name there.
-pub(crate) fn settings(
-    gauge: &GaugeOptions,
-    keys: Keys,
-    chip: &'static Chip,
-    subject: &str,
-    byte_writes: bool,
-    place: Option<(PathBuf, String)>,
-    no_backup: bool,
-) -> Result<Settings> {
-    let key_file = gauge.key_file.as_ref().map(|path| path.display().to_string());
-    Ok(Settings {
-        keys,
-        key_file: key_file.or_else(key_file::of_credential),
-        interval: gauge.interval(),
-        byte_writes: gauge.byte_writes || byte_writes,
-        allow_unproven: gauge.allow_unproven,
-        limits: gauge.limits(),
-        auth_order: gauge.auth_order.unwrap_or_default(),
-        restore: gauge.restore.as_deref().map_or(Ok(Vec::new()), |path| saved(chip, path))?,
-        journal: place
-            .clone()
-            .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),
-        backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
-    })
 }
 
 /// Waits for a gauge's first poll. A failure is an error, or with `waits` the reason why it is not there yet.
@@ -232,19 +193,4 @@ fn adapter(node: &Path) -> String {
 
 fn slow() -> Error {
     Error::new("", Cause::TimedOut(format!("no answer within {} s", PATIENCE.as_secs())))
-}
-
-pub(super) fn saved(chip: &'static Chip, path: &Path) -> Result<Vec<Change>> {
-    let image = Image::open(path, Some(chip))?;
-    Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
-}
-
-/// The gauge's keys, from its key file or else from systemd's credential.
-pub(crate) fn keys(gauge: &GaugeOptions, name: &str) -> Result<Keys> {
-    let mut keys = match &gauge.key_file {
-        Some(path) => key_file::from_file(path, name)?,
-        None => key_file::from_credential(name)?.unwrap_or_default(),
-    };
-    keys.no_default = gauge.no_default_keys;
-    Ok(keys)
 }

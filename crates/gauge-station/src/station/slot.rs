@@ -1,40 +1,41 @@
 //! Where packs are connected: a bus on which they are exchanged, or simulated packs one after the other.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{Bench, Plan, STEADY, Slot};
-use crate::config::{GaugeOptions, Source};
 use crate::error::{Error, Result};
-use crate::lock::Lock;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
+use gauge_owner::Source;
+use gauge_owner::lock::{self, Lock};
 use ti_gauge::chip::{Chip, Role};
 
 /// A place for packs, held by this process.
-pub(crate) struct Place {
-    pub(crate) bench: Bench,
-    pub(crate) slot: Box<dyn Slot>,
+pub(super) struct Place {
+    pub(super) bench: Bench,
+    pub(super) slot: Box<dyn Slot>,
 }
 
 impl Place {
     /// All places of a station.
-    pub(crate) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
+    pub(super) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
         let mut places = Vec::new();
-        for (at, (name, gauge)) in plan.gauges().enumerate() {
-            places.push(Self::open(plan, at, gauge, clock).map_err(|error| error.within(name))?);
+        for (at, (name, gauge)) in plan.setup.gauges.iter().enumerate() {
+            places
+                .push(Self::open(plan, at, gauge.source.clone(), clock).map_err(|error| error.within(name))?);
         }
         Ok(places)
     }
 
-    fn open(plan: &Plan, at: usize, gauge: &GaugeOptions, clock: &Arc<dyn Clock>) -> Result<Self> {
-        let chip = plan.chip();
-        if gauge.sim.is_some() {
-            let subject = Source::of(gauge).to_string();
-            let key = gauge.sim_state.as_deref().map(crate::lock::key_of_state);
-            let packs = plan.setup.station.packs.unwrap_or(1);
+    fn open(plan: &Plan, at: usize, mut source: Source, clock: &Arc<dyn Clock>) -> Result<Self> {
+        let chip_of_packs = plan.chip();
+        if let Source::Sim { state, .. } = &source {
+            let subject = source.to_string();
+            let key = state.as_deref().map(lock::key_of_state);
+            let packs = plan.setup.options.packs.unwrap_or(1);
             let slot = Simulated {
-                gauge: gauge.clone(),
+                source,
                 clock: clock.clone(),
                 left: packs,
                 pack: None,
@@ -45,12 +46,14 @@ impl Place {
             return Ok(Self { bench: plan.bench(at, subject, false, key)?, slot: Box::new(slot) });
         }
         // The image says what the packs are, so none is asked before its registers read like that part's.
-        let gauge = GaugeOptions { chip: Some(chip), ..gauge.clone() };
-        let opened = Source::of(&gauge).open(Path::new(""), clock, false)?;
-        let slow = chip.is_slower_than(opened.clock_hz);
+        if let Source::Bus { chip, .. } = &mut source {
+            *chip = Some(chip_of_packs);
+        }
+        let opened = source.open(Path::new(""), clock, false)?;
+        let slow = chip_of_packs.is_slower_than(opened.clock_hz);
         let bench = plan.bench(at, opened.subject, slow, opened.journal_key)?;
         let bus = Shared(Arc::new(Mutex::new(opened.bus)));
-        let slot = Wired { chip, bus, clock: clock.clone(), _lock: opened.lock };
+        let slot = Wired { chip: chip_of_packs, bus, clock: clock.clone(), _lock: opened.lock };
         Ok(Self { bench, slot: Box::new(slot) })
     }
 }
@@ -118,7 +121,7 @@ fn answers(chip: &Chip, bus: &mut dyn Bus) -> bool {
 
 /// Simulated packs, each of which comes when the one before has gone.
 struct Simulated {
-    gauge: GaugeOptions,
+    source: Source,
     clock: Arc<dyn Clock>,
     left: u32,
     pack: Option<Pack>,
@@ -135,15 +138,13 @@ struct Pack {
 }
 
 impl Simulated {
-    /// The file of a pack: `%` in its name stands for the number of the pack.
-    fn state(&self) -> Option<PathBuf> {
-        let state = self.gauge.sim_state.as_ref()?;
-        Some(state.to_string_lossy().replace('%', &self.number.to_string()).into())
-    }
-
     fn connect(&mut self) -> Result<Pack> {
-        let gauge = GaugeOptions { sim_state: self.state(), ..self.gauge.clone() };
-        let opened = Source::of(&gauge).open(Path::new(""), &self.clock, false)?;
+        let mut source = self.source.clone();
+        if let Source::Sim { state: Some(state), .. } = &mut source {
+            // `%` in the name of the file stands for the number of the pack.
+            *state = state.to_string_lossy().replace('%', &self.number.to_string()).into();
+        }
+        let opened = source.open(Path::new(""), &self.clock, false)?;
         Ok(Pack { bus: Shared(Arc::new(Mutex::new(opened.bus))), _lock: opened.lock })
     }
 }

@@ -4,14 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
-
 use nix::unistd::{AccessFlags, access};
 
 use crate::error::{Error, Result};
 use crate::folders;
 
 /// Whether journals can be kept in a folder that was given; it is created when something is written to it.
-pub(super) fn check(folder: &Path) -> Result<()> {
+pub fn check(folder: &Path) -> Result<()> {
     let failed = |error: &std::io::Error| {
         let what = "cannot keep journals there; name another folder with --state-dir";
         Error::io(folder.display().to_string(), what, error)
@@ -25,7 +24,7 @@ pub(super) fn check(folder: &Path) -> Result<()> {
 
 /// The folder, and the name of the gauge in it. A gauge that ends with this process has no name, since there is
 /// nothing to settle later; it has one only if a folder was given.
-pub(crate) fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
+pub fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
     let key = match (key, folder) {
         (Some(key), _) => key,
         (None, Some(_)) => {

@@ -14,15 +14,16 @@ use ti_gauge::chip::Chip;
 use ti_gauge::keys::{Name, Secret};
 
 /// The owner of a gauge, driven by the caller's thread.
-pub(crate) struct Direct {
+pub struct Direct {
     pub(in crate::owner) owner: Owner,
-    pub(crate) handle: Handle,
+    /// What everybody else sees of it.
+    pub handle: Handle,
     requests: Receiver<(Duration, Request)>,
 }
 
 impl Direct {
     /// Nothing has been sent to the gauge yet.
-    pub(crate) fn new(
+    pub fn new(
         chip: &'static Chip,
         bus: Box<dyn Bus>,
         clock: Arc<dyn Clock>,
@@ -35,12 +36,12 @@ impl Direct {
     }
 
     /// Identifies the gauge, settles what an earlier process has left, and polls it.
-    pub(crate) fn open(&mut self) -> Result<()> {
+    pub fn open(&mut self) -> Result<()> {
         self.owner.first_poll()
     }
 
     /// Carries out an operation.
-    pub(crate) fn ask<A: Send, T: Send + 'static>(
+    pub fn ask<A: Send, T: Send + 'static>(
         &mut self,
         operation: &'static Operation<A, T>,
         argument: A,
@@ -65,28 +66,28 @@ impl Direct {
     }
 
     /// Makes sure that no row of it is erased, by the table and by its own backups.
-    pub(crate) fn check_erased(&mut self) -> Result<()> {
+    pub fn check_erased(&mut self) -> Result<()> {
         self.owner.check_erased(&[], Duration::ZERO)
     }
 
     /// The key that is sent to the gauge.
-    pub(crate) fn key(&self, name: Name) -> Option<Secret> {
+    pub fn key(&self, name: Name) -> Option<Secret> {
         self.owner.gauge.key(name)
     }
 
     /// The manual's key, unless it must not be tried.
-    pub(crate) fn default_key(&self, name: Name) -> Option<Secret> {
+    pub fn default_key(&self, name: Name) -> Option<Secret> {
         self.owner.gauge.default_key(name)
     }
 
     /// The keys of which a change is neither done nor undone.
-    pub(crate) fn owed_keys(&self) -> Vec<Name> {
+    pub fn owed_keys(&self) -> Vec<Name> {
         self.owner.dataflash.owed().map_or(Vec::new(), |owed| owed.keys.to_vec())
     }
 
     /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
     /// whether only a person can decide it.
-    pub(crate) fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {
+    pub fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {
         let clock = self.owner.gauge.clock.clone();
         let end = clock.now() + patience;
         loop {

@@ -1,14 +1,13 @@
-//! Opening a gauge where the configuration has it: a simulated one, a recording, or one on a bus.
+//! Where a gauge is, simulated, in a recording or on a bus, and how it is opened there.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use crate::config::Source;
 use crate::error::{Cause, Error, Result};
-use crate::fs::Knobs;
 use crate::lock::{self, Lock};
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
@@ -23,31 +22,104 @@ use ti_gauge::registers::bursts;
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
 
-/// A gauge that is reached and locked, and nothing more.
-pub(crate) struct Opened {
-    pub(crate) chip: &'static Chip,
-    pub(crate) bus: Box<dyn Bus>,
-    /// The bus clock, where it is known.
-    pub(crate) clock_hz: Option<u32>,
-    pub(crate) address: u8,
-    /// Its name in messages.
-    pub(crate) subject: String,
-    pub(crate) sim: Option<Sim>,
-    pub(crate) lock: Option<Lock>,
-    /// The name of its journal; `None` for a gauge that ends with this process.
-    pub(crate) journal_key: Option<String>,
-    /// The node of its adapter.
-    pub(crate) node: Option<PathBuf>,
-    /// The device at the address has not been seen to read like a gauge yet.
-    pub(crate) unverified: bool,
-    /// The reason why the gauge cannot be reached yet.
-    pub(crate) missing: Option<Error>,
+/// Where a gauge is.
+#[derive(Clone)]
+pub enum Source {
+    /// Simulated in this process.
+    Sim {
+        /// The part.
+        chip: &'static Chip,
+        /// File that keeps its flash, by its absolute path.
+        state: Option<PathBuf>,
+        /// Unseal key of a new one.
+        key: Option<[u16; 2]>,
+    },
+    /// In a file that `--trace` wrote.
+    Recording(PathBuf),
+    /// On a bus.
+    Bus {
+        /// The adapter's node.
+        bus: PathBuf,
+        /// Its 7-bit address.
+        address: u8,
+        /// `None` where the gauge is asked.
+        chip: Option<&'static Chip>,
+        /// Write one byte a transfer, also while the gauge is asked.
+        byte_writes: bool,
+    },
 }
 
-impl Source<'_> {
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sim { state: Some(state), .. } => write!(f, "simulated gauge kept in {}", state.display()),
+            Self::Sim { .. } => f.write_str("simulated gauge"),
+            Self::Recording(path) => write!(f, "recording {}", path.display()),
+            Self::Bus { bus, address, .. } => write!(f, "{} address 0x{address:02x}", bus.display()),
+        }
+    }
+}
+
+impl fmt::Debug for Source {
+    /// As it is displayed: the key is not shown.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// A gauge that is reached and locked, and nothing more.
+pub struct Opened {
+    /// Its table.
+    pub chip: &'static Chip,
+    /// The way to it.
+    pub bus: Box<dyn Bus>,
+    /// The bus clock, where it is known.
+    pub clock_hz: Option<u32>,
+    /// Its 7-bit address.
+    pub address: u8,
+    /// Its name in messages.
+    pub subject: String,
+    /// The simulated gauge, if it is one.
+    pub sim: Option<Sim>,
+    /// Keeps other processes out while it is held. A gauge that ends with this process needs none.
+    pub lock: Option<Lock>,
+    /// The name of its journal; `None` for a gauge that ends with this process.
+    pub journal_key: Option<String>,
+    /// The node of its adapter.
+    pub node: Option<PathBuf>,
+    /// The device at the address has not been seen to read like a gauge yet.
+    pub unverified: bool,
+    /// The reason why the gauge cannot be reached yet.
+    pub missing: Option<Error>,
+}
+
+impl Source {
+    /// The usual time between two polls.
+    pub(crate) fn interval(&self) -> Duration {
+        Duration::from_secs(if matches!(self, Self::Bus { .. }) { 30 } else { 3 })
+    }
+
+    /// Describes the source without the names of files.
+    pub fn place(&self) -> String {
+        match self {
+            Self::Sim { .. } => "simulated gauge".into(),
+            Self::Recording(_) => "recording".into(),
+            Self::Bus { .. } => self.to_string(),
+        }
+    }
+
+    /// What the gauge is, where that is known before it is opened.
+    pub fn chip(&self) -> Option<&'static Chip> {
+        match self {
+            Self::Sim { chip, .. } => Some(chip),
+            Self::Bus { chip, .. } => *chip,
+            Self::Recording(_) => None,
+        }
+    }
+
     /// What [`open`](Self::open) would find, as far as that can be seen without a change and without a transfer. The
     /// gauge is locked for a moment.
-    pub(crate) fn check(self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
+    pub fn check(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
             Self::Sim { chip, state: Some(path), .. } => {
                 let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
@@ -57,21 +129,22 @@ impl Source<'_> {
             Self::Recording(path) => recorded(path).map(drop),
             Self::Bus { bus, address, .. } => {
                 let adapter = Adapter::find(bus)?;
-                let _lock = claim(&adapter, address, mountpoint, clock)?;
-                Ok(LinuxBus::open(adapter, address, clock.clone()).map(drop)?)
+                let _lock = claim(&adapter, *address, mountpoint, clock)?;
+                Ok(LinuxBus::open(adapter, *address, clock.clone()).map(drop)?)
             }
         }
     }
 
     /// Opens and locks the gauge. With `waits`, one on a bus whose chip is known may be out of reach now.
-    pub(crate) fn open(self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
+    pub fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
             Self::Sim { chip, state, key } => {
+                let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
                 state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
-                let (sim, bus) = power_up(chip, state, key, clock)?;
+                let (sim, bus) = power_up(chip, state, *key, clock)?;
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
                 Ok(Opened { sim: Some(sim), lock, journal_key, ..opened })
@@ -80,7 +153,7 @@ impl Source<'_> {
                 let (chip, replay) = recorded(path)?;
                 Ok(Opened::new(chip, Box::new(replay), subject))
             }
-            Self::Bus { bus, address, chip, byte_writes } => {
+            &Self::Bus { ref bus, address, chip, byte_writes } => {
                 let opened = on_bus(bus, address, chip, byte_writes, &subject, mountpoint, clock);
                 let opened = match (opened, chip) {
                     (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
@@ -215,7 +288,7 @@ impl Opened {
 }
 
 /// The gauge of a recording, which has to contain all registers that a mount polls.
-pub(crate) fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
+pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let name = path.display().to_string();
     let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
     let recording = Recording::open(path)?;
@@ -235,21 +308,4 @@ pub(crate) fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
         }
     }
     Ok((chip, replay))
-}
-
-/// The files of `sim/`.
-pub(super) struct SimKnobs(pub(super) Sim);
-
-impl Knobs for SimKnobs {
-    fn list(&self) -> Vec<(&'static str, bool)> {
-        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
-    }
-
-    fn get(&self, name: &str) -> Option<String> {
-        self.0.get(name)
-    }
-
-    fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.0.set(name, text).map_err(of_sim)
-    }
 }

@@ -1,0 +1,64 @@
+//! One thread for each Texas Instruments fuel gauge. It owns the gauge: it identifies it, polls its registers, carries out
+//! requests one after the other, and pays what a failed access has left, such as a seal or an interrupted write. Nothing
+//! else touches the gauge's bus.
+//!
+//! An [`Opening`] finds a gauge where its [`Source`] has it, locks it, and starts its owner. A [`Handle`] is what everybody
+//! else sees of it: the values of the last poll, which cost no transfer, and the way to ask for one of the
+//! [`operations`].
+//!
+//! ```
+//! use std::sync::Arc;
+//!
+//! use gauge_bus::clock::RealClock;
+//! use gauge_owner::{GaugeSetup, Opening, Source, operations};
+//! use ti_gauge::chip::{Chip, Role};
+//! use ti_gauge::dataflash::Change;
+//! use ti_gauge::value::Value;
+//!
+//! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+//! let simulated = Source::Sim { chip, state: None, key: None };
+//! let opening = Opening::new("/run/gauges".into(), Arc::new(RealClock::new()));
+//! let gauge = opening.one("BAT0".into(), GaugeSetup::new(simulated))?.handle;
+//!
+//! // A value of the last poll.
+//! let voltage = chip.register(Role::VoltageNow).expect("it measures its voltage");
+//! let published = gauge.published();
+//! let millivolts = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(voltage));
+//! assert!(millivolts.is_some_and(|millivolts| millivolts > 2500));
+//!
+//! // An operation: Cell Terminate Voltage, verified before the answer.
+//! let row = chip.row("80", "53").expect("a parameter of the table");
+//! let change = Change::of_value(row, &Value::Int(3100), false)?;
+//! gauge.wait_for(&operations::WRITE, vec![change])?;
+//! # Ok::<(), gauge_owner::error::Error>(())
+//! ```
+//!
+//! A program that needs the gauge for one piece of work at a time has no use for a thread: a [`Direct`] is an owner that
+//! the caller drives.
+//!
+//! What belongs to an owner is here as well: the [`lock`] of a gauge, its [`key_file`], and the [folder of its
+//! journals](journal_dir).
+
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
+
+pub use gaugefs_host::error;
+use gaugefs_host::folders;
+
+pub mod journal_dir;
+pub mod key_file;
+pub mod lock;
+mod opening;
+mod owner;
+mod setup;
+mod source;
+
+pub use opening::{Opening, Ready};
+#[cfg(feature = "rig")]
+pub use owner::rig;
+pub use owner::{
+    Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Operation, Origin, Published,
+    Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, operations, readable, spawn, start,
+};
+pub use setup::GaugeSetup;
+pub use source::{Opened, Source, of_sim, recorded};

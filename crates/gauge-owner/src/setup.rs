@@ -1,0 +1,125 @@
+//! A gauge, and how it is run: what its options come to.
+
+use std::io::ErrorKind;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use nix::errno::Errno;
+
+use crate::error::{Error, Result};
+use crate::folders;
+use crate::key_file;
+use crate::owner::{Backup, Settings};
+use crate::source::Source;
+use gauge_bus::trace;
+use ti_gauge::authentication::Order;
+use ti_gauge::chip::Chip;
+use ti_gauge::dataflash::{Change, Limits};
+use ti_gauge::image::Image;
+use ti_gauge::journal::Journal;
+use ti_gauge::keys::Keys;
+
+/// A gauge, and how it is run. All paths are absolute.
+#[derive(Clone, Debug)]
+pub struct GaugeSetup {
+    /// Where it is.
+    pub source: Source,
+    /// The file with its keys; without one, systemd's credential.
+    pub key_file: Option<PathBuf>,
+    /// The manual's keys are not tried.
+    pub no_default_keys: bool,
+    /// Time between two polls.
+    pub interval: Duration,
+    /// Write one byte a transfer.
+    pub byte_writes: bool,
+    /// Also write parameters whose address or range is uncertain.
+    pub allow_unproven: bool,
+    /// Limits on writes.
+    pub limits: Limits,
+    /// Byte order in which challenges are sent.
+    pub auth_order: Order,
+    /// Image that a gauge without flash gets again after it has lost power.
+    pub restore: Option<PathBuf>,
+    /// File in which every transfer is recorded.
+    pub trace: Option<PathBuf>,
+    /// That file may be there already, and is replaced.
+    pub trace_replace: bool,
+}
+
+impl GaugeSetup {
+    /// A gauge with the usual settings.
+    pub fn new(source: Source) -> Self {
+        Self {
+            interval: source.interval(),
+            source,
+            key_file: None,
+            no_default_keys: false,
+            byte_writes: false,
+            allow_unproven: false,
+            limits: Limits::default(),
+            auth_order: Order::default(),
+            restore: None,
+            trace: None,
+            trace_replace: false,
+        }
+    }
+
+    /// Its keys, from its key file or else from systemd's credential.
+    pub fn keys(&self, name: &str) -> Result<Keys> {
+        let mut keys = match &self.key_file {
+            Some(path) => key_file::from_file(path, name)?,
+            None => key_file::from_credential(name)?.unwrap_or_default(),
+        };
+        keys.no_default = self.no_default_keys;
+        Ok(keys)
+    }
+
+    /// The configuration that it gets again after it has lost power, if its part is a `chip`.
+    pub fn restored(&self, chip: &'static Chip) -> Result<Vec<Change>> {
+        let Some(path) = &self.restore else { return Ok(Vec::new()) };
+        let image = Image::open(path, Some(chip))?;
+        Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+    }
+
+    /// Whether its trace can be recorded. A file that is there is not recorded over.
+    pub fn check_trace(&self) -> Result<()> {
+        let Some(path) = &self.trace else { return Ok(()) };
+        trace::check(path, self.trace_replace).map_err(|error| {
+            let name = path.display().to_string();
+            if error.kind() == ErrorKind::AlreadyExists {
+                let why =
+                    "the trace is there already; move it away, choose another name, or replace it with --trace-replace";
+                return Error::host(name, Errno::EEXIST, why);
+            }
+            Error::io(name, "cannot write the trace", &error)
+        })
+    }
+
+    /// How its owner runs it. `byte_writes` is what its bus needs, `place` the folder of its journals and backups, and its
+    /// name there.
+    pub fn settings(
+        &self,
+        keys: Keys,
+        chip: &'static Chip,
+        subject: &str,
+        byte_writes: bool,
+        place: Option<(PathBuf, String)>,
+        no_backup: bool,
+    ) -> Result<Settings> {
+        let key_file = self.key_file.as_ref().map(|path| path.display().to_string());
+        Ok(Settings {
+            keys,
+            key_file: key_file.or_else(key_file::of_credential),
+            interval: self.interval,
+            byte_writes: self.byte_writes || byte_writes,
+            allow_unproven: self.allow_unproven,
+            limits: self.limits,
+            auth_order: self.auth_order,
+            restore: self.restored(chip)?,
+            journal: place
+                .clone()
+                .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),
+            backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
+        })
+    }
+}

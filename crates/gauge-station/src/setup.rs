@@ -1,0 +1,34 @@
+//! A station as a whole.
+
+use std::path::{Path, PathBuf};
+
+use crate::options::Options;
+use gauge_owner::GaugeSetup;
+
+/// A station, as its file describes it. All paths are absolute.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// What it does with each pack.
+    pub options: Options,
+    /// The places at which packs are connected, each with its name.
+    pub gauges: Vec<(String, GaugeSetup)>,
+    /// Its name in the records.
+    pub name: String,
+    /// Its file, for messages.
+    pub file: String,
+    /// The file with a line for each pack.
+    pub record: PathBuf,
+    /// The folder for an image of each pack.
+    pub images: PathBuf,
+}
+
+impl Setup {
+    /// The station of a file with that absolute path, beside which it keeps its record unless the options say otherwise.
+    pub fn new(file: &Path, options: Options, gauges: Vec<(String, GaugeSetup)>) -> Self {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let record = options.record.clone().unwrap_or_else(|| file.with_extension("jsonl"));
+        let images = options.images.clone().unwrap_or_else(|| record.with_extension("images"));
+        let name = options.name.clone().unwrap_or(stem);
+        Self { options, gauges, name, file: file.display().to_string(), record, images }
+    }
+}

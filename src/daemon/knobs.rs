@@ -1,0 +1,23 @@
+//! The files of `sim/`.
+
+use crate::error::Result;
+use crate::fs::Knobs;
+use gauge_owner::of_sim;
+use gauge_sim::Sim;
+
+/// The knobs of a simulated gauge.
+pub(super) struct SimKnobs(pub(super) Sim);
+
+impl Knobs for SimKnobs {
+    fn list(&self) -> Vec<(&'static str, bool)> {
+        self.0.knobs().iter().map(|knob| (knob.name, knob.writable)).collect()
+    }
+
+    fn get(&self, name: &str) -> Option<String> {
+        self.0.get(name)
+    }
+
+    fn set(&self, name: &str, text: &str) -> Result<()> {
+        self.0.set(name, text).map_err(of_sim)
+    }
+}
