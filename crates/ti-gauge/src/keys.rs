@@ -208,7 +208,7 @@ pub const WIPED: usize = 16 * 1024;
 
 /// How deep the words of a key are wiped after a transfer. What is wiped stays in memory for as long as a gauge is
 /// mounted, so it is no more than a poll needs.
-pub const WIPED_OF_WORDS: usize = 8 * 1024;
+pub const WIPED_OF_WORDS: usize = 4 * 1024;
 
 /// Wipes copies of keys that functions have left on the stack.
 #[inline(never)]
