@@ -20,9 +20,10 @@ use std::time::Duration;
 
 use crate::chip::{Chip, FLAT, Kind, Subclass};
 use crate::codec::{Bytes, WINDOW};
+use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Entry, Identity, Journal, Mark, OpenJournal, Plan};
+use crate::journal::{Identity, Journal, OpenJournal};
 
 mod anonymous;
 mod blocks;
@@ -30,10 +31,13 @@ mod calmode;
 mod change;
 mod checks;
 mod erased;
+mod guard;
 mod io;
+mod job;
 mod keychange;
 mod keyrow;
 mod measured;
+mod now;
 mod owedseal;
 mod pack;
 mod planned;
@@ -51,15 +55,17 @@ use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
-use io::{read_subclass, reload, still_open, verify_written};
+use io::read_subclass;
+use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
 pub(crate) use measured::BEGINS;
+use now::{Arrival, Name, Now, Pack, Values};
 use owedseal::OwedSeal;
-use pack::Known;
 pub use pack::distinguishes;
+use pack::{Known, NOTHING};
 use preflight::{Found, KnownPack};
 use schemes::sequence;
-use session::{Left, Reference, Session, in_time, store};
+use session::{Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
 use state::has_lost_memory;
@@ -117,24 +123,26 @@ pub struct DataFlash {
     wear: Wear,
     /// The gauge whose values were read.
     known_pack: Option<KnownPack>,
+    /// Since when what is known holds.
+    now: Now,
     /// Another gauge has answered at its address.
-    doubts: bool,
+    doubts: Fact<(), Arrival>,
     /// A failed write left its mode on; the next write ends it.
     mode_left_on: bool,
     /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
-    gate: Option<(i16, u16)>,
+    gate: Fact<(i16, u16), Values>,
     /// A session of ours may have left calibration mode on.
     in_calibration: bool,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
-    signed: bool,
+    signed: Fact<(), Pack>,
     /// Records each write before it starts.
     journal: Option<Journal>,
-    /// Identity of the gauge for the journal; `None` until it is first needed.
-    identity: Option<Identity>,
+    /// Identity of the gauge for the journal.
+    identity: Fact<Identity, Name>,
     /// Blocks of this gauge as they were last read or written.
-    known: Known,
+    known: Fact<Known, Pack>,
     /// What distinguishes the pack, from before a time in which it may have been exchanged; empty once compared.
-    fingerprint: Known,
+    fingerprint: Fact<Known, Pack>,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
     /// What was last shown of it.
@@ -142,12 +150,12 @@ pub struct DataFlash {
     /// Its journal, locked while this process may go on with it.
     held: Option<OpenJournal>,
     /// How far the journals of other gauges have been compared with this one, and those that are not of it.
-    searched: Searched,
-    judged: Vec<PathBuf>,
+    searched: Fact<Searched, Arrival>,
+    judged: Fact<Vec<PathBuf>, Arrival>,
     /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
     unfinished: Option<Unfinished>,
     /// The gauge has refused the key of erased flash.
-    no_erased_key: bool,
+    no_erased_key: Fact<(), Arrival>,
     /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
     /// The journal of a read could not be written, which has been reported.
@@ -162,31 +170,28 @@ impl DataFlash {
 
     /// Forgets what was read from data flash: the gauge has lost it, or is another one.
     pub fn forget(&mut self) {
-        (self.gate, self.signed) = (None, false);
-        self.known.clear();
-        self.fingerprint.clear();
+        self.now.may_be_another();
     }
 
     /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
     /// compared when data flash is open for the next time.
     pub fn suspect(&mut self, chip: &'static Chip) {
-        let known = std::mem::take(&mut self.known);
-        let mut fingerprint = std::mem::take(&mut self.fingerprint);
-        self.forget();
+        let mut fingerprint = self.fingerprint.get(self.now.pack).cloned().unwrap_or_default();
+        for place in pack::mark_windows(chip) {
+            if let Some(content) = self.known().get(place) {
+                fingerprint.note(chip, place, content);
+            }
+        }
+        self.now.may_be_another();
         // An exchange of a gauge with RAM is a loss of power, which it reports.
         if chip.volatile.is_none() {
-            for place in pack::mark_windows(chip) {
-                if let Some(content) = known.get(place) {
-                    fingerprint.note(chip, place, content);
-                }
-            }
-            self.fingerprint = fingerprint;
+            self.fingerprint.learn(self.now.pack, fingerprint);
         }
     }
 
     /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
     pub fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
-        if self.fingerprint.is_empty() || gauge.seal()? == Seal::Sealed {
+        if self.fingerprint().is_empty() || gauge.seal()? == Seal::Sealed {
             return Ok(());
         }
         sequence(gauge).enable(gauge)?;
@@ -239,56 +244,59 @@ impl DataFlash {
             if !allowed(found) {
                 return Ok(None);
             }
-            let mut session = Session::new(found, asked);
-            session.pack.begin(gauge);
-            if found == Seal::Sealed {
-                let owed = match self.find_pending() {
-                    None => {
-                        self.owe(gauge, &mut session, 0).and_then(|()| self.note_marks(gauge, &mut session))
-                    }
-                    Some(_) => self.owe_seal(gauge, &mut session),
-                };
-                match owed {
-                    Ok(()) => self.unrecorded = false,
-                    // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it
-                    // leaves the gauge unsealed.
-                    Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
-                        if !std::mem::replace(&mut self.unrecorded, true) {
-                            log::warn!("{error}");
-                        }
-                    }
-                    Err(error) => return Err(error),
-                }
-            }
-            let read = session.open(gauge).and_then(|()| {
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                if found == Seal::Sealed { this.record_read(gauge, session) } else { Ok(()) }
+            };
+            let read = self.session(gauge, (found, asked), record, |this, gauge, session| {
+                session.open(gauge)?;
                 let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
                 if is_broken {
-                    self.suspect(gauge.chip);
+                    this.suspect(gauge.chip);
                 }
                 // Marks for later comparison. Failing to read them must not fail the read.
-                match self.learn_marks(gauge) {
+                match this.learn_marks(gauge) {
                     Ok(Some(row)) if is_broken => {
                         session.pack.is_exchanged();
-                        return Err(self.other_pack(gauge, row));
+                        return Err(this.other_pack(gauge, row));
                     }
                     Ok(_) => {}
                     Err(error) => log::debug!("{}: {error}", gauge.chip.name),
                 }
-                self.refer(gauge, &mut session);
-                wanted.iter().map(|subclass| self.read_subclass(gauge, subclass)).collect::<Result<_>>()
-            });
-            let read = read.and_then(|bytes| self.learn_gate(gauge).map(|()| bytes));
-            if read.is_ok() {
+                this.refer(gauge, session);
+                let read = wanted.iter().map(|subclass| this.read_subclass(gauge, subclass));
+                let read = read.collect::<Result<_>>()?;
+                this.learn_gate(gauge)?;
                 gauge.note_open();
-            }
-            self.end(session, gauge, read).map(Some)
+                Ok(read)
+            });
+            read.map(Some)
         });
         self.noted(outcome)
     }
 
+    /// Records that a sealed gauge is about to be opened for a read.
+    fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        let owed = match self.find_pending() {
+            None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
+            Some(_) => self.owe_seal(gauge, session),
+        };
+        match owed {
+            Ok(()) => self.unrecorded = false,
+            // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
+            // unsealed.
+            Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
+                if !std::mem::replace(&mut self.unrecorded, true) {
+                    log::warn!("{error}");
+                }
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
     /// Forgets the gate's values after any failure: the next write reads them again.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
-        outcome.inspect_err(|_| self.gate = None)
+        outcome.inspect_err(|_| self.now.may_have_changed())
     }
 
     /// Changes the seal state on request.
@@ -353,13 +361,14 @@ impl DataFlash {
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            let mut session = Session::new(found, asked);
-            session.pack.begin(gauge);
-            self.owe(gauge, &mut session, 0)?;
-            session.now = None;
-            let left = calmode::leave(gauge, calibration);
-            self.in_calibration &= left.is_err();
-            self.end(session, gauge, left)
+            let record =
+                |this: &mut Self, gauge: &mut Gauge, session: &mut Session| this.owe(gauge, session, 0);
+            self.session(gauge, (found, asked), record, |this, gauge, session| {
+                session.now = None;
+                let left = calmode::leave(gauge, calibration);
+                this.in_calibration &= left.is_err();
+                left
+            })
         })
     }
 
@@ -379,18 +388,20 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let mut session = Session::new(found.seal, asked);
-            session.pack.begin(gauge);
-            self.owe(gauge, &mut session, blocks(changes))?;
-            let opened = match found.seal {
-                Seal::Sealed => self.look_while_opening(gauge, &mut session, &found, changes),
-                Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                this.owe(gauge, session, blocks(changes))
             };
-            let outcome = opened.and_then(|found| self.change(gauge, changes, &found, extras, &mut session));
-            if outcome.is_err() && self.doubts {
-                session.pack.is_exchanged();
-            }
-            let outcome = self.end(session, gauge, outcome);
+            let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
+                let opened = match found.seal {
+                    Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),
+                    Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+                };
+                let outcome = opened.and_then(|found| this.change(gauge, changes, &found, extras, session));
+                if outcome.is_err() && this.doubts() {
+                    session.pack.is_exchanged();
+                }
+                outcome
+            });
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
                            memory may be lost";
@@ -398,81 +409,6 @@ impl DataFlash {
             }
             outcome
         })
-    }
-
-    /// Records that a session is about to change the gauge's state.
-    fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
-        let identity = self.identity(gauge)?;
-        gauge.watch();
-        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
-        session.entry = Some(entry);
-        self.refer(gauge, session);
-        if let Some(journal) = &self.journal {
-            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
-        }
-        Ok(())
-    }
-
-    fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
-        if let Some(journal) = &mut session.journal {
-            journal.plan(&plan)?;
-        }
-        if let Some(entry) = &mut session.entry {
-            entry.plan = Some(plan);
-        }
-        Ok(())
-    }
-
-    /// Records what is known of the pack of which only the seal will be owed.
-    fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
-        let marks = self.marks(gauge.chip);
-        if marks.is_empty() {
-            return Ok(());
-        }
-        self.note(session, Plan::of_marks(marks))
-    }
-
-    /// What distinguishes the pack, as far as it is known.
-    fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
-        let known = if self.fingerprint.is_empty() { &self.known } else { &self.fingerprint };
-        known.marks(chip)
-    }
-
-    /// From now on the session's pack is compared with what is known of it.
-    fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
-        let Some(entry) = &session.entry else { return };
-        let mut reference = Reference::of(entry);
-        if entry.owes_seal() {
-            reference.plan.marks = self.marks(gauge.chip);
-        }
-        session.pack.pack = Some(reference);
-    }
-
-    /// Ends a session, and keeps what it leaves to be settled.
-    fn end<T>(&mut self, mut session: Session, gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
-        let (outcome, left) = session.close(gauge, outcome);
-        if session.pack.is_another {
-            self.forget();
-            self.doubts = true;
-        }
-        self.in_calibration |= session.calibrating.is_some();
-        if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {
-            // Nothing was written: what its pack is known by is all that is left of it.
-            let marks = session.pack.pack.take().map_or(Vec::new(), |pack| pack.plan.marks);
-            if let Err(error) = self.note(&mut session, Plan::of_marks(marks)) {
-                log::warn!("{error}");
-            }
-        }
-        let plan = session.entry.as_ref().and_then(|entry| entry.plan.as_ref());
-        let by_gauge = outcome.is_ok() && plan.is_some_and(|plan| plan.by_gauge);
-        match left.or_else(|| by_gauge.then(|| Left::to_be_judged(session.pack.since()))) {
-            None => session.remove_journal(),
-            Some(left) => {
-                let journal = session.journal.take();
-                self.keep(gauge, session.entry.take(), journal, left);
-            }
-        }
-        outcome
     }
 
     /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.
@@ -534,21 +470,25 @@ impl DataFlash {
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let neighbours = self.neighbours(gauge, &dirty)?;
-        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known.marks(gauge.chip));
+        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known().marks(gauge.chip));
         self.note(session, plan)?;
         self.refer(gauge, session);
         // The write may change the serial number.
-        self.identity = None;
-        let change =
-            Planned { dirty: &dirty, neighbours: &neighbours, in_window, reset, was_lost: found.lost };
-        let programmed = program(gauge, session, &change, extras.accept);
-        for block in &dirty {
-            match programmed {
-                Ok(()) => self.known.note(gauge.chip, block.place, block.new),
-                Err(_) => self.known.forget(block.place),
+        self.now.may_be_renamed();
+        gauge.statistics.progress.begin(dirty.len());
+        let mut job = Job::write(dirty, neighbours, reset);
+        (job.in_window, job.was_lost) = (in_window, found.lost);
+        let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
+        for block in job.changed() {
+            match landed {
+                Landed::New => self.note_block(gauge, block.place, block.new),
+                Landed::Old(_) | Landed::Unknown(_) => self.known.in_epoch(self.now.pack).forget(block.place),
             }
         }
-        programmed.map(|()| Outcome::Written { reset, old })
+        match landed {
+            Landed::New | Landed::Old(None) => Ok(Outcome::Written { reset, old }),
+            Landed::Old(Some(error)) | Landed::Unknown(error) => Err(error),
+        }
     }
 
     /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
@@ -556,33 +496,50 @@ impl DataFlash {
     fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
-            if self.known.get(place).is_none() {
+            if self.known().get(place).is_none() {
                 let content = sequence(gauge).load(gauge, place)?;
-                other = other.or(self.fingerprint.contradicts(gauge.chip, place, &content));
-                self.known.note(gauge.chip, place, content);
+                other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
+                self.note_block(gauge, place, content);
             }
         }
-        self.fingerprint.clear();
-        self.doubts |= other.is_some();
+        // It has been compared.
+        self.fingerprint = Fact::default();
+        if other.is_some() {
+            self.doubt_pack();
+        }
         Ok(other)
     }
 
     fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
         let chip = gauge.chip;
         read_subclass(gauge, subclass, |place, content| {
-            if chip.volatile.is_none() && self.known.contradicts(chip, place, content).is_some() {
-                self.known.clear();
-                self.doubts = true;
+            if chip.volatile.is_none() && self.known().contradicts(chip, place, content).is_some() {
+                self.now.may_be_another();
+                self.doubt_pack();
             }
-            self.known.note(chip, place, *content);
+            self.known.in_epoch(self.now.pack).note(chip, place, *content);
         })
+    }
+
+    fn note_block(&mut self, gauge: &Gauge, place: Window, content: [u8; WINDOW]) {
+        self.known.in_epoch(self.now.pack).note(gauge.chip, place, content);
+    }
+
+    /// Blocks of this pack as they were last read or written.
+    fn known(&self) -> &Known {
+        self.known.get(self.now.pack).unwrap_or(&NOTHING)
+    }
+
+    /// What distinguished the pack before it may have been exchanged; empty once that was compared.
+    fn fingerprint(&self) -> &Known {
+        self.fingerprint.get(self.now.pack).unwrap_or(&NOTHING)
     }
 
     /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
-        let before = [&self.known, &self.fingerprint];
+        let before = [self.known(), self.fingerprint()];
         let Some(row) = before.iter().find_map(|known| known.contradicts(gauge.chip, place, content)) else {
-            self.known.note(gauge.chip, place, *content);
+            self.note_block(gauge, place, *content);
             return Ok(());
         };
         Err(self.other_pack(gauge, row))
@@ -595,8 +552,8 @@ impl DataFlash {
             row.1.name,
             Place::of(row)
         );
-        self.forget();
-        self.doubts = true;
+        self.now.may_be_another();
+        self.doubt_pack();
         Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify)
     }
 
@@ -608,15 +565,15 @@ impl DataFlash {
             one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
         };
         for place in dirty.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
-            if place.subclass == FLAT && self.known.get(place).is_none() {
+            if place.subclass == FLAT && self.known().get(place).is_none() {
                 // Beyond the end of data flash there is none.
                 if let Ok(content) = sequence(gauge).load(gauge, place) {
-                    self.known.note(gauge.chip, place, content);
+                    self.note_block(gauge, place, content);
                 }
             }
             let is_new = found.iter().all(|block| apart(block.place, place))
                 && dirty.iter().all(|block| apart(block.place, place));
-            if let Some(content) = self.known.get(place).filter(|_| is_new) {
+            if let Some(content) = self.known().get(place).filter(|_| is_new) {
                 let learned = learned(gauge.chip, place);
                 found.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
             }
@@ -635,80 +592,6 @@ pub(crate) struct Extras<'a> {
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.
     pub(crate) accept: Option<Accept<'a>>,
-}
-
-/// A change that has been checked and recorded.
-struct Planned<'a> {
-    dirty: &'a [Dirty],
-    /// The blocks next to them, where they are known.
-    neighbours: &'a [Dirty],
-    /// The only block is in the window already.
-    in_window: bool,
-    reset: bool,
-    /// The gauge's data memory is RAM and was lost before the write.
-    was_lost: bool,
-}
-
-/// Writes and verifies the blocks; restores those that may have been committed if it fails, and their neighbours.
-fn program(
-    gauge: &mut Gauge,
-    session: &mut Session,
-    change: &Planned<'_>,
-    accept: Option<Accept<'_>>,
-) -> Result<()> {
-    let &Planned { dirty, neighbours, in_window, reset, was_lost } = change;
-    gauge.statistics.progress.begin(dirty.len());
-    session.begin(gauge)?;
-    let (mut touched, mut finished) = (0, false);
-    let forward = dirty.iter().try_for_each(|block| {
-        let compared = session.pack.compared;
-        session.assure(gauge)?;
-        // Where the pack has been compared, other blocks were loaded.
-        let in_window = in_window && session.pack.compared == compared;
-        let block = if in_window { block.clone() } else { reload(gauge, block)? };
-        session.go_forward(gauge);
-        store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
-    });
-    let forward = forward.and_then(|()| {
-        if !reset && !sequence(gauge).always_finishes() {
-            return still_open(gauge);
-        }
-        session.leave_calibration(gauge)?;
-        finished = true;
-        session.finish(gauge)?;
-        dirty.iter().try_for_each(|block| verify_written(gauge, block))?;
-        accept.map_or(Ok(()), |accept| accept(gauge))
-    });
-    let Err(error) = forward else { return Ok(()) };
-    if touched == 0 {
-        return Err(error);
-    }
-    session.go_back(gauge);
-    if !was_lost && has_lost_memory(gauge).unwrap_or(false) {
-        session.forget_mode();
-        let why = format!("{error}; the gauge has lost its power, and its data memory with it");
-        return Err(Error::new("", Cause::StateUnknown(why)));
-    }
-    let (written, waiting) = dirty.split_at(touched.min(dirty.len()));
-    let back = session.restore(gauge, written.iter().chain(neighbours), finished);
-    let mut back = back.and_then(|()| session.restore_erased(gauge, waiting));
-    if back.is_ok() && finished && !sequence(gauge).always_finishes() {
-        // The gauge may work with the new values.
-        back = session.finish(gauge).and_then(|()| {
-            let olds = dirty.iter().map(|block| Dirty { new: block.old, ..block.clone() });
-            olds.into_iter().try_for_each(|block| verify_written(gauge, &block))
-        });
-    }
-    match back {
-        Ok(()) => {
-            let why = format!("{error}; the old value was restored and verified");
-            Err(Error::new("", Cause::RolledBack(why)))
-        }
-        Err(second) => {
-            let why = format!("{error}; then {second}: data flash contents unknown");
-            Err(Error::new("", Cause::StateUnknown(why)))
-        }
-    }
 }
 
 impl Place {

@@ -153,9 +153,11 @@ impl Progress {
         self.0.store(blocks as u64, Ordering::Relaxed);
     }
 
-    /// Counts a block that was programmed and verified.
+    /// Counts a block that was programmed and verified, while a write is in progress.
     pub fn step(&self) {
-        self.0.fetch_add(1 << 32, Ordering::Relaxed);
+        if self.get().is_some() {
+            self.0.fetch_add(1 << 32, Ordering::Relaxed);
+        }
     }
 
     /// Ends the write, whatever its outcome.

@@ -204,7 +204,7 @@ impl fmt::Debug for Keys {
 }
 
 /// How deep below its caller [`wipe_stack`] wipes, in bytes.
-pub const WIPED: usize = 16 * 1024;
+pub const WIPED: usize = 24 * 1024;
 
 /// How deep the words of a key are wiped after a transfer. What is wiped stays in memory for as long as a gauge is
 /// mounted, so it is no more than a poll needs.

@@ -44,6 +44,7 @@ pub mod chip;
 pub mod codec;
 pub mod dataflash;
 pub mod date;
+pub mod epoch;
 pub mod error;
 pub mod gauge;
 pub mod image;

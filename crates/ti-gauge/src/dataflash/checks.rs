@@ -17,7 +17,7 @@ impl DataFlash {
     /// Checks, before the first write, rows with known content, which show whether this firmware keeps its
     /// data flash at the addresses in the table.
     pub(super) fn check_signature(&mut self, gauge: &mut Gauge) -> Result<()> {
-        if self.signed {
+        if self.signed.is_known(self.now.pack) {
             return Ok(());
         }
         for row in gauge.chip.signature {
@@ -34,21 +34,21 @@ impl DataFlash {
                 return Err(Error::new("", Cause::Gone(why)).at(Step::Check));
             }
         }
-        self.signed = true;
+        self.signed.learn(self.now.pack, ());
         Ok(())
     }
 
     /// Reads the limit and the divider of the flash-voltage gate, unless they are known. UNSEALED only.
     pub(super) fn learn_gate(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(gate) = &gauge.chip.gate else { return Ok(()) };
-        if self.gate.is_none() {
+        if !self.gate.is_known(self.now.values) {
             let divider = gate.divider.map(|row| self.word(gauge, row)).transpose()?;
             let limit = match divider {
                 // Loading the divider's block has shown that the window shows data flash.
                 Some(_) => short_word(gauge, gate.limit)?,
                 None => self.word(gauge, gate.limit)?,
             };
-            self.gate = Some((limit as i16, divider.unwrap_or(1)));
+            self.gate.learn(self.now.values, (limit as i16, divider.unwrap_or(1)));
         }
         Ok(())
     }
@@ -64,7 +64,9 @@ impl DataFlash {
     /// Checks that the gate is open now.
     pub(super) fn check_gate(&mut self, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
         self.learn_gate(gauge)?;
-        let (Some(gate), Some((limit, divider))) = (&gauge.chip.gate, self.gate) else { return Ok(()) };
+        let (Some(gate), Some(&(limit, divider))) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
+            return Ok(());
+        };
         // The number of cells is left out: should it count, the gauge stores nothing and the write fails.
         let now = Setting { limit: limit.into(), divider: divider.into(), external: false, cells: 1 };
         let Some(shut) = now.shut(gate, voltage_mv.into()) else { return Ok(()) };
@@ -72,7 +74,7 @@ impl DataFlash {
             return Ok(());
         }
         // It is read again before the next write.
-        self.gate = None;
+        self.now.may_have_changed();
         let why = format!("{shut}: charge the pack{}", remedy(gate));
         Err(Error::new("", Cause::NotNow(why)).at(Step::Check))
     }
@@ -86,7 +88,9 @@ impl DataFlash {
         dirty: &mut [Dirty],
         voltage_mv: u16,
     ) -> Result<bool> {
-        let (Some(gate), Some(known)) = (&gauge.chip.gate, self.gate) else { return Ok(false) };
+        let (Some(gate), Some(&known)) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
+            return Ok(false);
+        };
         let mut cells = 1;
         let (before, after) =
             (Setting::of(gate, known, cells, dirty, 0), Setting::of(gate, known, cells, dirty, dirty.len()));
@@ -94,7 +98,7 @@ impl DataFlash {
             return Ok(false);
         }
         // From here on the values that were read before the write no longer count.
-        self.gate = None;
+        self.now.may_have_changed();
         let mut loaded = false;
         if let Some(row) = gate.cells.filter(|row| !dirty.iter().any(|block| block.at(*row).is_some())) {
             let (place, at) = place_of(row);

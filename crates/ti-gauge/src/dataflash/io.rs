@@ -3,8 +3,7 @@
 use std::time::Duration;
 
 use super::schemes::sequence;
-use super::window::locate;
-use super::window::{Dirty, Window};
+use super::window::{Dirty, Window, holds_keys, locate};
 use crate::chip::Subclass;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
@@ -84,16 +83,20 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
     }
 }
 
-/// Selects and reads the block again: right after a write the window shows the buffer, not flash.
+/// Selects and reads the block again: right after a write the window shows the buffer, not flash. Keys that are read wrong
+/// cannot be corrected once the gauge is sealed, so two looks have to agree on them.
 pub(super) fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     patiently(gauge, |gauge| {
-        let stored = sequence(gauge).glance(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-        compare(block, &stored)
+        let stored = match holds_keys(gauge.chip, block.place) {
+            true => sequence(gauge).load(gauge, block.place),
+            false => sequence(gauge).glance(gauge, block.place),
+        };
+        compare(block, &stored.map_err(|error| error.at(Step::Verify))?)
     })
 }
 
 /// Looks until the gauge shows what was committed, or for as long as programming may take.
-pub(super) fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Result<()> {
+fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Result<()> {
     let mut outcome = look(gauge);
     for _ in 1..VERIFIES {
         if outcome.is_ok() {

@@ -14,17 +14,19 @@
 //! short is undone by the process that has begun it and still knows the keys, or made or undone by whoever makes it
 //! once more with the same two keys; until then nothing else is written.
 
+use std::cell::OnceCell;
 use std::fmt;
 use std::time::Duration;
 
 use zeroize::{Zeroize, Zeroizing};
 
-use super::io::{COMMITTED, STORES, is_passing, patiently};
+use super::io::COMMITTED;
+use super::job::Job;
 use super::keyrow::{keeps_unseal_key, quietly, stored};
 use super::pack::{Match, compare};
 use super::planned::{self, Held, look};
 use super::schemes::sequence;
-use super::session::{Left, RESTORES, Session, own_up};
+use super::session::{ByKeys, Left, Patience, RESTORES, Session, own_up, store};
 use super::verdict::{Verdict, unrestored};
 use super::window::{Dirty, Window};
 use super::window::{learned, locate, secrets};
@@ -34,7 +36,7 @@ use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::Bytes;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, SEAL_LAG, Seal, Statistics};
+use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal};
 use crate::journal::{Identity, KEYS_WRITTEN, KeyPlan, Plan};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
@@ -113,8 +115,6 @@ struct Task<'a> {
     /// In which order challenges are sent.
     order: Order,
     found: Seal,
-    /// The state to be restored.
-    goal: Seal,
     /// The mount's keys that lead from SEALED up.
     mine: [Option<Secret>; 2],
     /// Something was sent that may have changed the seal.
@@ -174,47 +174,55 @@ impl DataFlash {
             Some(_) => self.adopt(gauge, &mut session)?,
             None => self.owe(gauge, &mut session, 0)?,
         }
+        session.patience =
+            Some(Patience { silence: START, refusals: WAY + gauge.chip.security.key_silence * 2 * RESTORES });
         let mut task = Task::new(gauge, block, change, order, found.seal);
-        (task.goal, task.torn) = (session.found, left.is_some());
-        let outcome = task.run(self, gauge, found.voltage_mv, &mut session);
-        let cause = outcome.as_ref().err().map(Error::cause);
-        let unknown = matches!(cause, Some(Cause::StateUnknown(_)));
-        // All keys but those that are lost have been used.
-        let is_known = matches!(cause, None | Some(Cause::RolledBack(_)));
-        let outcome = task.close(gauge, outcome);
-        let why = outcome.as_ref().err().map_or(String::new(), ToString::to_string);
-        if unknown {
-            let journal = session.journal.take();
-            self.keep(gauge, session.entry.take(), journal, Left::of(true, why));
-            return outcome;
-        }
-        if left.is_some() && !is_known {
-            // As before.
-            return outcome;
-        }
-        (self.pending, self.unfinished) = (None, None);
-        if is_known && !task.lost.is_empty() {
-            for &name in &task.lost {
-                session.note_keys(|key| key.begin(name), &keys_line(name));
+        task.torn = left.is_some();
+        let known = OnceCell::new();
+        let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+            let outcome = task.run(this, gauge, found.voltage_mv, session);
+            let is_known = match outcome.as_ref().map_err(Error::cause) {
+                Ok(()) | Err(Cause::RolledBack(_)) => true,
+                Err(_) => false,
+            };
+            // All keys but those that are lost have been used.
+            known.get_or_init(|| is_known.then(|| std::mem::take(&mut task.lost)));
+            if task.moved {
+                session.now = None;
             }
-            let why = still_lost(&task.lost);
-            log::warn!("{}: {why}", gauge.chip.name);
-            let journal = session.journal.take();
-            self.keep(gauge, session.entry.take(), journal, Left::of(true, why));
-            self.leave_to_person();
-            return outcome;
-        }
-        let is_open = matches!(&outcome, Err(error) if matches!(error.cause(), Cause::StateUnknown(_)))
-            && task.goal == Seal::Sealed
-            && gauge.seal() != Ok(Seal::Sealed);
-        match is_open {
-            true => {
-                let journal = session.journal.take();
-                self.keep(gauge, session.entry.take(), journal, Left::of(false, why));
+            if session.found == Seal::Sealed && task.is_to_stay_open(gauge) {
+                session.stays(Seal::FullAccess);
             }
-            false => session.remove_journal(),
-        }
-        outcome
+            outcome
+        };
+        self.guard(gauge, session, run, |this, mut session, gauge, outcome, owed| {
+            let lost = known.get().cloned().flatten();
+            match owed {
+                // Which keys it has is not known.
+                Some(owed) if owed.data => this.leave(gauge, session, owed),
+                // A change that was cut short before is as it was.
+                _ if left.is_some() && lost.is_none() => {}
+                owed => {
+                    (this.pending, this.unfinished) = (None, None);
+                    match (lost.unwrap_or_default(), owed) {
+                        (lost, owed) if lost.is_empty() => match owed {
+                            Some(owed) => this.leave(gauge, session, owed),
+                            None => session.remove_journal(),
+                        },
+                        (lost, _) => {
+                            for &name in &lost {
+                                session.note_keys(|key| key.begin(name), &keys_line(name));
+                            }
+                            let why = still_lost(&lost);
+                            log::warn!("{}: {why}", gauge.chip.name);
+                            this.leave(gauge, session, Left::of(true, why));
+                            this.leave_to_person();
+                        }
+                    }
+                }
+            }
+            outcome
+        })
     }
 
     /// The change of keys that was cut short and is to be settled, if there is one.
@@ -366,7 +374,6 @@ impl<'a> Task<'a> {
             start,
             order,
             found,
-            goal: found,
             mine: SEALS.map(|name| gauge.key(name)),
             moved: false,
             torn: false,
@@ -434,6 +441,7 @@ impl<'a> Task<'a> {
             if *name == Name::Authentication { Some(key.clone()) } else { authentication.clone() }
         };
         self.announce(dataflash, gauge, session, &before, &before_ring)?;
+        dataflash.refer(gauge, session);
         let mut touched = 0;
         let written = self.write(gauge, &after, &mut touched);
         let proven = written.and_then(|()| {
@@ -661,7 +669,7 @@ impl<'a> Task<'a> {
                 rows.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
-        let marks = dataflash.known.marks(gauge.chip);
+        let marks = dataflash.known().marks(gauge.chip);
         let mut plan = planned::plan(gauge, false, &[], &rows, marks);
         let is_erased = |name: &Name| match name {
             Name::Authentication => {
@@ -805,38 +813,12 @@ impl<'a> Task<'a> {
             let learned = Bytes::of(|at| !goes.has(at));
             let mut block = Dirty { place: self.place, old: *present, new: *present, written: goes, learned };
             goes.iter().for_each(|at| block.new[at] = keys[at]);
-            let stored = self.commit(gauge, &block, touched);
+            // The keys that it has taken show that it is the one.
+            let stored = store(gauge, &mut ByKeys, &block, touched);
             block.old.zeroize();
             block.new.zeroize();
             stored
         })
-    }
-
-    /// Programs the keys and reads them back. A commit that was not acknowledged and has changed nothing is repeated.
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty, touched: &mut usize) -> Result<()> {
-        let keeps = |gauge: &mut Gauge, keys: &[u8; WINDOW]| {
-            let present = sequence(gauge).load(gauge, block.place).map(Zeroizing::new);
-            let present = present.map_err(|error| error.at(Step::Verify))?;
-            if block.written.iter().all(|at| present[at] == keys[at]) {
-                return Ok(());
-            }
-            let why = "the gauge keeps other keys than were written";
-            Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
-        };
-        *touched += 1;
-        for attempt in 1.. {
-            Statistics::count(&gauge.statistics.flash_writes);
-            let committed = sequence(gauge).pieces(block).iter().try_for_each(|piece| {
-                sequence(gauge).fill(gauge, piece).and_then(|()| sequence(gauge).commit(gauge, piece))
-            });
-            let Err(error) = patiently(gauge, |gauge| keeps(gauge, &block.new)) else { return Ok(()) };
-            let unchanged = committed.as_ref().is_err_and(is_passing) && keeps(gauge, &block.old).is_ok();
-            if attempt == STORES || !unchanged {
-                // A checksum may take effect even if its acknowledgement was lost.
-                return Err(committed.err().unwrap_or(error));
-            }
-        }
-        Ok(())
     }
 
     /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and
@@ -949,8 +931,7 @@ impl<'a> Task<'a> {
         if let Err(error) = self.put_back(gauge, unfinished, &mut 0) {
             self.is_unknown = true;
             if self.is_to_stay_open(gauge) {
-                session.found = Seal::FullAccess;
-                session.now = Some(Seal::FullAccess);
+                session.stays(Seal::FullAccess);
             }
             return Err(unrestored(error));
         }
@@ -1065,48 +1046,6 @@ impl<'a> Task<'a> {
         }
         candidates
     }
-
-    /// Restores the seal state and reports both errors if there are two.
-    fn close(&self, gauge: &mut Gauge, outcome: Result<()>) -> Result<()> {
-        gauge.limit(Some(WAY + gauge.chip.security.key_silence * 2 * RESTORES));
-        let limit = gauge.clock.now() + START;
-        if self.goal == Seal::Sealed && self.is_to_stay_open(gauge) {
-            return outcome;
-        }
-        let restore = |gauge: &mut Gauge| match self.goal {
-            // CONTROL_STATUS may still show the state before the last key.
-            Seal::Sealed if outcome.is_err() => {
-                gauge.wait(SEAL_LAG);
-                gauge.close()
-            }
-            found => gauge.go_to(found),
-        };
-        let mut closed = restore(gauge);
-        while closed.is_err() && gauge.may_try_until(limit) {
-            gauge.wait(POLL_INTERVAL);
-            gauge.forget_refusal();
-            closed = restore(gauge);
-        }
-        let found = self.goal.as_str();
-        match (outcome, closed) {
-            (outcome, Ok(())) => outcome,
-            // It does not answer, and nothing was sent that could have changed its state.
-            (Err(first), Err(_)) if !self.moved => Err(first),
-            (Ok(()), Err(error)) => {
-                let why =
-                    format!("the gauge takes the new key, but restoring the {found} state failed: {error}");
-                Err(Error::new("", Cause::StateUnknown(why)))
-            }
-            (Err(first), Err(second)) => {
-                let key = match first.cause() {
-                    Cause::RolledBack(_) | Cause::StateUnknown(_) => "",
-                    _ => "no key was changed, but ",
-                };
-                let why = format!("{first}; {key}restoring the {found} state failed: {second}");
-                Err(Error::new("", Cause::StateUnknown(why)))
-            }
-        }
-    }
 }
 
 fn neither() -> Error {
@@ -1124,18 +1063,14 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
         let why = "a row next to the keys has changed, which the change of keys does not touch";
         return Err(Error::new("", Cause::Protocol(why.into())).at(Step::Restore));
     }
-    let torn: Vec<&Dirty> = seen
-        .iter()
-        .filter(|seen| matches!(seen.held, Held::Torn | Held::Unexplained))
-        .map(|seen| &seen.block)
-        .collect();
-    if torn.is_empty() {
+    let mut job = Job::interrupted(seen, false);
+    if job.is_intact() {
         return Ok(());
     }
     // The keys that it took have shown that it is the one.
     session.pack.begin(gauge);
     gauge.learn_selection();
-    quietly(gauge, |gauge| session.restore(gauge, torn.into_iter(), false))
+    quietly(gauge, |gauge| job.back(gauge, session, true))
 }
 
 /// Whether the gauge answers a random challenge as only this key does.
@@ -1312,10 +1247,10 @@ fn probe(
         }
         if found != Seal::Sealed && has.contains(&Has::Neither) {
             // Nobody knows whether it could be opened again.
-            (session.found, session.now) = (now, Some(now));
+            session.stays(now);
         }
     } else if now == Seal::Unsealed && found != Seal::Sealed {
-        (session.found, session.now) = (now, Some(now));
+        session.stays(now);
     }
     let tell = |name: Name, has: Has| {
         let what = match has {

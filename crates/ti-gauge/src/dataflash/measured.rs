@@ -29,11 +29,14 @@ impl DataFlash {
         let waited = self.settle_first(gauge, waited)?;
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            let mut session = Session::new(gauge.seal_anew()?, asked);
-            session.pack.begin(gauge);
-            self.owe(gauge, &mut session, rows.len())?;
-            let noted = session.open(gauge).and_then(|()| self.note_measured(gauge, rows, &mut session));
-            self.end(session, gauge, noted)
+            let found = gauge.seal_anew()?;
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                this.owe(gauge, session, rows.len())
+            };
+            self.session(gauge, (found, asked), record, |this, gauge, session| {
+                session.open(gauge)?;
+                this.note_measured(gauge, rows, session)
+            })
         })
     }
 
@@ -63,7 +66,7 @@ impl DataFlash {
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
         self.note(session, Plan { by_gauge: true, ..plan })?;
-        blocks.iter().for_each(|block| self.known.forget(block.place));
+        blocks.iter().for_each(|block| self.known.in_epoch(self.now.pack).forget(block.place));
         Ok(olds)
     }
 

@@ -15,8 +15,11 @@ use crate::journal::{Identity, Mark, Plan};
 use crate::value::Value;
 
 /// Blocks as they were last read or written, while the gauge has answered.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Known(BTreeMap<(u8, u16), [u8; WINDOW]>);
+
+/// Where nothing was read yet.
+pub(super) static NOTHING: Known = Known(BTreeMap::new());
 
 impl Known {
     /// Notes a block. One that holds keys is not kept.
@@ -32,10 +35,6 @@ impl Known {
 
     pub(super) fn forget(&mut self, place: Window) {
         self.0.remove(&(place.subclass, place.base));
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.0.clear();
     }
 
     pub(super) fn is_empty(&self) -> bool {

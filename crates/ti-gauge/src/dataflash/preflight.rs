@@ -83,9 +83,8 @@ pub(super) struct Found {
 impl DataFlash {
     /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
     pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
-        self.forget();
+        self.now.arrives();
         self.look_again();
-        (self.doubts, self.identity) = (false, None);
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             // All subcommands that distinguish packs are named CHEM_ID.
             Some(Word::Answer(_)) => answers.chem_id,
@@ -97,12 +96,12 @@ impl DataFlash {
 
     /// Whether another gauge has answered instead of the one whose values were read.
     pub fn doubts(&self) -> bool {
-        self.doubts
+        self.doubts.is_known(self.now.arrival)
     }
 
     /// The gauge has answered otherwise than when it was identified.
     pub fn doubt_pack(&mut self) {
-        self.doubts = true;
+        self.doubts.learn(self.now.arrival, ());
     }
 
     /// Whether the registers of a poll have to be read again before they are believed: they show another pack, another
@@ -145,8 +144,10 @@ impl DataFlash {
         }
         known_pack.pack = known_pack.pack.or(pack);
         (known_pack.cycles, known_pack.design) = (cycles, design);
-        self.doubts |= contradicted;
-        self.doubts
+        if contradicted {
+            self.doubt_pack();
+        }
+        self.doubts()
     }
 
     /// Runs the checks that do not need an unsealed gauge.
@@ -257,7 +258,7 @@ impl DataFlash {
         let expected = *known_pack.pack.get_or_insert(now);
         self.same(chip, pack.name, expected, Some(now).filter(|&now| now != expected))?;
         if chip.serial_register().is_some() {
-            self.identity = Some(Identity::of(chip, firmware_version, now));
+            self.identity.learn(self.now.name, Identity::of(chip, firmware_version, now));
         }
         Ok(())
     }
@@ -274,7 +275,9 @@ impl DataFlash {
     }
 
     fn doubt(&mut self, error: &Error) {
-        self.doubts |= matches!(error.cause(), Cause::Gone(_));
+        if matches!(error.cause(), Cause::Gone(_)) {
+            self.doubt_pack();
+        }
     }
 
     /// Whether the state found allows a write.

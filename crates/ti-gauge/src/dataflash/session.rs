@@ -5,12 +5,8 @@ use std::time::Duration;
 use gauge_bus::BusError;
 
 use super::calmode;
-use super::io::reload;
 use super::schemes::sequence;
-use super::window::{Dirty, Window};
 use crate::chip::{Bit, Calibration};
-use crate::codec::Bytes;
-use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 
@@ -20,7 +16,7 @@ mod store;
 use crate::journal::{Entry, KeyPlan, OpenJournal};
 use assure::Assurance;
 pub(super) use assure::Reference;
-pub(super) use store::store;
+pub(super) use store::{ByKeys, store};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
@@ -33,10 +29,10 @@ const LEAST_BACK: Duration = Duration::from_secs(5);
 /// each of these ends up to 1.6 s late, by a wait and a transfer.
 const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
+/// Between two attempts to restore the seal state of a gauge that does not answer.
+const TRY_AGAIN: Duration = Duration::from_millis(200);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
-/// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
-const MOVES: Duration = Duration::from_millis(1200);
 /// Times that RESET is sent, and how long it may take to show: up to 500 ms in which the gauge does not answer,
 /// or answers as before.
 const RESETS: u32 = 3;
@@ -55,14 +51,23 @@ pub(super) struct Session {
     begun: bool,
     /// Calibration mode was entered and must be left on every exit.
     pub(super) calibrating: Option<&'static Calibration>,
-    /// Bytes that no table calls learned, and that were seen to move by themselves.
-    moving: Vec<(Window, Bytes)>,
+    /// How long the seal state is restored; `None` while a short time is enough.
+    pub(super) patience: Option<Patience>,
     /// What is known of the gauge that answers.
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     /// The journal on disk that says the same.
     pub(super) journal: Option<OpenJournal>,
+}
+
+/// How long the seal state of a gauge is restored whose keys have been tried.
+#[derive(Clone, Copy)]
+pub(super) struct Patience {
+    /// Time in which a gauge that does not answer may restart.
+    pub(super) silence: Duration,
+    /// Time for it all, with the pauses after keys that were refused.
+    pub(super) refusals: Duration,
 }
 
 /// What a session leaves to be settled.
@@ -99,7 +104,7 @@ impl Session {
             decided: false,
             begun: false,
             calibrating: None,
-            moving: Vec::new(),
+            patience: None,
             pack: Assurance::default(),
             entry: None,
             journal: None,
@@ -112,6 +117,11 @@ impl Session {
         if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
             log::warn!("{error}");
         }
+    }
+
+    /// The gauge is in that seal state and stays in it: nobody may be able to open it again.
+    pub(super) fn stays(&mut self, now: Seal) {
+        (self.found, self.now) = (now, Some(now));
     }
 
     /// Makes data flash readable.
@@ -245,71 +255,8 @@ impl Session {
         }
     }
 
-    /// Restores the old bytes, the last block first: flash is then open after each of them as it was on the way
-    /// here. Once the gauge uses the new values (`finished`) only the written bytes are
-    /// restored, which keeps what it has learned since. Before that the whole block is: a bit error in a
-    /// register address puts a byte in the wrong place, and the checksum, a plain sum, does not detect it.
-    pub(super) fn restore<'a>(
-        &mut self,
-        gauge: &mut Gauge,
-        blocks: impl DoubleEndedIterator<Item = &'a Dirty> + Clone,
-        finished: bool,
-    ) -> Result<()> {
-        let mut outcome = Ok(());
-        for _ in 0..RESTORES {
-            outcome = self
-                .open_again(gauge)
-                .and_then(|()| sequence(gauge).enable(gauge))
-                .and_then(|()| self.assure(gauge))
-                .and_then(|_| {
-                    blocks.clone().rev().try_for_each(|block| self.restore_block(gauge, block, finished))
-                });
-            if outcome.is_ok() || self.pack.is_lost() {
-                break;
-            }
-            if outcome.as_ref().is_err_and(reads_wrong) {
-                blocks.clone().for_each(|block| self.learn_moving(gauge, block));
-            }
-            gauge.wait(Duration::from_millis(200));
-        }
-        outcome.map_err(|error| error.at(Step::Restore))
-    }
-
-    /// Finds out which bytes of a block, that a write does not touch, move by themselves. To put them back would program
-    /// the block again and again.
-    fn learn_moving(&mut self, gauge: &mut Gauge, block: &Dirty) {
-        let Ok(first) = sequence(gauge).load(gauge, block.place) else { return };
-        gauge.wait(MOVES);
-        let Ok(second) = sequence(gauge).load(gauge, block.place) else { return };
-        let moving = Bytes::of(|at| first[at] != second[at]).without(block.written).without(block.learned);
-        if moving != Bytes::default() {
-            let names: Vec<String> = moving.iter().map(|at| block.place.name(at)).collect();
-            log::warn!("{}: {} moves by itself, and is left alone", gauge.chip.name, names.join(", "));
-            self.moving.push((block.place, moving));
-        }
-    }
-
-    /// A block as it goes back: what was seen to move by itself is left to the gauge.
-    fn without_moving(&self, block: &Dirty) -> Dirty {
-        let moving = self.moving.iter().filter(|(place, _)| *place == block.place);
-        let learned = moving.fold(block.learned, |learned, (_, moving)| learned.with(*moving));
-        Dirty { learned, ..block.clone() }
-    }
-
-    /// Restores those of the blocks that it was not the turn of yet, but that a loss of power has disturbed, as the rows
-    /// next to the one that was programmed. Any other change of theirs is not of this write.
-    pub(super) fn restore_erased(&mut self, gauge: &mut Gauge, waiting: &[Dirty]) -> Result<()> {
-        for block in waiting {
-            let present = sequence(gauge).load(gauge, block.place)?;
-            if block.is_erased(&present) {
-                self.restore(gauge, [block].into_iter(), false)?;
-            }
-        }
-        Ok(())
-    }
-
     /// Opens a gauge that is SEALED in the middle of the way back: it has lost its power, or is another one.
-    fn open_again(&mut self, gauge: &mut Gauge) -> Result<()> {
+    pub(super) fn open_again(&mut self, gauge: &mut Gauge) -> Result<()> {
         if gauge.seal_anew()? != Seal::Sealed {
             return Ok(());
         }
@@ -319,50 +266,25 @@ impl Session {
         Ok(())
     }
 
-    fn restore_block(&mut self, gauge: &mut Gauge, block: &Dirty, finished: bool) -> Result<()> {
-        gauge.doubt();
-        let block = &self.without_moving(block);
-        let present = sequence(gauge).load(gauge, block.place)?;
-        self.assure(gauge)?;
-        let wanted = restored(block, &present, finished);
-        if wanted == present {
-            return Ok(());
-        }
-        let other = |at: usize| present[at] != block.old[at] && present[at] != 0xff && !block.learned.has(at);
-        if block.is_neighbour()
-            && !self.decided
-            && let Some(at) = (0..WINDOW).find(|&at| other(at))
-        {
-            let why = format!("{}, which this write does not touch, has changed", block.place.name(at));
-            return Err(Error::new("", Cause::Protocol(why)));
-        }
-        self.begin(gauge)?;
-        let back = block.replacing(present, wanted);
-        let back = reload(gauge, &back)?;
-        store(gauge, self, &back, &mut 0)
-    }
-
     /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
     /// two. Returns what is left to be settled.
     pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
-        gauge.limit_until(Some((self.asked + ANSWER).max(gauge.clock.now() + LEAST_CLOSE)));
+        let begun = gauge.clock.now();
+        let least = self.patience.map_or(LEAST_CLOSE, |patience| patience.refusals);
+        gauge.limit_until(Some((self.asked + ANSWER).max(begun + least)));
         // A mode that is still on is not that of another pack, which is left as it was found.
         let is_another = outcome.is_err() && self.is_another(gauge);
         let left = if is_another { Ok(()) } else { self.leave_calibration(gauge) };
         let finished = left.and_then(|()| if self.begun { self.finish(gauge) } else { Ok(()) });
         let unfinished = finished.is_err();
-        // After a failure the state is read again: a gauge that lost its power comes back sealed.
-        let closed = match self.now.filter(|_| outcome.is_ok()) {
-            Some(now) if now == self.found => Ok(()),
-            Some(_) if self.found == Seal::Sealed => self.seal(gauge),
-            Some(now) => gauge.go(now, self.found),
-            // CONTROL_STATUS may still show the state before the last key.
-            None if self.now != Some(self.found) && self.found == Seal::Sealed => {
-                gauge.wait(SEAL_LAG);
-                self.seal(gauge)
-            }
-            None => self.go_to_found(gauge),
-        };
+        let mut closed = self.restore_seal(gauge, outcome.is_ok());
+        while closed.is_err()
+            && self.patience.is_some_and(|patience| gauge.may_try_until(begun + patience.silence))
+        {
+            gauge.wait(TRY_AGAIN);
+            gauge.forget_refusal();
+            closed = self.restore_seal(gauge, false);
+        }
         let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
         // To a recording nothing is owed.
         let recorded = [&finished, &closed].into_iter().any(|end| {
@@ -401,25 +323,26 @@ impl Session {
             }
         }
     }
+
+    fn restore_seal(&mut self, gauge: &mut Gauge, is_done: bool) -> Result<()> {
+        // After a failure the state is read again: a gauge that lost its power comes back sealed.
+        match self.now.filter(|_| is_done) {
+            Some(now) if now == self.found => Ok(()),
+            Some(_) if self.found == Seal::Sealed => self.seal(gauge),
+            Some(now) => gauge.go(now, self.found),
+            // CONTROL_STATUS may still show the state before the last key.
+            None if self.now != Some(self.found) && self.found == Seal::Sealed => {
+                gauge.wait(SEAL_LAG);
+                self.seal(gauge)
+            }
+            None => self.go_to_found(gauge),
+        }
+    }
 }
 
 /// Whether a block was stored and reads otherwise.
 pub(super) fn reads_wrong(error: &Error) -> bool {
     matches!(error.cause(), Cause::Protocol(_)) && error.step() == Some(Step::Verify)
-}
-
-/// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
-fn restored(block: &Dirty, present: &[u8; WINDOW], finished: bool) -> [u8; WINDOW] {
-    let erased = block.is_erased(present);
-    let goes_back = Bytes::of(|at| match finished && !block.is_neighbour() && !erased {
-        true => block.written.has(at),
-        false => erased || !block.learned.has(at),
-    });
-    let mut wanted = *present;
-    for at in (0..WINDOW).filter(|&at| goes_back.has(at)) {
-        wanted[at] = block.old[at];
-    }
-    wanted
 }
 
 /// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is

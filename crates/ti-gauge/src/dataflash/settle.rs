@@ -7,22 +7,23 @@
 //! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
 
 use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::io::{COMMITTED, reload, verify_written};
+use super::io::COMMITTED;
+use super::job::{Job, Landed, Side, converge};
 use super::keychange::way_out;
 use super::measured;
 use super::owedseal::OwedSeal;
 use super::pack::{self, Known, Match, compare, is_named, mark_windows, shows_another};
 use super::planned::{Held, Seen, identify, look, look_by, serial_number};
 use super::schemes::sequence;
-use super::session::{Left, Reference, Session, in_time, store};
+use super::session::{Left, Reference, Session, in_time};
 use super::state::has_lost_memory;
 use super::verdict::{Verdict, unrestored};
-use super::window::{Dirty, Window};
-use super::window::{holds_keys, secrets};
+use super::window::{Window, holds_keys, secrets};
 use super::{DataFlash, Place};
 use crate::chip::{Chip, KeyStorage, Kind};
 use crate::codec::{self, WINDOW};
@@ -153,7 +154,7 @@ enum Chosen {
 impl DataFlash {
     /// Identity of the gauge for the journal, read on first use after the gauge was connected.
     pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
-        if let Some(identity) = &self.identity {
+        if let Some(identity) = self.identity.get(self.now.name) {
             return Ok(identity.clone());
         }
         let firmware = match self.known_pack {
@@ -161,14 +162,14 @@ impl DataFlash {
             None => agreed("Control(FW_VERSION)", || gauge.firmware_version())?,
         };
         let identity = Identity::of(gauge.chip, firmware, serial_number(gauge)?);
-        self.identity = Some(identity.clone());
+        self.identity.learn(self.now.name, identity.clone());
         Ok(identity)
     }
 
     /// Whether the gauge, which is open, is certainly the one whose values were read.
     pub(super) fn is_certain(&mut self, gauge: &mut Gauge) -> Result<bool> {
         let plan = Plan::of_marks(self.marks(gauge.chip));
-        let Some(then) = self.identity.clone() else { return Ok(false) };
+        let Some(then) = self.identity.get(self.now.name).cloned() else { return Ok(false) };
         let now = identify(gauge)?;
         sequence(gauge).enable(gauge)?;
         let same = compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place))?;
@@ -237,7 +238,7 @@ impl DataFlash {
 
     /// Adopts what is left of a change of keys, for somebody who makes it once more.
     pub(super) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        self.identity = None;
+        self.now.may_be_renamed();
         self.identity(gauge)?;
         session.decided = true;
         session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
@@ -265,8 +266,6 @@ impl DataFlash {
     pub(super) fn look_again(&mut self) {
         // The pack may come back elsewhere, where its journal must not be taken for one in use.
         self.held = None;
-        self.no_erased_key = false;
-        (self.searched, self.judged) = (Searched::default(), Vec::new());
         match &mut self.pending {
             Some(pending) if pending.elsewhere => self.pending = None,
             Some(pending) => {
@@ -279,7 +278,7 @@ impl DataFlash {
     /// The files that need not be looked at: what they say of this gauge is known.
     fn known_files(&self) -> Vec<PathBuf> {
         let held = self.held.iter().map(|held| held.path().to_path_buf());
-        held.chain(self.judged.iter().cloned()).collect()
+        held.chain(self.judged.get(self.now.arrival).into_iter().flatten().cloned()).collect()
     }
 
     /// Whether what is pending has been settled at another place, or its journal was moved away.
@@ -374,17 +373,17 @@ impl DataFlash {
     /// was the one.
     fn search(&mut self, gauge: &mut Gauge, place: Where, waited: Duration) -> Result<Vec<String>> {
         let (begun, mut told) = (gauge.clock.now(), Vec::new());
-        let done = match place {
-            Where::Places => self.searched.places,
-            Where::Waiting => self.searched.waiting,
-        };
+        let done = self.searched.get(self.now.arrival).is_some_and(|searched| match place {
+            Where::Places => searched.places,
+            Where::Waiting => searched.waiting,
+        });
         let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
             return Ok(told);
         };
         let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
         found.retain(|found| !found.is_here);
         let others = self.rule_out(gauge, &found, waited)?;
-        self.judged.extend(others.iter().cloned());
+        self.judged.in_epoch(self.now.arrival).extend(others.iter().cloned());
         found.retain(|found| !others.contains(&found.path));
         for found in found {
             let file = found.path.clone();
@@ -398,11 +397,12 @@ impl DataFlash {
                 return settled.map(|_| told);
             }
             told.extend(settled?);
-            self.judged.push(file);
+            self.judged.in_epoch(self.now.arrival).push(file);
         }
+        let searched = self.searched.in_epoch(self.now.arrival);
         match place {
-            Where::Places => self.searched.places = true,
-            Where::Waiting => self.searched.waiting = true,
+            Where::Places => searched.places = true,
+            Where::Waiting => searched.waiting = true,
         }
         Ok(told)
     }
@@ -424,7 +424,7 @@ impl DataFlash {
         }
         let ruled_out = in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            self.identity = None;
+            self.now.may_be_renamed();
             let now = self.identity(gauge)?;
             let (mut others, mut open) = (Vec::new(), Vec::new());
             for (path, entry) in entries {
@@ -436,13 +436,14 @@ impl DataFlash {
             if open.is_empty() {
                 return Ok(others);
             }
-            let mut session = Session::new(gauge.seal_anew()?, asked);
-            session.pack.begin(gauge);
-            if session.found == Seal::Sealed {
-                self.owe(gauge, &mut session, 0)?;
-            }
-            let compared = session.open(gauge).and_then(|()| others_of(gauge, &now, &open));
-            others.extend(self.end(session, gauge, compared)?);
+            let found = gauge.seal_anew()?;
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                if found == Seal::Sealed { this.owe(gauge, session, 0) } else { Ok(()) }
+            };
+            others.extend(self.session(gauge, (found, asked), record, |_, gauge, session| {
+                session.open(gauge)?;
+                others_of(gauge, &now, &open)
+            })?);
             Ok(others)
         });
         match ruled_out {
@@ -491,16 +492,17 @@ impl DataFlash {
             return Ok(format!("{text}the {names} key {how}\n"));
         }
         in_time(gauge, waited, |gauge, asked| {
-            self.identity = None;
+            self.now.may_be_renamed();
             let now = self.identity(gauge)?;
             let found = gauge.seal_anew()?;
-            let mut session = Session::new(found, asked);
-            let look = session.open(gauge).and_then(|()| {
+            // The seal is owed already.
+            let recorded = |_: &mut Self, _: &mut Gauge, _: &mut Session| Ok(());
+            let (seen, same) = self.session(gauge, (found, asked), recorded, |_, gauge, session| {
+                session.open(gauge)?;
                 let seen = look(gauge, &plan)?;
                 let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
                 Ok((seen, same))
-            });
-            let (seen, same) = session.close(gauge, look).0?;
+            })?;
             if let Match::Other(name) = same {
                 text += &match number_of(gauge.chip, &now) {
                     Some(serial) => format!(
@@ -576,7 +578,7 @@ impl DataFlash {
             }
             (session.now, session.entry) = (None, Some(entry));
             session.pack.pack = Some(reference);
-            self.end(session, gauge, Ok(()))
+            self.guard(gauge, session, |_, _, _| Ok(()), Self::end)
         });
         if let Err(error) = &ended
             && self.pending.is_none()
@@ -609,7 +611,7 @@ impl DataFlash {
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
             None => Err(Error::new("", Cause::Busy(pending.why.clone()))),
         };
-        self.identity = None;
+        self.now.may_be_renamed();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
             matches!(error.cause(), Cause::StateUnknown(_)) && error.step() == Some(Step::Restore)
         });
@@ -617,7 +619,7 @@ impl DataFlash {
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
-                self.known.clear();
+                self.now.may_be_another();
                 if let Some(known_pack) = &mut self.known_pack {
                     known_pack.rewritten();
                 }
@@ -669,7 +671,7 @@ impl DataFlash {
         let elsewhere = pending.elsewhere && decision.is_none();
         gauge.claim()?;
         gauge.confirm_identity()?;
-        self.identity = None;
+        self.now.may_be_renamed();
         let identity = self.identity(gauge)?;
         if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;
@@ -695,68 +697,86 @@ impl DataFlash {
                 None => None,
             },
         };
-        if !elsewhere {
-            self.take_over(gauge, entry, &mut session)?;
-        }
-        let mut outcome = match &entry.plan {
-            _ if entry.owes_seal() && decision.is_none() && session.is_plainly_another(gauge, now)? => {
-                let why = "another pack was left open, and is not here";
-                Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why.into()) })
+        let undecided = OnceCell::new();
+        let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+            if !elsewhere {
+                this.take_over(gauge, entry, session)?;
             }
+            let outcome = this.judge(gauge, session, (entry, pending), decision, (&identity, now));
+            if let Ok(Verdict::Undecided(why)) = &outcome {
+                undecided.get_or_init(|| why.clone());
+            }
+            if elsewhere && !matches!(outcome, Ok(Verdict::Another | Verdict::Undecided(_))) {
+                let taken = this.take_over(gauge, entry, session);
+                return outcome.and_then(|verdict| taken.map(|()| verdict));
+            }
+            outcome
+        };
+        self.guard(gauge, session, run, |this, mut session, _, outcome, left| {
+            this.in_calibration &= session.calibrating.is_some();
+            let mut held = || session.journal.take().filter(|_| pending.watched);
+            if let Some(left_open) = session.pack.left_open.take() {
+                this.held = held();
+                return Ok(Verdict::Undecided(undecided.get().cloned().unwrap_or(left_open)));
+            }
+            match (&outcome, left) {
+                (Ok(Verdict::Done(_)), None) => session.remove_journal(),
+                (Ok(Verdict::Plausible(message)), None) => {
+                    let opened = session.journal.take();
+                    let Some((journal, opened)) = this.journal.as_ref().zip(opened.as_ref()) else {
+                        return outcome;
+                    };
+                    let kept = journal.wait(opened.path())?;
+                    let message = format!("{message}; its journal waits for its pack as {}", kept.display());
+                    this.judged.in_epoch(this.now.arrival).push(kept);
+                    return Ok(Verdict::Plausible(message));
+                }
+                _ => this.held = held(),
+            }
+            outcome
+        })
+    }
+
+    /// What has become of an interrupted access, as far as the gauge shows; what can be settled is.
+    fn judge(
+        &mut self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        (entry, pending): (&Entry, &Pending),
+        decision: Option<Decision>,
+        (identity, now): (&Identity, Seal),
+    ) -> Result<Verdict> {
+        let elsewhere = pending.elsewhere && decision.is_none();
+        let nothing = || Ok(Verdict::Done("an access was interrupted before anything was written".into()));
+        match &entry.plan {
             _ if entry.owes_seal() => {
-                Ok(Verdict::Done("an access was interrupted before anything was written".into()))
+                if decision.is_none() && session.is_plainly_another(gauge, now)? {
+                    let why = "another pack was left open, and is not here";
+                    return Ok(if elsewhere { Verdict::Another } else { Verdict::Undecided(why.into()) });
+                }
+                nothing()
             }
-            None => Ok(Verdict::Done("an access was interrupted before anything was written".into())),
+            None => nothing(),
             Some(plan) if plan.key.is_some() => {
-                let identities = [&entry.identity, &identity];
-                match elsewhere && !is_certainly(gauge, identities, plan, &mut session) {
+                let identities = [&entry.identity, identity];
+                match elsewhere && !is_certainly(gauge, identities, plan, session) {
                     true => Ok(Verdict::Another),
-                    false => self.settle_keys(gauge, plan, identities, pending.watched, &mut session),
+                    false => self.settle_keys(gauge, plan, identities, pending.watched, session),
                 }
             }
             Some(plan) => {
                 session.pack.was_opened = now == Seal::Sealed;
                 let open = if now == Seal::Sealed { self.unseal(gauge, plan) } else { Ok(()) };
                 gauge.learn_selection();
-                open.and_then(|()| sequence(gauge).enable(gauge)).and_then(|()| {
-                    let then = &entry.identity;
-                    let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
-                    let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
-                    let task =
-                        Task { plan, then, now: &identity, watched, certain, decision, shown, elsewhere };
-                    task.run(gauge, &mut session)
-                })
+                open?;
+                sequence(gauge).enable(gauge)?;
+                let then = &entry.identity;
+                let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
+                let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
+                let task = Task { plan, then, now: identity, watched, certain, decision, shown, elsewhere };
+                task.run(gauge, session)
             }
-        };
-        if elsewhere && !matches!(outcome, Ok(Verdict::Another | Verdict::Undecided(_))) {
-            let taken = self.take_over(gauge, entry, &mut session);
-            outcome = outcome.and_then(|verdict| taken.map(|()| verdict));
         }
-        let undecided = match &outcome {
-            Ok(Verdict::Undecided(why)) => Some(why.clone()),
-            _ => None,
-        };
-        let (outcome, left) = session.close(gauge, outcome);
-        self.in_calibration &= session.calibrating.is_some();
-        if let Some(left_open) = session.pack.left_open.take() {
-            self.held = session.journal.take().filter(|_| pending.watched);
-            return Ok(Verdict::Undecided(undecided.unwrap_or(left_open)));
-        }
-        match (&outcome, left) {
-            (Ok(Verdict::Done(_)), None) => session.remove_journal(),
-            (Ok(Verdict::Plausible(message)), None) => {
-                let opened = session.journal.take();
-                let Some((journal, opened)) = self.journal.as_ref().zip(opened.as_ref()) else {
-                    return outcome;
-                };
-                let kept = journal.wait(opened.path())?;
-                let message = format!("{message}; its journal waits for its pack as {}", kept.display());
-                self.judged.push(kept);
-                return Ok(Verdict::Plausible(message));
-            }
-            _ => self.held = session.journal.take().filter(|_| pending.watched),
-        }
-        outcome
     }
 
     /// The gauge is the one of an entry: the session leaves it as the entry demands.
@@ -779,11 +799,13 @@ impl DataFlash {
             done => return done,
         };
         // No journal has the keys. Each wrong one locks the gauge for a while, so it is tried once.
-        if !self.no_erased_key && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place())) {
+        if !self.no_erased_key.is_known(self.now.arrival)
+            && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
+        {
             if gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)? {
                 return Ok(());
             }
-            self.no_erased_key = true;
+            self.no_erased_key.learn(self.now.arrival, ());
         }
         Err(refused)
     }
@@ -953,14 +975,14 @@ impl Task<'_> {
             measured::is_over(gauge)?;
         }
         let moment = gauge.moment();
-        let seen = look(gauge, self.plan)?;
-        let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
-        let intact = seen.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old);
-        let whole = intact && (all(Held::Old) || all(Held::New));
+        let mut job = Job::interrupted(look(gauge, self.plan)?, self.plan.reset);
+        let seen = &job.blocks;
+        let (all_old, all_new, intact) = (job.all(Held::Old), job.all(Held::New), job.is_intact());
+        let whole = intact && (all_old || all_new);
         let mut done: fn(String) -> Verdict = Verdict::Done;
         let mut another = None;
         if let Some(decision) = self.decision {
-            another = match self.chosen(gauge, decision, &seen)? {
+            another = match self.chosen(gauge, decision, seen)? {
                 Chosen::Itself => None,
                 Chosen::Another(pack) => Some(pack),
                 Chosen::Not(why) => return Ok(Verdict::Undecided(why)),
@@ -968,9 +990,9 @@ impl Task<'_> {
             session.pack.pack = Some(self.present(gauge)?);
             session.pack.certain_since(moment);
         } else {
-            match self.doubt(gauge, &seen)? {
+            match self.doubt(gauge, seen)? {
                 Doubt::None => session.pack.certain_since(moment),
-                Doubt::Weak if self.plan.by_gauge && !all(Held::Old) => {
+                Doubt::Weak if self.plan.by_gauge && !all_old => {
                     let why = "it was not judged what the gauge has measured and stored, and this gauge has the serial \
                                number and the calibration of every new one, so it may be another pack";
                     return Ok(Verdict::Undecided(why.into()));
@@ -981,7 +1003,7 @@ impl Task<'_> {
                     done = Verdict::Plausible;
                 }
                 Doubt::Weak if whole => {
-                    let held = if all(Held::Old) { "old" } else { "new" };
+                    let held = if all_old { "old" } else { "new" };
                     let why = format!("a write was interrupted; data flash holds the {held} values");
                     return Ok(Verdict::Plausible(why));
                 }
@@ -1010,13 +1032,13 @@ impl Task<'_> {
         let forward = match self.decision {
             Some(Decision::Finish(_)) => true,
             Some(Decision::Undo(_) | Decision::Discard) => false,
-            None => intact && all(Held::New) && !self.plan.by_gauge,
+            None => intact && all_new && !self.plan.by_gauge,
         };
         if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
             let why = "what the gauge has measured was lost while it was stored: it can only be undone";
             return Ok(Verdict::Undecided(why.into()));
         }
-        if !forward && intact && all(Held::Old) && !self.plan.reset_sent {
+        if !forward && intact && all_old && !self.plan.reset_sent {
             if let Some(pack) = another {
                 let why = format!(
                     "another pack than an interrupted write was begun on, {pack}, has the old values already"
@@ -1025,8 +1047,14 @@ impl Task<'_> {
             }
             return Ok(done("a write was interrupted; data flash holds the old values".into()));
         }
-        let settled =
-            if forward { self.finish(gauge, session, &seen) } else { self.undo(gauge, session, &seen) };
+        let erased = seen.iter().any(|seen| {
+            let secrets = secrets(chip, seen.block.place);
+            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
+        });
+        let side = if forward { Side::New } else { Side::Old };
+        if let Landed::Unknown(error) = converge(gauge, session, &mut job, side, None) {
+            return Err(unrestored(error));
+        }
         let message = match (forward, self.plan.by_gauge) {
             (true, false) => {
                 "a write was interrupted after its last block; it has been finished and verified"
@@ -1043,12 +1071,8 @@ impl Task<'_> {
                 "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
                  verified"
             );
-            return settled.map(|()| Verdict::Plausible(message)).map_err(unrestored);
+            return Ok(Verdict::Plausible(message));
         }
-        let erased = seen.iter().any(|seen| {
-            let secrets = secrets(chip, seen.block.place);
-            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
-        });
         let keys = match erased {
             true => {
                 "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
@@ -1056,7 +1080,7 @@ impl Task<'_> {
             }
             false => "",
         };
-        settled.map(|()| done(format!("{message}{keys}"))).map_err(unrestored)
+        Ok(done(format!("{message}{keys}")))
     }
 
     /// Whether the gauge is the one about which a person has decided.
@@ -1136,46 +1160,6 @@ impl Task<'_> {
         }
         let plan = Plan { marks: known.marks(gauge.chip), ..self.plan.clone() };
         Ok(Reference { identity: self.now.clone(), plan })
-    }
-
-    /// Writes the old values. Torn blocks are restored as a whole; of the others only the written bytes, which
-    /// keeps what the gauge has learned since.
-    fn undo(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
-        let whole = |seen: &&Seen| matches!(seen.held, Held::Torn | Held::Unexplained);
-        let torn = seen.iter().filter(whole).map(|seen| &seen.block);
-        session.restore(gauge, torn, false)?;
-        let new = seen.iter().filter(|seen| seen.held == Held::New).map(|seen| &seen.block);
-        session.restore(gauge, new, true)?;
-        if self.plan.reset || sequence(gauge).always_finishes() {
-            session.finish(gauge)?;
-        }
-        for Seen { block, .. } in seen {
-            let back = Dirty { new: block.old, ..block.clone() };
-            verify_written(gauge, &back).map_err(|error| error.at(Step::Restore))?;
-        }
-        Ok(())
-    }
-
-    /// Writes the new values where they are not.
-    fn finish(&self, gauge: &mut Gauge, session: &mut Session, seen: &[Seen]) -> Result<()> {
-        for Seen { block, stored, held } in seen {
-            if *held == Held::New || *held == Held::Old && block.is_neighbour() {
-                continue;
-            }
-            session.assure(gauge)?;
-            session.begin(gauge)?;
-            let mut new = block.new;
-            let erased = block.is_erased(stored);
-            for at in (0..WINDOW).filter(|&at| block.learned.has(at) && !erased) {
-                new[at] = stored[at];
-            }
-            let block = reload(gauge, &block.replacing(*stored, new))?;
-            store(gauge, session, &block, &mut 0)?;
-        }
-        if self.plan.reset || sequence(gauge).always_finishes() {
-            session.finish(gauge)?;
-        }
-        seen.iter().try_for_each(|seen| verify_written(gauge, &seen.block))
     }
 }
 

@@ -652,6 +652,43 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
     assert!((4..200).contains(&undecided), "{undecided} times a new key was not known");
 }
 
+/// A gauge that was found SEALED is opened to be compared with the one that a host had left open. Where the bus fails then
+/// for a moment, the gauge is SEALED again all the same.
+#[test]
+fn regression_a_gauge_stayed_open_where_its_comparison_failed() {
+    let folder = Folder::new("compared");
+    let read = |dataflash: &mut DataFlash, gauge: &mut Gauge| {
+        let subclass = gauge.chip.subclasses.iter().find(|one| one.kind != Kind::Security).expect("one");
+        dataflash.read(gauge, &[subclass], Duration::ZERO).map(|_| ())
+    };
+    let mut failed = 0;
+    for first in 1..90 {
+        let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+        let first_read = host(&rig, &folder, None, read).0.expect("no cut");
+        first_read.expect("no fault");
+        let cut = host(&rig, &folder, Some((40, true)), |dataflash, gauge| {
+            read(dataflash, gauge)?;
+            read(dataflash, gauge)
+        });
+        assert!(cut.0.is_none() && folder.files().len() == 1, "{:?}", folder.files());
+        rig.power_cycle();
+        rig.pause(5);
+        rig.start_with(&folder, Keys::default(), move |bus, number, write, read| {
+            match (first..first + 8).contains(&number) {
+                true => Err(BusError::NoAck),
+                false => bus.transfer(write, read),
+            }
+        });
+        let arrived = rig.arrive();
+        failed += u32::from(arrived.is_err());
+        assert_eq!(rig.get("seal"), "sealed", "the bus fails at transfer {first}: {arrived:?}");
+        rig.start(&folder);
+        rig.arrive().expect("the bus works");
+        assert_eq!(folder.files(), Vec::<String>::new(), "{first}");
+    }
+    assert!(failed > 10, "{failed} times it could not be compared");
+}
+
 /// The value that fails to verify after the reset is the gauge's Design Capacity, which a register shows.
 #[test]
 fn a_rollback_after_the_reset_makes_the_gauge_work_with_the_old_value() {

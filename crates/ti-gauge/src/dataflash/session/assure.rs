@@ -285,7 +285,7 @@ impl Session {
             Match::Weak if matches!(gauge.chip.security.storage, KeyStorage::Fixed(_)) => {
                 return Ok(Some(moment));
             }
-            Match::Weak if self.entry.as_ref().is_some_and(Entry::changes_keys) => return Ok(Some(moment)),
+            Match::Weak if self.goes_by_keys() => return Ok(Some(moment)),
             Match::Weak if self.is_known_to_open(gauge)? => return Ok(Some(gauge.moment())),
             Match::Weak => {
                 let place = &gauge.key_file;
@@ -308,7 +308,7 @@ impl Session {
             pack.plan.marks.clear();
         }
         let marks = self.pack.pack.as_ref().is_some_and(|pack| !pack.plan.marks.is_empty());
-        let has_key = !self.entry.as_ref().is_some_and(Entry::changes_keys);
+        let has_key = !self.goes_by_keys();
         if now == Seal::Sealed && !has_key {
             return Ok(false);
         }
@@ -337,7 +337,9 @@ impl Session {
         match compared {
             Match::Certain => gauge.go_to(self.found),
             // The way from FULL ACCESS to UNSEALED leads through SEALED.
-            Match::Weak if now == Seal::Sealed || gauge.chip.volatile.is_some() => gauge.go_to(self.found),
+            Match::Weak if now == Seal::Sealed || gauge.chip.volatile.is_some() || self.goes_by_keys() => {
+                gauge.go_to(self.found)
+            }
             Match::Weak => Ok(()),
             Match::Other(_) => {
                 self.pack.is_another = true;
@@ -345,6 +347,11 @@ impl Session {
                 if self.pack.was_opened && gauge.was_opened() { gauge.close() } else { Ok(()) }
             }
         }
+    }
+
+    /// Whether it is of keys, which themselves show whether the gauge is the one.
+    fn goes_by_keys(&self) -> bool {
+        self.patience.is_some() || self.entry.as_ref().is_some_and(Entry::changes_keys)
     }
 
     /// Whether part, firmware and serial number are those of the session's pack.

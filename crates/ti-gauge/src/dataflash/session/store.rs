@@ -7,40 +7,69 @@ use crate::dataflash::window::Dirty;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Statistics};
 
+/// What shows that the gauge is still the one that a block is meant for.
+pub(in crate::dataflash) trait Surety {
+    /// Makes sure of it. What is sent is bound to the moment that this returns.
+    fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment>;
+    /// How often other blocks were loaded for that.
+    fn compared(&self) -> u32 {
+        0
+    }
+}
+
+impl Surety for Session {
+    fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
+        Session::assure(self, gauge)
+    }
+
+    fn compared(&self) -> u32 {
+        self.pack.compared
+    }
+}
+
+/// The keys that a gauge has just taken.
+pub(in crate::dataflash) struct ByKeys;
+
+impl Surety for ByKeys {
+    fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
+        Ok(gauge.moment())
+    }
+}
+
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
 /// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
 /// and that has changed nothing, is repeated: it was busy with a row of its own.
 pub(in crate::dataflash) fn store(
     gauge: &mut Gauge,
-    session: &mut Session,
+    surety: &mut impl Surety,
     block: &Dirty,
     touched: &mut usize,
 ) -> Result<()> {
     let (mut block, before) = (block.clone(), *touched);
     for _ in 1..STORES {
-        let moment = assure_loaded(gauge, session, &mut block)?;
+        let moment = assure_loaded(gauge, surety, &mut block)?;
         let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
         match (committed, stored) {
-            (_, Ok(())) => return session.assure(gauge).map(drop),
+            (_, Ok(())) => return surety.assure(gauge).map(drop),
             (Err(error), Err(_)) if is_passing(&error) => {}
             (committed, Err(error)) => return Err(committed.err().unwrap_or(error)),
         }
         still_open(gauge)?;
-        session.assure(gauge)?;
+        surety.assure(gauge)?;
         // Not the old content: what the commit has done must not be hidden by another.
         block = reload(gauge, &block)?;
     }
-    let moment = assure_loaded(gauge, session, &mut block)?;
+    let moment = assure_loaded(gauge, surety, &mut block)?;
     let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
     stored.map_err(|error| committed.err().unwrap_or(error))?;
-    session.assure(gauge).map(drop)
+    surety.assure(gauge).map(drop)
 }
 
 /// Makes sure that it is still the same pack, with the block in the window.
-fn assure_loaded(gauge: &mut Gauge, session: &mut Session, block: &mut Dirty) -> Result<Moment> {
-    let compared = session.pack.compared;
-    let moment = session.assure(gauge)?;
-    if session.pack.compared != compared {
+fn assure_loaded(gauge: &mut Gauge, surety: &mut impl Surety, block: &mut Dirty) -> Result<Moment> {
+    let compared = surety.compared();
+    let moment = surety.assure(gauge)?;
+    if surety.compared() != compared {
         *block = reload(gauge, block)?;
     }
     Ok(moment)

@@ -1,0 +1,303 @@
+//! The work that a write, an undo, the settling of an interrupted write and a change of keys have in common: blocks with
+//! an old and a new content, which are brought to one of the two. [`converge`] is the only loop that does so.
+
+use std::time::Duration;
+
+use super::io::{reload, still_open, verify_written};
+use super::planned::{Held, Seen, classify};
+use super::schemes::sequence;
+use super::session::{RESTORES, Session, reads_wrong, store};
+use super::state::has_lost_memory;
+use super::window::{Dirty, Window};
+use crate::codec::{Bytes, WINDOW};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::Gauge;
+
+/// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
+const MOVES: Duration = Duration::from_millis(1200);
+/// Between two attempts on the way back.
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// One of the two contents of a job.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Side {
+    Old,
+    New,
+}
+
+/// Where data flash is after a job.
+pub(super) enum Landed {
+    New,
+    /// With the error for which the new content was given up, if it was wanted.
+    Old(Option<Error>),
+    Unknown(Error),
+}
+
+/// Blocks with two contents, and how far the gauge has come from one to the other.
+pub(super) struct Job {
+    /// The blocks that change, in the order of their addresses, then those next to them where they are known.
+    pub(super) blocks: Vec<Seen>,
+    /// The gauge uses the new content only after a reset.
+    pub(super) reset: bool,
+    /// The only block is in the window already, which saves loading it.
+    pub(super) in_window: bool,
+    /// A failure leads back to the old content. Nobody may be there to go back once a write has been interrupted.
+    pub(super) returns: bool,
+    /// The data memory was lost before the job was begun, so its loss is no reason to give up.
+    pub(super) was_lost: bool,
+    /// Blocks of which a commit may have been sent.
+    pub(super) touched: usize,
+    /// The gauge has begun to use the new content: what is otherwise changed since then it has done itself.
+    in_use: bool,
+    /// Bytes that no table calls learned, and that were seen to move by themselves.
+    moving: Vec<(Window, Bytes)>,
+}
+
+impl Job {
+    /// A write of blocks as they were just read.
+    pub(super) fn write(dirty: Vec<Dirty>, neighbours: Vec<Dirty>, reset: bool) -> Self {
+        let seen = |block: Dirty| Seen { stored: block.old, held: Held::Old, block };
+        let blocks = dirty.into_iter().chain(neighbours).map(seen).collect();
+        Self { returns: true, ..Self::interrupted(blocks, reset) }
+    }
+
+    /// A write that was interrupted, as the gauge holds it.
+    pub(super) fn interrupted(blocks: Vec<Seen>, reset: bool) -> Self {
+        Self {
+            blocks,
+            reset,
+            in_window: false,
+            returns: false,
+            was_lost: false,
+            touched: 0,
+            in_use: false,
+            moving: Vec::new(),
+        }
+    }
+
+    /// The blocks that change.
+    pub(super) fn changed(&self) -> impl Iterator<Item = &Dirty> {
+        self.blocks.iter().map(|seen| &seen.block).filter(|block| !block.is_neighbour())
+    }
+
+    /// Whether every block that changes has that content.
+    pub(super) fn all(&self, held: Held) -> bool {
+        self.blocks.iter().all(|seen| seen.held == held || seen.block.is_neighbour())
+    }
+
+    /// Whether the blocks next to those that change are as they were.
+    pub(super) fn is_intact(&self) -> bool {
+        self.blocks.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old)
+    }
+
+    /// Stores the new content where it is not.
+    fn forward(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        session.begin(gauge)?;
+        let mut touched = self.touched;
+        let outcome = self.blocks.iter().filter(|seen| !seen.is_at(Side::New)).try_for_each(|seen| {
+            let compared = session.pack.compared;
+            session.assure(gauge)?;
+            // Where the pack has been compared, other blocks were loaded.
+            let in_window = self.in_window && session.pack.compared == compared;
+            let block = if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new())? };
+            session.go_forward(gauge);
+            store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
+        });
+        self.touched = touched;
+        outcome
+    }
+
+    /// Restores the old content. `is_seen` says that the blocks have just been looked at.
+    pub(super) fn back(&mut self, gauge: &mut Gauge, session: &mut Session, mut is_seen: bool) -> Result<()> {
+        let mut outcome = Ok(());
+        for _ in 0..RESTORES {
+            outcome = session
+                .open_again(gauge)
+                .and_then(|()| sequence(gauge).enable(gauge))
+                .and_then(|()| session.assure(gauge))
+                .and_then(|_| self.way_back().try_for_each(|at| self.restore(gauge, session, at, is_seen)));
+            is_seen = false;
+            if outcome.is_ok() || session.pack.is_lost() {
+                break;
+            }
+            if outcome.as_ref().is_err_and(reads_wrong) {
+                self.learn_moving(gauge);
+            }
+            gauge.wait(PAUSE);
+        }
+        outcome.map_err(|error| error.at(Step::Restore))
+    }
+
+    /// Which block goes back after which: the last one first, so that flash is open after each of them as it was on the way
+    /// here, and at the end those that it was not the turn of yet.
+    fn way_back(&self) -> impl Iterator<Item = usize> + use<> {
+        let changed = self.changed().count();
+        let first = if self.returns { self.touched.min(changed) } else { changed };
+        (changed..self.blocks.len()).rev().chain((0..first).rev()).chain(first..changed)
+    }
+
+    /// Restores one block. Once the gauge uses the new values only the written bytes go back, which keeps what it has
+    /// learned since. Before that the whole block does: a bit error in a register address puts a byte in the wrong place,
+    /// and the checksum, a plain sum, does not detect it.
+    fn restore(&mut self, gauge: &mut Gauge, session: &mut Session, at: usize, is_seen: bool) -> Result<()> {
+        if !is_seen {
+            gauge.doubt();
+            let seen = &mut self.blocks[at];
+            seen.stored = sequence(gauge).load(gauge, seen.block.place)?;
+            session.assure(gauge)?;
+            seen.held = classify(&seen.block, &seen.stored);
+        }
+        let seen @ Seen { block, stored, .. } = &self.blocks[at];
+        // A loss of power disturbs the rows next to the one that is programmed. Any other change of a block that it was not
+        // the turn of is not of this job.
+        let waits = self.returns && at >= self.touched && !block.is_neighbour();
+        if seen.is_at(Side::Old) || waits && !block.is_erased(stored) {
+            return Ok(());
+        }
+        let block = &self.without_moving(block);
+        let wanted = restored(block, stored, self.in_use || seen.held == Held::New);
+        if wanted == *stored {
+            return Ok(());
+        }
+        let other = |at: usize| stored[at] != block.old[at] && stored[at] != 0xff && !block.learned.has(at);
+        if block.is_neighbour()
+            && !session.decided
+            && let Some(at) = (0..WINDOW).find(|&at| other(at))
+        {
+            let why = format!("{}, which this write does not touch, has changed", block.place.name(at));
+            return Err(Error::new("", Cause::Protocol(why)));
+        }
+        session.begin(gauge)?;
+        let back = reload(gauge, &block.replacing(*stored, wanted))?;
+        store(gauge, session, &back, &mut 0)
+    }
+
+    /// Finds out which bytes, that the job does not touch, move by themselves. To put them back would program their block
+    /// again and again.
+    fn learn_moving(&mut self, gauge: &mut Gauge) {
+        for Seen { block, .. } in &self.blocks {
+            let Ok(first) = sequence(gauge).load(gauge, block.place) else { continue };
+            gauge.wait(MOVES);
+            let Ok(second) = sequence(gauge).load(gauge, block.place) else { continue };
+            let moving =
+                Bytes::of(|at| first[at] != second[at]).without(block.written).without(block.learned);
+            if moving != Bytes::default() {
+                let names: Vec<String> = moving.iter().map(|at| block.place.name(at)).collect();
+                log::warn!("{}: {} moves by itself, and is left alone", gauge.chip.name, names.join(", "));
+                self.moving.push((block.place, moving));
+            }
+        }
+    }
+
+    /// A block as it goes back: what was seen to move by itself is left to the gauge.
+    fn without_moving(&self, block: &Dirty) -> Dirty {
+        let moving = self.moving.iter().filter(|(place, _)| *place == block.place);
+        let learned = moving.fold(block.learned, |learned, (_, moving)| learned.with(*moving));
+        Dirty { learned, ..block.clone() }
+    }
+
+    /// Brings data flash to one side: stores what is not there, makes the gauge use it and reads back what was not read
+    /// back since.
+    fn bring(&mut self, gauge: &mut Gauge, session: &mut Session, side: Side, is_seen: bool) -> Result<()> {
+        let unread: Vec<bool> = self.blocks.iter().map(|seen| is_seen && seen.is_at(side)).collect();
+        match side {
+            Side::New => self.forward(gauge, session)?,
+            Side::Old => self.back(gauge, session, is_seen)?,
+        }
+        let ends = match side {
+            // The gauge may work with the new values, unless this very job has not come so far.
+            Side::Old => self.reset && (self.in_use || !self.returns),
+            Side::New => self.reset,
+        };
+        let ends = ends || sequence(gauge).always_finishes();
+        if ends {
+            session.leave_calibration(gauge)?;
+            self.in_use |= side == Side::New;
+            session.finish(gauge)?;
+        } else if side == Side::New {
+            still_open(gauge)?;
+        }
+        let unread = self.blocks.iter().zip(unread).filter(|(_, unread)| ends || *unread);
+        unread.map(|(seen, _)| seen.to(side)).try_for_each(|block| {
+            let verified = verify_written(gauge, &block);
+            if side == Side::Old { verified.map_err(|error| error.at(Step::Restore)) } else { verified }
+        })
+    }
+}
+
+/// Brings data flash to one of the two contents of a job. A write that fails on its way to the new one goes back to the old
+/// one, once anything may have been committed; `accept` judges the gauge that works with the new one.
+pub(super) fn converge(
+    gauge: &mut Gauge,
+    session: &mut Session,
+    job: &mut Job,
+    side: Side,
+    accept: Option<super::Accept<'_>>,
+) -> Landed {
+    let brought = job.bring(gauge, session, side, true);
+    let error = match brought.and_then(|()| accept.map_or(Ok(()), |accept| accept(gauge))) {
+        Ok(()) if side == Side::New => return Landed::New,
+        Ok(()) => return Landed::Old(None),
+        Err(error) if !job.returns => return Landed::Unknown(error),
+        Err(error) if job.touched == 0 => return Landed::Old(Some(error)),
+        Err(error) => error,
+    };
+    session.go_back(gauge);
+    if !job.was_lost && has_lost_memory(gauge).unwrap_or(false) {
+        session.forget_mode();
+        let why = format!("{error}; the gauge has lost its power, and its data memory with it");
+        return Landed::Unknown(Error::new("", Cause::StateUnknown(why)));
+    }
+    match job.bring(gauge, session, Side::Old, false) {
+        Ok(()) => {
+            let why = format!("{error}; the old value was restored and verified");
+            Landed::Old(Some(Error::new("", Cause::RolledBack(why))))
+        }
+        Err(second) => {
+            let why = format!("{error}; then {second}: data flash contents unknown");
+            Landed::Unknown(Error::new("", Cause::StateUnknown(why)))
+        }
+    }
+}
+
+impl Seen {
+    /// The block with a side's content as the one to be read back.
+    fn to(&self, side: Side) -> Dirty {
+        let block = self.block.clone();
+        if side == Side::Old { Dirty { new: block.old, ..block } } else { block }
+    }
+
+    /// Whether a block has the content of a side. A neighbour has only one.
+    fn is_at(&self, side: Side) -> bool {
+        match self.held {
+            Held::Old => side == Side::Old || self.block.is_neighbour(),
+            Held::New => side == Side::New,
+            Held::Torn | Held::Unexplained => false,
+        }
+    }
+
+    /// The block on its way from what is stored to the new content. A learned byte stays as it is, unless its row was
+    /// erased.
+    fn to_new(&self) -> Dirty {
+        let mut new = self.block.new;
+        let erased = self.block.is_erased(&self.stored);
+        for at in (0..WINDOW).filter(|&at| self.block.learned.has(at) && !erased) {
+            new[at] = self.stored[at];
+        }
+        self.block.replacing(self.stored, new)
+    }
+}
+
+/// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
+fn restored(block: &Dirty, present: &[u8; WINDOW], in_use: bool) -> [u8; WINDOW] {
+    let erased = block.is_erased(present);
+    let goes_back = Bytes::of(|at| match in_use && !block.is_neighbour() && !erased {
+        true => block.written.has(at),
+        false => erased || !block.learned.has(at),
+    });
+    let mut wanted = *present;
+    for at in (0..WINDOW).filter(|&at| goes_back.has(at)) {
+        wanted[at] = block.old[at];
+    }
+    wanted
+}

@@ -1,0 +1,50 @@
+//! For how long what is known of a gauge holds. Whatever happens to the gauge begins the next epoch of what it may have
+//! changed, and with that all facts of that kind are forgotten.
+
+use crate::epoch::Epoch;
+
+/// While no other gauge has been connected.
+pub(super) enum Arrival {}
+
+/// While nobody may have exchanged the pack without its being noticed.
+pub(super) enum Pack {}
+
+/// While its serial number may not have been written.
+pub(super) enum Name {}
+
+/// While no access may have changed the values that permit a write.
+pub(super) enum Values {}
+
+/// The present epochs.
+#[derive(Debug, Default)]
+pub(super) struct Now {
+    pub(super) arrival: Epoch<Arrival>,
+    pub(super) pack: Epoch<Pack>,
+    pub(super) name: Epoch<Name>,
+    pub(super) values: Epoch<Values>,
+}
+
+impl Now {
+    /// A gauge was connected, or has returned.
+    pub(super) fn arrives(&mut self) {
+        self.arrival.next();
+        self.may_be_renamed();
+        self.may_be_another();
+    }
+
+    /// Its data memory is lost, or another pack may be there.
+    pub(super) fn may_be_another(&mut self) {
+        self.pack.next();
+        self.may_have_changed();
+    }
+
+    /// An access has failed, or has changed what permits the next one.
+    pub(super) fn may_have_changed(&mut self) {
+        self.values.next();
+    }
+
+    /// Its serial number may have been written.
+    pub(super) fn may_be_renamed(&mut self) {
+        self.name.next();
+    }
+}
