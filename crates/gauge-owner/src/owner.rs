@@ -137,6 +137,7 @@ pub fn spawn(
 ///
 /// The receiver gets one message: whether the gauge was identified and polled. After a failure the handle
 /// is that of a gauge that is gone, and the owner goes on trying.
+#[inline(never)] // Its locals would otherwise be on the stack while the caller opens the gauge.
 pub fn start(
     chip: &'static Chip,
     bus: Box<dyn Bus>,
@@ -201,7 +202,7 @@ impl Owner {
         mut settings: Settings,
         startup: Startup,
         signal: Arc<Signal>,
-    ) -> (Self, Arc<Shared>) {
+    ) -> (Box<Self>, Arc<Shared>) {
         let keys = std::mem::take(&mut settings.keys);
         let now = clock.now();
         let mut gauge = Gauge::new(chip, bus, clock, keys, settings.byte_writes);
@@ -209,7 +210,8 @@ impl Owner {
             gauge.key_file = file;
         }
         let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, startup.origin, signal));
-        let owner = Self {
+        // By value it would be on the stack of its thread once for each function that passes it on.
+        let owner = Box::new(Self {
             gauge,
             dataflash: DataFlash::new(settings.limits, settings.journal),
             shared: shared.clone(),
@@ -228,7 +230,7 @@ impl Owner {
             unverified: startup.unverified,
             missing: startup.missing,
             has_ended: false,
-        };
+        });
         (owner, shared)
     }
 
