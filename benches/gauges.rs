@@ -1,5 +1,5 @@
-//! What the daemon costs the machine: one gauge whose whole tree has been read, then many gauges in one mount
-//! compared with one: memory, processor time and wake-ups.
+//! What the daemon costs the machine: one gauge whose whole tree has been read; 1, 64 and 512 gauges in one mount before
+//! and after everything in their trees is read; then many gauges compared with one: memory, processor time and wake-ups.
 //!
 //!     cargo bench --bench gauges
 //!
@@ -12,17 +12,22 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 mod report;
 use report::Report;
 
 const NUMBERS: &[usize] = &[1, 64];
+/// How many readers read the trees of many gauges.
+const READERS: usize = 48;
 const SETTLE: Duration = Duration::from_secs(4);
 const WINDOW: Duration = Duration::from_secs(12);
 /// Resident memory of a daemon with one gauge, at most: all of it, most of which is the program, and its own.
 const MEMORY_MIB: f64 = 8.0;
 const OWN_MIB: f64 = 2.0;
+/// What one gauge more costs, everything in its tree read, at most.
+const ANOTHER_KIB: f64 = 64.0;
 /// Between polls that are so far apart, the daemon has nothing to do.
 const LONG: &str = "600";
 
@@ -79,6 +84,8 @@ impl Daemon {
         fs::write(&config, text).expect("a file");
         let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
         command.args(["mount", "-f", "--config"]).arg(&config).stderr(Stdio::null());
+        // As in the background, and in the packaged service.
+        command.env("GLIBC_TUNABLES", "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0");
         let child = command.spawn().expect("gaugefs runs");
         let last = folder.join(format!("m/BAT{}/present", gauges - 1));
         let start = Instant::now();
@@ -119,6 +126,21 @@ fn read_all(folder: &Path) -> usize {
     entries.map(read).sum()
 }
 
+/// Reads everything in the trees of that many gauges, several at a time. Reading data flash takes a gauge its time.
+fn read_gauges(mount: &Path, gauges: usize) -> usize {
+    let next = AtomicUsize::new(0);
+    let read = || -> usize {
+        std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed))
+            .take_while(|&gauge| gauge < gauges)
+            .map(|gauge| read_all(&mount.join(format!("BAT{gauge}"))))
+            .sum()
+    };
+    std::thread::scope(|scope| {
+        let readers: Vec<_> = (0..READERS.min(gauges)).map(|_| scope.spawn(read)).collect();
+        readers.into_iter().map(|reader| reader.join().expect("a reader")).sum()
+    })
+}
+
 fn main() -> ExitCode {
     if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
         println!("SKIPPED: /dev/fuse cannot be opened");
@@ -126,7 +148,8 @@ fn main() -> ExitCode {
     }
     let mut report = Report::default();
     one(&mut report);
-    many(&mut report);
+    whole(&mut report);
+    many();
     report.finish()
 }
 
@@ -166,7 +189,56 @@ fn one(report: &mut Report) {
     report.promise(wakeups == 0, || format!("{wakeups} wake-ups between polls, not 0"));
 }
 
-fn many(report: &mut Report) {
+/// Resident memory in KiB, and percent of a processor.
+fn cost(pid: u32) -> (f64, f64) {
+    std::thread::sleep(SETTLE);
+    let (before, start) = (Used::now(pid), Instant::now());
+    std::thread::sleep(WINDOW);
+    let after = Used::now(pid);
+    let busy = (after.cpu_ms - before.cpu_ms) / 10.0 / start.elapsed().as_secs_f64();
+    (after.rss_kib as f64, busy)
+}
+
+/// Many gauges polled every 3 s, before and after everything in their trees is read.
+fn whole(report: &mut Report) {
+    println!("\ngauges  files read  RSS MB   after  processor %   after");
+    let mb = |kib: f64| kib * 1024.0 / 1e6;
+    let mut one = None;
+    for gauges in [1, 64, 512] {
+        let daemon = Daemon::new(gauges, "3.0");
+        let (rss, busy) = cost(daemon.0.id());
+        let files = read_gauges(&daemon.1.join("m"), gauges);
+        let (read_rss, read_busy) = cost(daemon.0.id());
+        println!(
+            "{gauges:6}  {files:10}  {:6.1}  {:6.1}  {busy:11.2}  {read_busy:6.2}",
+            mb(rss),
+            mb(read_rss)
+        );
+        report
+            .promise(files > 200 * gauges, || format!("only {files} files of {gauges} gauges could be read"));
+        let first = *one.get_or_insert(read_rss);
+        if gauges == 64 {
+            let another = (read_rss - first) / 63.0;
+            report.row(
+                "resident memory of one gauge more, everything in its tree read",
+                &format!("{another:.0} KiB"),
+                &format!("the limit: {ANOTHER_KIB} KiB"),
+            );
+            report.promise(another <= ANOTHER_KIB, || {
+                format!("{another:.1} KiB for one gauge more; the limit is {ANOTHER_KIB}")
+            });
+        }
+        if gauges > 1 {
+            report.row(
+                &format!("simulated gauges in one mount, {gauges} of them polled every 3 s"),
+                &format!("{:.1} MB, {busy:.1} % of a processor", mb(rss)),
+                &format!("everything in their trees read: {:.1} MB, {read_busy:.1} %", mb(read_rss)),
+            );
+        }
+    }
+}
+
+fn many() {
     println!("\npoll  gauges  watched  threads  RSS MiB   of one  CPU ms/s   of one  switches/s   of one");
     for poll in ["3.0", "0.5"] {
         for watched in [false, true] {
@@ -198,13 +270,6 @@ fn many(report: &mut Report) {
                     if watched { "yes" } else { "no" },
                     after.threads
                 );
-                if (poll, watched, gauges) == ("3.0", false, 64) {
-                    report.row(
-                        "64 simulated gauges in one mount, polled every 3 s",
-                        &format!("{rss:.1} MiB, {:.1} % of a processor", cpu / 10.0),
-                        &format!("one gauge: {:.1} MiB; {rss_ratio:.1} times the memory", first[0]),
-                    );
-                }
             }
         }
     }

@@ -22,6 +22,11 @@ use crate::output::{self, print_file};
 
 /// Environment variable of the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
+/// One heap for all threads, without a cache for each. A daemon has a thread for each gauge, which allocates little and
+/// seldom: what is free in heaps and caches of their own takes as much memory as what is in use. glibc reads this before
+/// a program begins; the packaged services have it in `service.conf`.
+const TUNABLES: &str = "GLIBC_TUNABLES";
+const ONE_HEAP: &str = "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0";
 const READY: &[u8] = b"ready\n";
 
 /// Whether this process is the child.
@@ -41,6 +46,9 @@ pub fn start() -> Result<ExitCode> {
         command.arg0(name);
     }
     command.args(arguments).env(CHILD, "1").stdout(Stdio::piped());
+    if env::var_os(TUNABLES).is_none() {
+        command.env(TUNABLES, ONE_HEAP);
+    }
     let mut child = command.spawn().map_err(failed)?;
     let mut answer = Vec::new();
     if let Some(out) = &mut child.stdout {

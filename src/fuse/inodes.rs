@@ -225,6 +225,8 @@ pub(super) struct Inodes<W> {
     listings: HashMap<Node, Listing>,
     /// How many nodeids there may be before those that rest are dropped.
     room: usize,
+    /// When that was last done.
+    tidied: Instant,
 }
 
 impl<W> Inodes<W> {
@@ -237,6 +239,7 @@ impl<W> Inodes<W> {
             current: BTreeMap::new(),
             listings: HashMap::new(),
             room: SPARE,
+            tidied: now.instant,
         }
     }
 
@@ -268,13 +271,15 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// Drops the nodeids that rest, if there are many.
+    /// Drops the nodeids that rest, if there are many: at once if many were entered since the last time, and otherwise when
+    /// those of that time may rest by now.
     pub(super) fn tidy(&mut self, now: Now) {
-        if self.live.len() < self.room {
+        let is_time = self.live.len() > SPARE && now.instant >= self.tidied + IN_USE;
+        if self.live.len() < self.room && !is_time {
             return;
         }
         self.live.retain(|_, inode| !inode.rests(now));
-        self.room = self.live.len() + SPARE;
+        (self.room, self.tidied) = (self.live.len() + SPARE, now.instant);
         self.current.retain(|_, number| self.live.contains_key(number));
     }
 
@@ -669,6 +674,21 @@ mod tests {
             drop_resting(&mut inodes, 9 * in_use + stays - 1);
             assert!(inodes.get(number).is_some(), "{sharing:?}");
         }
+    }
+
+    /// Reading whole trees enters many at once, and then nobody enters any more.
+    #[test]
+    fn regression_nodeids_of_a_burst_stayed_for_as_long_as_nobody_entered_another_one() {
+        let mut inodes = inodes();
+        for turn in 0..100 {
+            for _ in 0..SPARE {
+                inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(turn));
+            }
+            inodes.tidy(at(turn));
+        }
+        assert_eq!(inodes.live.len(), 100 * SPARE, "they are in use");
+        inodes.tidy(at(60_000));
+        assert_eq!(inodes.live.len(), 0);
     }
 
     #[test]

@@ -185,6 +185,7 @@ pub fn of_sim(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Err
 }
 
 /// A simulated gauge that answers.
+#[inline(never)] // A gauge as a value is large; it is not to be on the stack with all else that opens one.
 fn power_up(
     chip: &'static Chip,
     state: Option<&Path>,

@@ -154,6 +154,7 @@ fn is_set(flash: &Flash, place: Option<Flag>) -> bool {
 }
 
 impl Block {
+    #[inline(never)] // A gauge as a value is large; those of all schemes are not to be on the stack together.
     pub(super) fn gauge(
         part: &'static Part,
         scheme: &'static BlockPart,

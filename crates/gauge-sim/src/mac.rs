@@ -141,6 +141,7 @@ struct Ram {
 }
 
 impl Mac {
+    #[inline(never)] // A gauge as a value is large; those of all schemes are not to be on the stack together.
     pub(super) fn gauge(
         part: &'static Part,
         scheme: &'static MacPart,

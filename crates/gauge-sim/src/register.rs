@@ -34,6 +34,7 @@ pub(super) struct Register {
 }
 
 impl Register {
+    #[inline(never)] // A gauge as a value is large; those of all schemes are not to be on the stack together.
     pub(super) fn gauge(
         part: &'static Part,
         scheme: &'static RegisterPart,

@@ -6,6 +6,7 @@
 //! whatever it is doing when power is lost, and firmware that is marked as whole and is not whole never answers again.
 //! But an erase that is interrupted has erased the mark: where it has not, no order of rows would help.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -63,7 +64,7 @@ pub(super) struct Firmware {
     version: u16,
     /// `None` as long as nothing has looked at it: it takes more memory than all else of a gauge.
     rows: Option<Rows>,
-    pub(super) rest: Arc<[u8]>,
+    pub(super) rest: Cow<'static, [u8]>,
 }
 
 #[derive(Clone, Debug)]
@@ -76,7 +77,7 @@ struct Rows {
 impl Firmware {
     /// The firmware of a new part.
     pub(super) fn new(version: u16) -> Self {
-        Self { version, rows: None, rest: vec![0xFF; DATA].into() }
+        Self { version, rows: None, rest: Cow::Borrowed(&[0xFF; DATA]) }
     }
 
     /// Whether the gauge starts its firmware, instead of staying in ROM mode.

@@ -15,7 +15,7 @@ use ti_gauge::keys::{Name, Secret};
 
 /// The owner of a gauge, driven by the caller's thread.
 pub struct Direct {
-    pub(in crate::owner) owner: Owner,
+    pub(in crate::owner) owner: Box<Owner>,
     /// What everybody else sees of it.
     pub handle: Handle,
     requests: Receiver<(Duration, Request)>,
