@@ -509,7 +509,8 @@ fn the_units_and_scripts_beside_the_daemon_are_accepted() {
     }
     // Those that they are bound to, with one line that says what is run.
     for name in ["gaugefs", "gaugefs@"] {
-        fs::write(folder.file(&format!("{name}.service")), "[Service]\nExecStart=/bin/true\n").expect("a file");
+        fs::write(folder.file(&format!("{name}.service")), "[Service]\nExecStart=/bin/true\n")
+            .expect("a file");
     }
     let mut verify = Command::new("systemd-analyze");
     verify.args(["verify", "--man=no"]).args(&units).stdin(Stdio::null());
