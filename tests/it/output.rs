@@ -19,7 +19,7 @@ fn printing<'a>(
 ) -> Option<Vec<&'a str>> {
     Some(match name {
         // They print nothing to standard output.
-        "umount" | "wait" | "attach" | "detach" | "check-keys" => return None,
+        "umount" | "wait" | "events" | "attach" | "detach" | "check-keys" => return None,
         // They need a bus.
         "probe" | "rescue" => return None,
         // Its steps are printed as those of a calibration are.
