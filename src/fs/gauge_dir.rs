@@ -252,16 +252,16 @@ fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
 
 /// The last subcommand that was asked for, and the gauge's answer.
 fn answered(gauge: &Supply) -> Option<String> {
-    match gauge.published().control {
+    match gauge.published().control() {
         Some((code, answer)) => line(format_args!("0x{code:04x} 0x{answer:04x}")),
         None => empty(),
     }
 }
 
 fn digest(gauge: &Supply) -> Option<String> {
-    match gauge.published().digest {
+    match gauge.published().digest() {
         _ if !can_authenticate(gauge) => None,
-        Some(digest) => line(authentication::to_hex(&digest)),
+        Some(digest) => line(authentication::to_hex(digest)),
         None => empty(),
     }
 }

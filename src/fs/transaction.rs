@@ -13,9 +13,11 @@ use nix::errno::Errno;
 
 use super::raw;
 use crate::error::{Cause, Error, Result};
+use gauge_owner::Presence;
 use ti_gauge::chip::{Chip, Safe, Unnamed};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::epoch::Epoch;
 
 /// A transaction that is open for longer than this is dropped. So is one whose gauge has gone away since, or is another
 /// one: its values were meant for the gauge that was there.
@@ -49,7 +51,7 @@ struct State {
 pub(super) struct Moment {
     pub(super) now: Duration,
     /// See [`Published::presence`](gauge_owner::Published::presence).
-    pub(super) presence: u64,
+    pub(super) presence: Epoch<Presence>,
 }
 
 struct Open {
@@ -413,7 +415,7 @@ mod tests {
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         let rules = Rules { chip, allow_unproven: true, stored: &|_| None };
-        let at = Moment { now: Duration::ZERO, presence: 0 };
+        let at = Moment { now: Duration::ZERO, presence: Epoch::default() };
         assert!(transaction.write(&rules, at, lines).expect("lines").is_none());
         let staged = transaction.staged(at).expect("open").changes(chip);
         let staged: Vec<_> =

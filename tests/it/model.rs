@@ -274,7 +274,7 @@ struct Model {
     /// Why a line of `df/transaction` was refused, since when nothing is committed.
     spoiled: Option<Errno>,
     /// That of the gauge when this was last certain. When it has risen, the gauge was away, which ends a transaction.
-    presence: u64,
+    presence: ti_gauge::epoch::Epoch<gauge_owner::Presence>,
     documented: Vec<Errno>,
     counts: BTreeMap<(String, String), u64>,
     recent: Vec<String>,
@@ -401,7 +401,7 @@ impl Model {
             low: false,
             seal: ["sealed"].into(),
             staged: None,
-            presence: 0,
+            presence: ti_gauge::epoch::Epoch::default(),
             spoiled: None,
             documented: documented.map(|name| all[name]).collect(),
             counts: BTreeMap::new(),

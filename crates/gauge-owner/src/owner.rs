@@ -23,6 +23,7 @@ use gauge_bus::clock::Clock;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, DataFlash, Limits};
+use ti_gauge::epoch::Fact;
 use ti_gauge::gauge::Gauge;
 pub use ti_gauge::gauge::{Answers, Seal};
 use ti_gauge::journal::Journal;
@@ -36,6 +37,7 @@ mod calibrate;
 mod debt;
 mod direct;
 mod handle;
+mod now;
 mod operation;
 pub mod operations;
 mod poll;
@@ -52,6 +54,8 @@ use debt::Debt;
 pub use direct::Direct;
 use handle::Shared;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
+use now::Content;
+pub use now::Presence;
 use operation::Request;
 pub use operation::{Context, Spoken};
 pub use operation::{Done, Operation};
@@ -170,9 +174,9 @@ struct Owner {
     /// Registers of the tiers that are not read with every poll.
     rare: Registers,
     /// The static tier has been read since data flash last changed.
-    statics_are_current: bool,
+    statics: Fact<(), Content>,
     /// What attributes need of data flash has been read since then, or was tried.
-    looked: bool,
+    looked: Fact<(), Content>,
     control_status: u16,
     /// When the gauge was last asked what it is.
     identified: Duration,
@@ -185,7 +189,7 @@ struct Owner {
     /// See [`Settings::backup`].
     backup: Option<Backup>,
     /// The configuration of this gauge is saved.
-    backed_up: bool,
+    backed_up: Fact<(), Presence>,
     /// See [`Startup::unverified`].
     unverified: bool,
     /// See [`Startup::missing`].
@@ -218,15 +222,15 @@ impl Owner {
             schedule: Schedule::new(startup.phase, now),
             debt: Debt::default(),
             rare: Registers::UNREAD,
-            statics_are_current: false,
-            looked: false,
+            statics: Fact::default(),
+            looked: Fact::default(),
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
             restore: settings.restore,
             loss: Loss::None,
             backup: settings.backup,
-            backed_up: false,
+            backed_up: Fact::default(),
             unverified: startup.unverified,
             missing: startup.missing,
             has_ended: false,
@@ -312,8 +316,7 @@ impl Owner {
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
             published.snapshot = None;
-            published.presence += 1;
-            (published.digest, published.control) = (None, None);
+            published.presence.next();
             (published.owed, published.settling) = ("".into(), "".into());
         });
         self.shared.report(attempt, &error);
@@ -343,9 +346,7 @@ impl Owner {
 
     /// Forgets what was read of data flash of a gauge that has not been exchanged: its scales have not changed.
     fn forget_values(&mut self) {
-        self.statics_are_current = false;
-        self.looked = false;
-        self.shared.forget_all();
+        self.shared.next_content();
     }
 }
 

@@ -71,7 +71,6 @@ impl<Of> fmt::Debug for Epoch<Of> {
 }
 
 /// What was learned in an epoch.
-#[derive(Clone)]
 pub struct Fact<T, Of>(Option<(Epoch<Of>, T)>);
 
 impl<T, Of> Fact<T, Of> {
@@ -101,6 +100,12 @@ impl<T: Default, Of> Fact<T, Of> {
             Some((_, value)) => value,
             None => unreachable!("it was just learned"),
         }
+    }
+}
+
+impl<T: Clone, Of> Clone for Fact<T, Of> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
     }
 }
 

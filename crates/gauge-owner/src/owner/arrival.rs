@@ -81,16 +81,14 @@ impl Owner {
         self.forget_dataflash();
         self.rare = Registers::UNREAD;
         self.schedule.begin_anew();
-        self.backed_up = false;
         if matches!(std::mem::take(&mut self.loss), Loss::Owed { .. }) {
             let why = "the gauge was gone or exchanged while --restore was still to be written; it is written if this \
                        gauge reports a power loss, otherwise check with `gaugefs diff`";
             log::warn!("{}: {why}", self.shared.name());
         }
         self.shared.publish(|published| {
-            published.presence += 1;
+            published.presence.next();
             (published.answers, published.limited) = (answers, limited);
-            (published.digest, published.control) = (None, None);
         });
         match self.limitation() {
             None => self.settle(),
@@ -349,8 +347,21 @@ mod tests {
             rig.ask(&op::REFRESH, ()).expect("it answers");
             assert_eq!(rig.handle.published().answers.firmware_version, 0x0201, "{chip}");
             rig.ask(&op::CONTROL, 0x0002).expect("it answers");
-            assert_eq!(rig.handle.published().control, Some((0x0002, 0x0201)), "{chip}");
+            assert_eq!(rig.handle.published().control(), Some((0x0002, 0x0201)), "{chip}");
         }
+    }
+
+    #[test]
+    fn regression_a_gauge_that_is_gone_still_had_answers() {
+        let mut rig = Rig::open();
+        rig.ask(&op::CONTROL, 0x0002).expect("it answers");
+        assert!(rig.handle.published().control().is_some());
+        rig.sim.set("power", "off").expect("a knob");
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        assert!(rig.handle.published().snapshot.is_none(), "gone");
+        assert_eq!(rig.handle.published().control(), None);
     }
 
     /// A bq27441-G1 with an image whose Design Capacity is to be restored.
@@ -458,7 +469,10 @@ mod tests {
 
     /// Whether the gauge has been met anew since this was last asked.
     fn has_arrived(rig: &mut Rig) -> bool {
-        !std::mem::replace(&mut rig.owner.backed_up, true)
+        let now = rig.handle.published().presence;
+        let was_known = rig.owner.backed_up.is_known(now);
+        rig.owner.backed_up.learn(now, ());
+        !was_known
     }
 
     fn write(rig: &mut Rig, value: i64) -> Result<()> {

@@ -181,7 +181,10 @@ impl Owner {
     /// Saves the gauge's configuration, if that has not been done since the gauge came. A pack with an erased row that
     /// these changes do not write is refused.
     pub(super) fn back_up(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
-        let Some(backup) = self.backup.clone().filter(|_| !self.backed_up) else { return Ok(()) };
+        let now = self.shared.published().presence;
+        let Some(backup) = self.backup.clone().filter(|_| !self.backed_up.is_known(now)) else {
+            return Ok(());
+        };
         self.check_erased(changes, waited).map_err(|error| error.within("backup"))?;
         let chip = self.gauge.chip;
         let readable = readable(chip);
@@ -196,7 +199,7 @@ impl Owner {
             Saved::Written(path) => log::info!("{prefix}configuration saved in {}", path.display()),
             Saved::There(path) => log::info!("{prefix}configuration is as saved in {}", path.display()),
         }
-        self.backed_up = true;
+        self.backed_up.learn(now, ());
         Ok(())
     }
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
+use super::now::{Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report, Settings};
 use crate::error::{Error, Result};
@@ -16,6 +17,7 @@ use ti_gauge::authentication::{Message, Order};
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
 use ti_gauge::value::{Type, Value};
@@ -50,7 +52,7 @@ pub struct Published {
     /// The last poll; `None` while the gauge is gone.
     pub snapshot: Option<Arc<Snapshot>>,
     /// Rises whenever the gauge goes away, or may be another one than before.
-    pub presence: u64,
+    pub presence: Epoch<Presence>,
     /// The answers of the gauge when it was identified.
     pub answers: Answers,
     /// Set if the part is a relative of the table's, or another version of it: its standard commands mean the
@@ -58,10 +60,10 @@ pub struct Published {
     pub limited: Option<Limited>,
     /// Its seal state when it was last read.
     pub seal: Seal,
-    /// The answer to the last challenge; `None` while there is none.
-    pub digest: Option<Message>,
-    /// The last subcommand that was asked for, and the answer; `None` while there is none.
-    pub control: Option<(u16, u16)>,
+    /// See [`Self::digest`].
+    pub(super) digest: Fact<Message, Presence>,
+    /// See [`Self::control`].
+    pub(super) control: Fact<(u16, u16), Presence>,
     /// Time between polls.
     pub interval: Duration,
     /// The last failure, one line; empty for none.
@@ -91,6 +93,18 @@ pub struct Failure {
     pub owed: bool,
 }
 
+impl Published {
+    /// The answer to the last challenge; `None` while this gauge has given none.
+    pub fn digest(&self) -> Option<&Message> {
+        self.digest.get(self.presence)
+    }
+
+    /// The last subcommand that was asked for, and the answer; `None` while this gauge has given none.
+    pub fn control(&self) -> Option<(u16, u16)> {
+        self.control.get(self.presence).copied()
+    }
+}
+
 /// The part of an owner that its handles share.
 pub(super) struct Shared {
     pub(super) chip: &'static Chip,
@@ -101,7 +115,7 @@ pub(super) struct Shared {
     pub(super) statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
     /// Subclasses that have been read, by their index in the table.
-    kept: Mutex<Vec<Option<Kept>>>,
+    kept: Mutex<Memory>,
     /// The scales in data flash that have been read, by their places; 0 for one that may have changed since.
     flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
     signal: Arc<Signal>,
@@ -109,6 +123,19 @@ pub(super) struct Shared {
     changed: AtomicBool,
     /// The beginning of each line of the log: empty if there is only one gauge.
     pub(super) prefix: String,
+}
+
+/// What was read of data flash.
+struct Memory {
+    now: Epoch<Content>,
+    /// By their index in the table.
+    subclasses: Vec<Fact<Kept, Content>>,
+}
+
+impl Memory {
+    fn get(&self, subclass: usize) -> Option<&Kept> {
+        self.subclasses.get(subclass)?.get(self.now)
+    }
 }
 
 /// A subclass as it was read.
@@ -133,12 +160,12 @@ impl Shared {
     ) -> Self {
         let published = Published {
             snapshot: None,
-            presence: 0,
+            presence: Epoch::default(),
             answers: Answers::default(),
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,
-            digest: None,
-            control: None,
+            digest: Fact::default(),
+            control: Fact::default(),
             interval: settings.interval,
             last_error: "".into(),
             failed: None,
@@ -156,7 +183,10 @@ impl Shared {
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
-            kept: Mutex::new(gauge.chip.subclasses.iter().map(|_| None).collect()),
+            kept: Mutex::new(Memory {
+                now: Epoch::default(),
+                subclasses: gauge.chip.subclasses.iter().map(|_| Fact::default()).collect(),
+            }),
             flash_scales: Mutex::default(),
             signal,
             changed: AtomicBool::new(true),
@@ -224,7 +254,7 @@ impl Shared {
     pub(super) fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
         let poll = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
         let kept = lock(&self.kept);
-        let kept = kept.get(subclass)?.as_ref()?;
+        let kept = kept.get(subclass)?;
         let learned = self.chip.subclasses[subclass].parameters.iter().any(|parameter| parameter.learned);
         let valid = !learned || poll == Some(kept.poll);
         valid.then(|| kept.bytes.clone())
@@ -241,7 +271,7 @@ impl Shared {
         let bytes = match row.parameters.iter().any(|parameter| parameter.learned && overlaps(parameter)) {
             true => self.kept(index)?,
             // A poll does not put values out of date that the gauge does not rewrite.
-            false => lock(&self.kept)[index].as_ref()?.bytes.clone(),
+            false => lock(&self.kept).get(index)?.bytes.clone(),
         };
         let at = usize::from(offset - row.start());
         Some(codec::decode(kind, bytes.get(at..at + kind.size())?))
@@ -267,13 +297,16 @@ impl Shared {
     pub(super) fn unread_places(&self) -> Vec<usize> {
         let indices: BTreeSet<_> = self.chip.places().filter_map(|place| self.index(place)).collect();
         let kept = lock(&self.kept);
-        indices.into_iter().filter(|&index| kept[index].is_none()).collect()
+        indices.into_iter().filter(|&index| kept.get(index).is_none()).collect()
     }
 
     /// Keeps the bytes of a subclass, read after that poll.
     pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
         self.note_scales(self.chip.subclasses[subclass].id, self.chip.subclasses[subclass].start(), &bytes);
-        lock(&self.kept)[subclass] = Some(Kept { bytes, poll });
+        let mut kept = lock(&self.kept);
+        let now = kept.now;
+        kept.subclasses[subclass].learn(now, Kept { bytes, poll });
+        drop(kept);
         self.raise();
     }
 
@@ -327,18 +360,24 @@ impl Shared {
 
     /// Forgets the bytes of some subclasses.
     pub(super) fn forget(&self, changed: impl Fn(&Subclass) -> bool) {
-        for (subclass, kept) in self.chip.subclasses.iter().zip(lock(&self.kept).iter_mut()) {
+        for (subclass, kept) in self.chip.subclasses.iter().zip(&mut lock(&self.kept).subclasses) {
             if changed(subclass) {
-                *kept = None;
+                *kept = Fact::default();
             }
         }
         // Attributes follow from them.
         self.raise();
     }
 
-    /// Forgets the bytes of all subclasses.
-    pub(super) fn forget_all(&self) {
-        self.forget(|_| true);
+    /// Data flash may hold something else from now on.
+    pub(super) fn next_content(&self) {
+        lock(&self.kept).now.next();
+        self.raise();
+    }
+
+    /// Since when data flash holds what it does.
+    pub(super) fn content(&self) -> Epoch<Content> {
+        lock(&self.kept).now
     }
 }
 

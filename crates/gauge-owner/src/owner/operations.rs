@@ -14,6 +14,7 @@ use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
+use ti_gauge::epoch::Fact;
 use ti_gauge::keys;
 use ti_gauge::notation;
 use ti_gauge::text;
@@ -126,11 +127,11 @@ impl Owner {
 
     fn send(&mut self, code: u16, _: Asked) -> Result<()> {
         // Clear the previous answer first, or it could be taken for this one's.
-        self.shared.publish(|published| published.control = None);
+        self.shared.publish(|published| published.control = Fact::default());
         let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
         self.publish_seal();
         let answer = outcome?;
-        self.shared.publish(|published| published.control = Some((code, answer)));
+        self.shared.publish(|published| published.control.learn(published.presence, (code, answer)));
         log::info!("{}Control(0x{code:04x}) answered 0x{answer:04x}", self.shared.prefix);
         Ok(())
     }
@@ -151,10 +152,10 @@ impl Owner {
 
     fn authenticate(&mut self, challenge: Message, asked: Asked) -> Result<()> {
         // The last digest is no answer to this challenge, even if this one fails.
-        self.shared.publish(|published| published.digest = None);
+        self.shared.publish(|published| published.digest = Fact::default());
         let order = self.shared.auth_order;
         let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited)?;
-        self.shared.publish(|published| published.digest = Some(digest));
+        self.shared.publish(|published| published.digest.learn(published.presence, digest));
         Ok(())
     }
 
@@ -211,11 +212,12 @@ impl Owner {
         let published = self.shared.published();
         // Values that are about to be undone or restored must not be shown.
         let is_settled = self.dataflash.owed().is_none() && !matches!(self.loss, Loss::Owed { .. });
-        if self.looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
+        let looked = self.looked.is_known(self.shared.content());
+        if looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
             return;
         }
         // A failure is in the log, and no reason to do without the gauge; the next look follows a change.
-        self.looked = true;
+        self.looked.learn(self.shared.content(), ());
         let wanted = self.shared.unread_places();
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
         if rows.is_empty() {
@@ -280,7 +282,7 @@ impl Owner {
                     None => change.place().subclass == row.id,
                 };
                 self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
-                self.looked = false;
+                self.looked = Fact::default();
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
             Ok(Outcome::Written { reset: true, .. }) => {

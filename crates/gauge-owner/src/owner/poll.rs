@@ -198,7 +198,7 @@ impl Owner {
             log::warn!("{}: the gauge is gone", self.shared.name());
             self.shared.publish(|published| {
                 published.snapshot = None;
-                published.presence += 1;
+                published.presence.next();
             });
         }
     }
@@ -206,7 +206,8 @@ impl Owner {
     /// Reads what is due and publishes it as a new Snapshot.
     pub(super) fn poll(&mut self) -> Result<()> {
         let mut taken = self.gauge.clock.now();
-        let (slow, statics) = (self.schedule.reads_slow_tier(), !self.statics_are_current);
+        let (slow, statics) =
+            (self.schedule.reads_slow_tier(), !self.statics.is_known(self.shared.content()));
         let condition = &self.gauge.chip.condition;
         if slow || statics {
             // Both tiers in one pass: a burst may hold registers of each.
@@ -215,7 +216,7 @@ impl Owner {
                 Tier::Static => statics,
                 Tier::Poll | Tier::Window => false,
             })?;
-            self.statics_are_current = true;
+            self.statics.learn(self.shared.content(), ());
         }
         // A primary cell is measured only while CONTROL_STATUS says so.
         let has_table = self.gauge.chip.has_table();

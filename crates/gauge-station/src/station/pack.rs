@@ -267,7 +267,7 @@ impl Task<'_> {
             let told = "set same-chemistry = true in the station's file";
             chemistry::check("chemistry", flash.chip, sum, (&id, told), |code| {
                 gauge.ask(&op::CONTROL, code)?;
-                let answer = gauge.handle.published().control.filter(|(asked, _)| *asked == code);
+                let answer = gauge.handle.published().control().filter(|(asked, _)| *asked == code);
                 answer.map(|(_, answer)| answer).ok_or_else(|| refuse("chemistry", "no answer".into()))
             })?;
         }
