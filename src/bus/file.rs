@@ -90,7 +90,8 @@ pub(super) fn serve(device: OwnedFd, adapter: &Arc<Adapter>) -> Result<()> {
             Ok(length) => length,
             // A signal, or a request that its caller has taken back.
             Err(nix::errno::Errno::EINTR | nix::errno::Errno::ENOENT | nix::errno::Errno::EAGAIN) => continue,
-            Err(nix::errno::Errno::ENODEV) => return Ok(()),
+            // The second where the kernel has ended the connection, as at the end of a mount namespace.
+            Err(nix::errno::Errno::ENODEV | nix::errno::Errno::ECONNABORTED) => return Ok(()),
             Err(errno) => return Err(Error::io("/dev/fuse", "cannot read a request", &errno.into())),
         };
         let request = &buffer[..length];
