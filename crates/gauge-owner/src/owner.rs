@@ -278,7 +278,7 @@ impl Owner {
                 }
                 Err(RecvTimeoutError::Timeout) if self.gauge.clock.now() < due => {}
                 Err(RecvTimeoutError::Timeout) if due < poll => {
-                    let _ = self.survive(Attempt::SETTLE, Self::pay);
+                    let _ = self.survive(operations::SETTLE.itself(), Self::pay);
                 }
                 Err(RecvTimeoutError::Timeout) => {
                     let _ = self.survive(Attempt::Poll, Self::poll_on_time);

@@ -32,16 +32,10 @@ pub enum Importance {
 }
 
 impl Attempt {
-    /// To settle an interrupted write.
-    pub const SETTLE: Self = Self::Operation("settle", Importance::Owed);
     /// To stage lines of `df/transaction`.
     pub const STAGE: Self = Self::Operation("stage", Importance::Change);
     /// To write the configuration of `--restore`.
     pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
-    /// To calibrate it.
-    pub(super) const CALIBRATE: Self = Self::Operation("calibrate", Importance::Change);
-    /// To make a report.
-    pub(super) const REPORT: Self = Self::Operation("report", Importance::Reading);
 
     pub(super) fn importance(&self) -> Importance {
         match self {
@@ -75,6 +69,6 @@ mod tests {
         assert!(Attempt::Read(vec![1, 2]).includes(&Attempt::Read(vec![2])));
         assert!(!Attempt::Read(vec![1]).includes(&Attempt::Read(vec![1, 2])));
         assert!(Attempt::Poll.includes(&Attempt::Poll) && !Attempt::Poll.includes(&Attempt::Read(vec![])));
-        assert!(!Attempt::Other.includes(&Attempt::Other) && !Attempt::SETTLE.includes(&Attempt::STAGE));
+        assert!(!Attempt::Other.includes(&Attempt::Other) && !Attempt::RESTORE.includes(&Attempt::STAGE));
     }
 }

@@ -1,7 +1,7 @@
 //! Calibration in the owner's thread, which does not poll meanwhile.
 
 use super::operation::Asked;
-use super::{Attempt, Owner};
+use super::{Owner, operations};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::calibration::{self, Job};
 
@@ -43,8 +43,10 @@ impl Owner {
         }
         let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
                    voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
-        self.shared
-            .report(Attempt::CALIBRATE, &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())));
+        self.shared.report(
+            operations::CALIBRATE.itself(),
+            &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())),
+        );
     }
 }
 

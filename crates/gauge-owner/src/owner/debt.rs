@@ -6,7 +6,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::operation::Asked;
-use super::{Attempt, Owner};
+use super::{Owner, operations};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::dataflash::Decision;
 
@@ -81,7 +81,7 @@ impl Owner {
                 self.after_settling();
                 if data {
                     let error = Error::new(self.gauge.chip.name, Cause::RolledBack(message));
-                    self.shared.record(Attempt::SETTLE, &error);
+                    self.shared.record(operations::SETTLE.itself(), &error);
                 }
             }
             Ok(None) => {}
@@ -115,11 +115,13 @@ impl Owner {
         match self.noted(outcome) {
             Ok(Some(found)) => {
                 self.forget_dataflash();
-                self.shared
-                    .report(Attempt::SETTLE, &Error::new(self.gauge.chip.name, Cause::RolledBack(found)));
+                self.shared.report(
+                    operations::SETTLE.itself(),
+                    &Error::new(self.gauge.chip.name, Cause::RolledBack(found)),
+                );
             }
             Ok(None) => {}
-            Err(error) => self.shared.report(Attempt::SETTLE, &error.into()),
+            Err(error) => self.shared.report(operations::SETTLE.itself(), &error.into()),
         }
     }
 
@@ -226,7 +228,7 @@ mod tests {
         let owed = rig.handle.published().owed.clone();
         // It tells what is owed, and is about something else.
         let error = Error::new("line 1", Cause::Invalid(owed.to_string()));
-        rig.handle.report(Attempt::STAGE, &error);
+        rig.handle.report(crate::Attempt::STAGE, &error);
         rig.clock.sleep(Duration::from_secs(60));
         rig.owner.pay();
         assert_eq!(*rig.handle.published().owed, *"");

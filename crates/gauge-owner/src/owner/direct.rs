@@ -6,7 +6,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
 use super::operation::Request;
-use super::{Attempt, Handle, Operation, Owner, Settings, Startup};
+use super::{Handle, Operation, Owner, Settings, Startup, operations};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
@@ -96,7 +96,7 @@ impl Direct {
             let Some(due) = due else { return Some(owed) };
             clock.sleep(due.saturating_sub(clock.now()));
             // A panic has thrown away what was known of the gauge, and its journal is still there.
-            if self.owner.survive(Attempt::SETTLE, Owner::pay).is_err() {
+            if self.owner.survive(operations::SETTLE.itself(), Owner::pay).is_err() {
                 return Some(owed);
             }
         }

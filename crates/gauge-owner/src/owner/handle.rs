@@ -603,8 +603,10 @@ mod tests {
         let seen = rig.owner.shared.signal.wait(u64::MAX, Some(Duration::ZERO));
         rig.handle.take_changed();
         assert!(!rig.handle.take_changed());
-        rig.handle
-            .report(Attempt::CALIBRATE, &Error::new("control", Cause::Invalid("no such subcommand".into())));
+        rig.handle.report(
+            super::super::operations::CONTROL.itself(),
+            &Error::new("control", Cause::Invalid("no such subcommand".into())),
+        );
         assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
         assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);
         assert!(rig.handle.take_changed());

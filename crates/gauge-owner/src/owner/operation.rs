@@ -100,10 +100,15 @@ impl<A, T> Operation<A, T> {
         self.parse.is_some()
     }
 
+    /// The attempt to carry it out, whatever its argument is.
+    pub(super) const fn itself(&self) -> Attempt {
+        Attempt::Operation(self.name, self.importance)
+    }
+
     fn attempt(&self, argument: Option<&A>) -> Attempt {
         match (self.attempt, argument) {
             (Some(attempt), Some(argument)) => attempt(argument),
-            _ => Attempt::Operation(self.name, self.importance),
+            _ => self.itself(),
         }
     }
 }
@@ -121,7 +126,7 @@ impl<A: Send> Spoken for Operation<A> {
         };
         match parse(context, text) {
             Ok(argument) => handle.ask(self, argument, done),
-            Err(error) => handle.refuse(self.attempt(None), error, done),
+            Err(error) => handle.refuse(self.itself(), error, done),
         }
     }
 }

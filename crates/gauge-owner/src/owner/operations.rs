@@ -82,7 +82,7 @@ pub static LOOK: Operation<()> = Operation::new("look", |owner, (), _| owner.loo
 /// Pays what is owed for the last time, and ends the owner; an error says what remains.
 pub static END: Operation<()> = Operation::new("end", |owner, (), _| owner.end())
     .of_any_gauge()
-    .attempting(|()| Attempt::SETTLE)
+    .attempting(|()| SETTLE.itself())
     .reporting();
 
 /// The places of changes.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::{Answers, Attempt, Owner, Seal, Snapshot};
+use super::{Answers, Owner, Seal, Snapshot, operations};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::trace::Event;
 use ti_gauge::chip::{Chip, Kind, Limited, Row, Subclass};
@@ -140,7 +140,7 @@ impl Owner {
             events,
         };
         self.shared.publish(|published| published.report = Some(Arc::new(report)));
-        self.shared.succeeded(&Attempt::REPORT);
+        self.shared.succeeded(&operations::REPORT.itself());
         Ok(())
     }
 
