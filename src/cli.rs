@@ -38,6 +38,7 @@ mod report;
 mod rescue;
 mod set;
 mod settle;
+mod sim;
 mod umount;
 #[cfg(feature = "screen")]
 mod watch;
@@ -65,6 +66,7 @@ enum Command {
     Mount(Box<mount::Mount>),
     Umount(umount::Umount),
     List(list::List),
+    Sim(sim::Sim),
     Probe(probe::Probe),
     Program(program::Program),
     Rescue(rescue::Rescue),
@@ -90,6 +92,7 @@ enum Command {
     Completions(completions::Completions),
     Man(manual::Man),
     Attach(Box<mount::Attach>),
+    SimInside(sim::Inside),
     /// Remove the mounts of services that have ended; systemd's units run it as root
     #[command(hide = true)]
     Detach,
@@ -117,6 +120,8 @@ impl Command {
             Self::Mount(command) => command.run(),
             Self::Umount(command) => command.run(),
             Self::List(command) => command.run(),
+            Self::Sim(command) => command.run(),
+            Self::SimInside(command) => command.run(),
             Self::Probe(command) => command.run(),
             Self::Program(command) => command.run(),
             Self::Rescue(command) => command.run(),

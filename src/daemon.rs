@@ -15,7 +15,7 @@ use gauge_owner::{Handle, Opening, Ready, Signal};
 
 mod adapters;
 pub mod background;
-mod knobs;
+pub(crate) mod knobs;
 pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;

@@ -29,7 +29,9 @@ use gauge_owner::Signal;
 
 mod adapter;
 mod inodes;
+pub mod knobs;
 mod notify;
+pub mod single;
 
 use adapter::{Adapter, Waiter};
 use inodes::{Inodes, Now, Value};

@@ -9,6 +9,7 @@
 pub use gaugefs_host::error;
 use gaugefs_host::{folders, output};
 
+mod bus;
 pub mod cli;
 mod config;
 pub mod daemon;

@@ -6,7 +6,7 @@ use gauge_owner::of_sim;
 use gauge_sim::Sim;
 
 /// The knobs of a simulated gauge.
-pub(super) struct SimKnobs(pub(super) Sim);
+pub(crate) struct SimKnobs(pub(crate) Sim);
 
 impl Knobs for SimKnobs {
     fn list(&self) -> Vec<(&'static str, bool)> {

@@ -84,7 +84,7 @@ pub fn detach() -> Result<()> {
 }
 
 /// A copy of a process's descriptor of `/dev/fuse`.
-fn device_of(pid: i32) -> Result<OwnedFd> {
+pub(crate) fn device_of(pid: i32) -> Result<OwnedFd> {
     let process = format!("process {pid}");
     let refuse = |error: std::io::Error| Error::io(&process, "cannot take its /dev/fuse", &error);
     let number = Pid::from_raw(pid).ok_or_else(|| refuse(Errno::ESRCH.into()))?;

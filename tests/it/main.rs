@@ -2,6 +2,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
+mod bus;
 mod cli;
 mod client;
 mod config;

@@ -19,7 +19,9 @@ fn printing<'a>(
 ) -> Option<Vec<&'a str>> {
     Some(match name {
         // They print nothing to standard output.
-        "umount" | "wait" | "events" | "attach" | "detach" | "check-keys" => return None,
+        "umount" | "wait" | "events" | "attach" | "sim-inside" | "detach" | "check-keys" => return None,
+        // It serves on when it has printed its line; `bus.rs` has its test.
+        "sim" => return None,
         // They need a bus.
         "probe" | "rescue" => return None,
         // Its steps are printed as those of a calibration are.
@@ -569,7 +571,7 @@ enum Dash {
 }
 
 /// Every such option and argument.
-const DASHES: [(&str, &str, Dash); 28] = [
+const DASHES: [(&str, &str, Dash); 30] = [
     ("mount", "config", Dash::Input),
     ("mount", "replay", Dash::Input),
     ("mount", "restore", Dash::Input),
@@ -581,6 +583,12 @@ const DASHES: [(&str, &str, Dash); 28] = [
     ("mount", "trace", Dash::Refused("--trace: a mount goes on when the command has returned")),
     ("mount", "log", Dash::Refused("--log: with --foreground the log goes to standard error")),
     ("mount", "key_file", Dash::Refused("standard input: keys are not read from it")),
+    ("sim", "replay", Dash::Input),
+    (
+        "sim",
+        "state",
+        Dash::Refused("--state: the gauge's flash is read from it and written to it; name a file"),
+    ),
     ("program", "image", Dash::Input),
     ("program", "station", Dash::Refused("standard input: it has the serial numbers that are scanned")),
     ("rescue", "file", Dash::Input),
@@ -655,6 +663,8 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
     for (command, id, dash) in DASHES {
         let arguments: Vec<&str> = match (command, id) {
             ("mount", "config") => vec!["mount", "--check", "--config", "-"],
+            ("sim", "replay") => vec!["sim", "--replay", "-", "./bus", "--", "true"],
+            ("sim", "state") => vec!["sim", CHIP, "--state", "-", "./bus", "--", "true"],
             ("mount", "replay") => vec!["mount", "--replay", "-", &other],
             ("mount", "restore") => vec!["mount", "--sim", CHIP, "--restore", "-", &other],
             ("mount", "key_file") => vec!["mount", "--sim", CHIP, "--key-file", "-", &other],
@@ -690,7 +700,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
         };
         let file = match (command, id) {
             ("mount", "config") => &config,
-            ("mount", "replay") => &trace,
+            ("mount" | "sim", "replay") => &trace,
             ("plot", _) => &csv,
             _ => &toml,
         };

@@ -1,4 +1,4 @@
-//! A target behind `/dev/i2c-N`.
+//! A target behind `/dev/i2c-N`, or behind a FUSE file that answers like one, as `gaugefs sim` serves it.
 //!
 //! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated
 //! START. The address is claimed with I2C_SLAVE first, because I2C_RDWR does not report that a kernel driver
@@ -40,11 +40,31 @@ mod ioctl {
     nix::ioctl_read_bad!(i2c_funcs, 0x0705, nix::libc::c_ulong);
 }
 
+/// What distinguishes the number of a FUSE file from those of the kernel's adapters, which are minor numbers.
+const FILE: u64 = 1 << 32;
+
 /// An adapter: its device node, and the adapter's number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adapter {
     path: PathBuf,
+    /// The device number of the node, or [`FILE`] and that of the mount.
     device: u64,
+}
+
+/// The device behind a path, if it may be an adapter: a node of i2c-dev, or a file that is a FUSE mount by itself.
+/// Others are not even opened, because that has effects on many devices.
+fn device(path: &Path, status: &fs::Metadata) -> Option<u64> {
+    /// `FUSE_SUPER_MAGIC` of `linux/magic.h`.
+    const FUSE: i64 = 0x6573_5546;
+    /// `FUSE_ROOT_ID`: only a mount that is one file has a file there.
+    const ROOT: u64 = 1;
+    let kind = status.file_type();
+    if kind.is_char_device() && major(status.rdev()) == I2C_MAJOR {
+        return Some(status.rdev());
+    }
+    let is_mount = kind.is_file() && status.ino() == ROOT;
+    let is_fuse = || rustix::fs::statfs(path).is_ok_and(|found| i64::from(found.f_type as u32) == FUSE);
+    (is_mount && is_fuse()).then(|| FILE | status.dev())
 }
 
 impl Adapter {
@@ -58,19 +78,41 @@ impl Adapter {
             }
             Err(error) => return Err(Error::io(name, "cannot read its type", &error)),
         };
-        if !status.file_type().is_char_device() || major(status.rdev()) != I2C_MAJOR {
-            return Err(Error::new(
-                name,
-                ErrorKind::NotABus,
-                format!("not an I2C bus; {}", list(&adapters(Path::new("/")))),
-            ));
+        let not_a_bus = |why: &str| {
+            let list = list(&adapters(Path::new("/")));
+            Error::new(&name, ErrorKind::NotABus, format!("not an I2C bus{why}; {list}"))
+        };
+        let device = device(path, &status).ok_or_else(|| not_a_bus(""))?;
+        let adapter = Self { path: path.to_path_buf(), device };
+        if device & FILE != 0 {
+            adapter.ask().map_err(|refusal| {
+                refusal
+                    .unwrap_or_else(|| not_a_bus(", although FUSE serves it: it does not answer I2C_FUNCS"))
+            })?;
         }
-        Ok(Self { path: path.to_path_buf(), device: status.rdev() })
+        Ok(adapter)
     }
 
-    /// The adapter's number: N in `i2c-N`, whatever the name of the node.
+    /// Asks a FUSE file what a bus answers, without a transfer. Without an error it has refused in its own way.
+    fn ask(&self) -> Result<(), Option<Error>> {
+        let failed = |what: &str, errno: Errno| Some(Error::io(self.to_string(), what, &errno.into()));
+        let node = File::options().read(true).write(true).open(&self.path);
+        let node = node.map_err(|error| Some(Error::io(self.to_string(), "cannot open it", &error)))?;
+        match functions(&node) {
+            Ok(_) => Ok(()),
+            // The kernel's answers to an ioctl that a file system does not know.
+            Err(Errno::ENOTTY | Errno::ENOSYS | Errno::EINVAL) => Err(None),
+            Err(Errno::EPERM) => {
+                let why = "who serves it may not read the memory of this program; run it with `gaugefs sim CHIP -- COMMAND`";
+                Err(Some(Error::new(self.to_string(), ErrorKind::Forbidden, why)))
+            }
+            Err(errno) => Err(failed("cannot ask it for its functions", errno)),
+        }
+    }
+
+    /// The adapter's number: N in `i2c-N`, whatever the name of the node. That of a FUSE file is larger than any of these.
     pub fn number(&self) -> u64 {
-        minor(self.device)
+        if self.device & FILE != 0 { self.device } else { minor(self.device) }
     }
 
     /// The path given to [`Adapter::find`].
@@ -114,7 +156,7 @@ impl Adapter {
 
     /// Whether the node still belongs to the same adapter.
     fn is_there(&self) -> bool {
-        fs::metadata(&self.path).is_ok_and(|status| status.rdev() == self.device)
+        fs::metadata(&self.path).is_ok_and(|status| device(&self.path, &status) == Some(self.device))
     }
 }
 

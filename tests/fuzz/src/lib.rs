@@ -11,6 +11,7 @@ mod bus;
 mod command;
 mod disk;
 mod image;
+mod ioctl;
 mod journal;
 mod keys;
 mod name;
@@ -47,6 +48,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "csv", run: command::csv, slice: 300 },
     Target { name: "command-line", run: command::options, slice: 300 },
     Target { name: "bus", run: bus::run, slice: 500 },
+    Target { name: "ioctl", run: ioctl::run, slice: 2000 },
 ];
 
 impl Target {

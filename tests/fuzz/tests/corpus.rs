@@ -241,4 +241,5 @@ targets! {
     csv "csv"
     command_line "command-line"
     bus "bus"
+    ioctl "ioctl"
 }

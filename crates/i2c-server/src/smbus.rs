@@ -1,0 +1,161 @@
+//! SMBus transactions, as the kernel emulates them with I2C messages (`i2c_smbus_xfer_emulated`).
+
+use rustix::io::Errno;
+
+use crate::adapter::Adapter;
+use crate::message::{BLOCK, Memory, Message};
+
+/// The answer to I2C_FUNCS: I2C messages; quick commands, bytes, words, process calls, I2C blocks and block writes of SMBus;
+/// packet error codes.
+pub const FUNCTIONS: u64 = 0x0000_0001 | 0x0000_0008 | 0x00ff_0000 | 0x0200_0000 | 0x0c00_0000;
+
+/// The size of a transaction's data: I2C_SMBUS_QUICK and those after it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Quick,
+    Byte,
+    ByteData,
+    WordData,
+    ProcessCall,
+    Block,
+    I2cBlock,
+    BlockProcessCall,
+}
+
+/// One SMBus transaction.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Transaction {
+    kind: Kind,
+    is_read: bool,
+    command: u8,
+    /// `union i2c_smbus_data`, as far as the kind uses it.
+    data: Vec<u8>,
+}
+
+impl Transaction {
+    /// `data` is the address of the caller's `union i2c_smbus_data`.
+    pub(crate) fn decode(
+        direction: u8,
+        command: u8,
+        size: u32,
+        data: u64,
+        memory: &mut dyn Memory,
+    ) -> Result<Self, Errno> {
+        const BROKEN: u32 = 6;
+        let kind = match size {
+            0 => Kind::Quick,
+            1 => Kind::Byte,
+            2 => Kind::ByteData,
+            3 => Kind::WordData,
+            4 => Kind::ProcessCall,
+            5 => Kind::Block,
+            BROKEN | 8 => Kind::I2cBlock,
+            7 => Kind::BlockProcessCall,
+            _ => return Err(Errno::INVAL),
+        };
+        let is_read = match direction {
+            0 => false,
+            1 => true,
+            _ => return Err(Errno::INVAL),
+        };
+        let length = match kind {
+            Kind::Quick => 0,
+            Kind::Byte if !is_read => 0,
+            Kind::Byte | Kind::ByteData => 1,
+            Kind::WordData | Kind::ProcessCall => 2,
+            Kind::Block | Kind::I2cBlock | Kind::BlockProcessCall => BLOCK + 2,
+        };
+        let mut bytes = vec![0; length];
+        if length > 0 {
+            if data == 0 {
+                return Err(Errno::INVAL);
+            }
+            let is_call = matches!(kind, Kind::ProcessCall | Kind::BlockProcessCall);
+            if !is_read || is_call || size == 8 {
+                memory.read(data, &mut bytes)?;
+            }
+            // An I2C block of the old kind is read with its whole length.
+            if size == BROKEN && is_read {
+                bytes[0] = BLOCK as u8;
+            }
+        }
+        Ok(Self { kind, is_read, command, data: bytes })
+    }
+
+    /// Carries it out. The result is the data for the caller, if there are any.
+    pub(crate) fn run(
+        mut self,
+        adapter: &Adapter,
+        address: u16,
+        pec: bool,
+    ) -> Result<Option<Vec<u8>>, Errno> {
+        let block = || match self.data[0] {
+            length @ 1..=32 => Ok(usize::from(length)),
+            _ => Err(Errno::INVAL),
+        };
+        // What is written after the command, and how many bytes are read.
+        let (written, read): (&[u8], usize) = match (self.kind, self.is_read) {
+            (Kind::Quick, _) => return self.quick(adapter, address),
+            (Kind::Block, true) | (Kind::BlockProcessCall, _) => return Err(Errno::OPNOTSUPP),
+            (Kind::Byte, true) => (&[], 1),
+            (Kind::Byte, false) => (&[], 0),
+            (Kind::ByteData | Kind::WordData, true) => (&[], self.data.len()),
+            (Kind::ByteData | Kind::WordData, false) => (&self.data, 0),
+            (Kind::ProcessCall, _) => (&self.data, 2),
+            (Kind::Block, false) => (&self.data[..=block()?], 0),
+            (Kind::I2cBlock, true) => (&[], block()?),
+            (Kind::I2cBlock, false) => (&self.data[1..=block()?], 0),
+        };
+        // Words of SMBus are little-endian on the wire, and of the machine in the union.
+        let is_word = matches!(self.kind, Kind::WordData | Kind::ProcessCall);
+        let written = if is_word && !written.is_empty() { swapped(written) } else { written.to_vec() };
+        let pec = pec && self.kind != Kind::I2cBlock;
+        let mut messages = Vec::new();
+        // A byte is received without a command.
+        if !(self.kind == Kind::Byte && self.is_read) {
+            messages.push(Message::write(address, [&[self.command], &written[..]].concat()));
+        }
+        if read > 0 {
+            messages.push(Message::read(address, read + usize::from(pec)));
+        } else if pec {
+            let code = messages.iter().fold(0, code);
+            messages[0].data.push(code);
+        }
+        adapter.transfer(&mut messages)?;
+        let Some(Message { data: answer, .. }) = messages.last().filter(|_| read > 0) else {
+            return Ok(None);
+        };
+        if pec && messages.iter().fold(0, code) != 0 {
+            return Err(Errno::BADMSG);
+        }
+        let answer = &answer[..read];
+        match self.kind {
+            Kind::I2cBlock => self.data[1..=read].copy_from_slice(answer),
+            _ if is_word => self.data = swapped(answer),
+            _ => self.data = answer.to_vec(),
+        }
+        Ok(Some(self.data))
+    }
+
+    /// The direction is all the data that it has.
+    fn quick(&self, adapter: &Adapter, address: u16) -> Result<Option<Vec<u8>>, Errno> {
+        let message =
+            if self.is_read { Message::read(address, 0) } else { Message::write(address, Vec::new()) };
+        adapter.transfer(&mut [message]).map(|()| None)
+    }
+}
+
+/// A little-endian word as one of the machine, or the other way round.
+fn swapped(word: &[u8]) -> Vec<u8> {
+    let word: [u8; 2] = word.try_into().unwrap_or_default();
+    u16::from_le_bytes(word).to_ne_bytes().to_vec()
+}
+
+/// Continues a packet error code by a message: a CRC-8 with the polynomial x^8 + x^2 + x + 1 over address and data. Over a
+/// message that ends with its code it is 0.
+fn code(code: u8, message: &Message) -> u8 {
+    let address = (message.address as u8) << 1 | u8::from(message.is_read());
+    std::iter::once(&address).chain(&message.data).fold(code, |code, byte| {
+        (0..8).fold(code ^ byte, |code, _| if code & 0x80 == 0 { code << 1 } else { code << 1 ^ 0x07 })
+    })
+}

@@ -1,0 +1,39 @@
+//! The memory of the process that makes a call on the bus.
+
+use std::io::{IoSlice, IoSliceMut};
+
+use i2c_server::{Errno, Memory};
+use nix::sys::uio::{RemoteIoVec, process_vm_readv, process_vm_writev};
+use nix::unistd::Pid;
+
+/// A process as the kernel names it in a request: it waits in its call, so the number is not given to another one.
+pub(super) struct Caller(pub(super) Pid);
+
+impl Caller {
+    /// The outcome of a copy that should have moved `length` bytes.
+    fn copied(&self, outcome: nix::Result<usize>, length: usize) -> Result<(), Errno> {
+        match outcome {
+            Ok(count) if count == length => Ok(()),
+            Ok(_) => Err(Errno::FAULT),
+            // The process is of another PID namespace, where it has no number that is known here.
+            Err(nix::errno::Errno::ESRCH) => Err(Errno::PERM),
+            Err(errno) => Err(Errno::from_raw_os_error(errno as i32)),
+        }
+    }
+}
+
+fn remote(at: u64, length: usize) -> Result<[RemoteIoVec; 1], Errno> {
+    Ok([RemoteIoVec { base: usize::try_from(at).map_err(|_| Errno::FAULT)?, len: length }])
+}
+
+impl Memory for Caller {
+    fn read(&mut self, at: u64, to: &mut [u8]) -> Result<(), Errno> {
+        let (length, from) = (to.len(), remote(at, to.len())?);
+        self.copied(process_vm_readv(self.0, &mut [IoSliceMut::new(to)], &from), length)
+    }
+
+    fn write(&mut self, at: u64, from: &[u8]) -> Result<(), Errno> {
+        let to = remote(at, from.len())?;
+        self.copied(process_vm_writev(self.0, &[IoSlice::new(from)], &to), from.len())
+    }
+}

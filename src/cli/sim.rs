@@ -1,0 +1,159 @@
+//! `gaugefs sim`, and the process that it starts for a command.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use clap::Args;
+
+use crate::bus::{self, Gauge, Panel};
+use crate::config::{address, standard_input};
+use crate::error::{Cause, Error, Result};
+use crate::output::is_standard_output;
+use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_owner::Source;
+use ti_gauge::chip::Chip;
+
+const SIM: &str = "\
+Examples:
+  gaugefs sim bq34z100-g1 -- i2cdump -y 90 0x55                   as /dev/i2c-90
+  gaugefs sim bq34z100-g1 -- sh -c 'i2cget -y $I2C_BUS 0x55 8 w'
+  gaugefs sim bq34z100-g1 -- sh -c 'gaugefs mount --bus $I2C_DEV /tmp/gauges; ls /tmp/gauges'
+  gaugefs sim bq34z100-g1 bq27220@0x56 /tmp/bus                   a file, for any program of yours
+  gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &           with the knobs of the gauge
+  echo 500 > /tmp/knobs/load_ma                                   a discharge with 500 mA
+  gaugefs sim --replay pack.log /tmp/bus                          what `mount --trace` has recorded
+
+A program uses the file as it uses /dev/i2c-N. With a COMMAND the bus is /dev/i2c-N for it alone, N is in
+$I2C_BUS and the path in $I2C_DEV, and the exit code is the command's. Both work without root; the
+programs have to be yours. `i2cdetect -l` does not list the bus.";
+
+/// Offer simulated gauges to any program as an I2C bus
+#[derive(Args, Debug)]
+#[command(after_help = SIM, override_usage = "gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <PATH>\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... [PATH] -- <COMMAND>...")]
+pub(super) struct Sim {
+    /// Gauges to simulate, as `gaugefs chips` lists them, each at 0x55 or the given address; the last word is the PATH to
+    /// serve at, if it contains a slash
+    #[arg(value_name = "CHIP[@ADDRESS]|PATH")]
+    words: Vec<OsString>,
+    /// Run this command, for which the bus is /dev/i2c-N
+    #[arg(last = true, value_name = "COMMAND")]
+    command: Vec<OsString>,
+    /// Offer a gauge of this recording too, which mount --trace made; - is standard input
+    #[arg(long, value_name = "FILE")]
+    replay: Option<PathBuf>,
+    /// File that keeps the flash of the gauge, of which there must be only one; created if missing
+    #[arg(long, value_name = "FILE")]
+    state: Option<PathBuf>,
+    /// Show the knobs of the gauges in this folder, which is mounted; made if missing
+    #[arg(long, value_name = "DIR")]
+    knobs: Option<PathBuf>,
+    /// Clock of the bus in kHz, which sets how long transfers take
+    #[arg(long, value_name = "KHZ", default_value = "100", value_parser = ["100", "400"], conflicts_with = "fast")]
+    speed: String,
+    /// Transfers take no time on the bus
+    #[arg(long)]
+    fast: bool,
+}
+
+/// A gauge to simulate: its chip and its address.
+type Simulated = (&'static Chip, u8);
+
+/// Become the command of `gaugefs sim`, with a /dev of its own
+#[derive(Args, Debug)]
+#[command(hide = true)]
+pub(super) struct Inside {
+    /// Number of the bus, without which it has its usual /dev
+    #[arg(long)]
+    number: Option<u32>,
+    /// The command
+    #[arg(last = true, required = true)]
+    command: Vec<OsString>,
+}
+
+impl Sim {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let (chips, path) = self.parts()?;
+        let gauges = self.gauges(&chips)?;
+        let signals = bus::block()?;
+        let names: Vec<_> =
+            gauges.iter().map(|gauge| format!("{} 0x{:02x}", gauge.name, gauge.address)).collect();
+        let kilohertz: u32 = self.speed.parse().expect("one of the possible values");
+        let panel = self.knobs.as_ref().map(|folder| Panel::mount(folder, &gauges)).transpose()?;
+        let adapter = bus::adapter(gauges, (!self.fast).then_some(kilohertz * 1000))?;
+        match (path, &self.command[..]) {
+            (Some(path), []) => bus::at(&path, adapter, panel, signals, &names.join(", ")),
+            (path, command) => bus::with_command(path.as_deref(), adapter, signals, command),
+        }
+    }
+
+    /// The gauges' chips and addresses, and the path.
+    fn parts(&self) -> Result<(Vec<Simulated>, Option<PathBuf>)> {
+        let mut words = &self.words[..];
+        let mut path = None;
+        if let Some((last, before)) =
+            words.split_last().filter(|(last, _)| last.to_string_lossy().contains('/'))
+        {
+            (path, words) = (Some(PathBuf::from(last)), before);
+        }
+        let chips = words.iter().map(|word| chip(&word.to_string_lossy())).collect::<Result<Vec<_>>>()?;
+        if chips.is_empty() && self.replay.is_none() {
+            let why = "no gauge; name a CHIP, as `gaugefs chips` lists them, or a recording with --replay";
+            return Err(Error::new("sim", Cause::Invalid(why.into())));
+        }
+        if path.is_none() && self.command.is_empty() {
+            let why = "nowhere to offer the bus; add a PATH, such as ./bus, or -- and a command";
+            return Err(Error::new("sim", Cause::Invalid(why.into())));
+        }
+        if self.state.as_deref().is_some_and(is_standard_output) {
+            let why = "the gauge's flash is read from it and written to it; name a file";
+            return Err(Error::new("--state", Cause::Invalid(why.into())));
+        }
+        if self.state.is_some() && chips.len() != 1 {
+            let why = "it keeps the flash of one gauge; name one CHIP";
+            return Err(Error::new("--state", Cause::Invalid(why.into())));
+        }
+        Ok((chips, path))
+    }
+
+    fn gauges(&self, chips: &[Simulated]) -> Result<Vec<Gauge>> {
+        let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+        let io = |path: &PathBuf| {
+            let failed = |error| Error::io(path.display().to_string(), "is no path", &error);
+            std::path::absolute(path).map_err(failed)
+        };
+        let state = self.state.as_ref().map(io).transpose()?;
+        let sim = |chip| Source::Sim { chip, state: state.clone(), key: None };
+        let mut gauges = chips
+            .iter()
+            .map(|&(chip, address)| Gauge::open(&sim(chip), address, &clock))
+            .collect::<Result<Vec<_>>>()?;
+        if let Some(recording) = self.replay.clone().map(standard_input) {
+            gauges.push(Gauge::open(&Source::Recording(recording), GAUGE_ADDRESS, &clock)?);
+        }
+        Ok(gauges)
+    }
+}
+
+/// `CHIP` or `CHIP@ADDRESS`.
+fn chip(word: &str) -> Result<Simulated> {
+    let (name, at) = word.split_once('@').map_or((word, None), |(name, at)| (name, Some(at)));
+    let refuse = |why: String| Error::new(word, Cause::Invalid(why));
+    let known = Chip::by_name(&name.to_ascii_lowercase()).filter(|chip| gauge_sim::Sim::knows(chip.name));
+    let chip = known.ok_or_else(|| {
+        refuse(
+            "no gauge that is simulated; `gaugefs chips` lists them. A PATH has a slash, such as ./bus"
+                .into(),
+        )
+    })?;
+    let address = at.map_or(Ok(GAUGE_ADDRESS), |at| address(at).map_err(refuse))?;
+    Ok((chip, address))
+}
+
+impl Inside {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        bus::become_command(self.number, &self.command)
+    }
+}

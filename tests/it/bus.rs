@@ -1,0 +1,536 @@
+//! `gaugefs sim`: simulated gauges as a bus of other programs, by a path and in the `/dev` of a command.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use i2cdev::core::{I2CDevice, I2CMessage, I2CTransfer};
+use i2cdev::linux::{LinuxI2CDevice, LinuxI2CMessage};
+use nix::mount::{MntFlags, MsFlags, mount, umount2};
+use nix::sched::{CloneFlags, unshare};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::{Pid, geteuid};
+
+use super::room::{CHIP, Folder, Ran, can_mount, command, gaugefs, run, within};
+
+/// A server at a path, ended with the test.
+struct Server {
+    child: Child,
+    path: String,
+}
+
+impl Server {
+    fn start(folder: &Folder, arguments: &[&str]) -> Self {
+        let path = folder.file("bus");
+        let arguments = [&["sim"], arguments, &[&path]].concat();
+        let mut child = command(&arguments).stdout(Stdio::piped()).spawn().expect("gaugefs runs");
+        let mut said = [0; 1];
+        // It says what it serves when the bus is there.
+        let ready = child.stdout.as_mut().expect("a pipe").read(&mut said).expect("its output");
+        assert_eq!(ready, 1, "{:?}", child.wait());
+        Self { child, path }
+    }
+
+    fn device(&self, address: u16) -> LinuxI2CDevice {
+        LinuxI2CDevice::new(&self.path, address).expect("a bus")
+    }
+
+    fn open(&self) -> File {
+        File::options().read(true).write(true).open(&self.path).expect("a bus")
+    }
+
+    #[track_caller]
+    fn ends(&mut self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).expect("it runs");
+        assert_eq!(self.child.wait().expect("a child").code(), Some(0));
+        assert!(!Path::new(&self.path).exists(), "the file that it made is removed");
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM);
+        let _ = self.child.wait();
+    }
+}
+
+fn voltage(device: &mut LinuxI2CDevice) -> u16 {
+    device.smbus_read_word_data(0x08).expect("Voltage()")
+}
+
+/// Moves this test into a mount namespace of its own, where root may. The namespaces that it makes would otherwise have
+/// copies of the mounts of other tests, and keep their daemons running.
+fn apart() {
+    if !geteuid().is_root() || unshare(CloneFlags::CLONE_NEWNS).is_err() {
+        return;
+    }
+    const NONE: Option<&str> = None;
+    mount(NONE, "/", NONE, MsFlags::MS_REC | MsFlags::MS_PRIVATE, NONE).expect("root may");
+    for path in gaugefs_client::mounts::list() {
+        let _ = umount2(&path, MntFlags::MNT_DETACH);
+    }
+}
+
+/// Whether a command can have namespaces of its own here.
+fn has_namespaces() -> bool {
+    let flags: &[&str] = if geteuid().is_root() { &["-m"] } else { &["-Um"] };
+    let has = Command::new("unshare").args(flags).arg("true").status().is_ok_and(|status| status.success());
+    if !has {
+        eprintln!("SKIPPED: this machine forbids namespaces; no command had a /dev of its own");
+    }
+    has
+}
+
+#[test]
+fn a_program_uses_the_bus_by_its_path() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let mut server = Server::start(&folder, &[CHIP, "bq27220@0x56"]);
+    let mut first = server.device(0x55);
+    assert_eq!(voltage(&mut first), 3855);
+    assert_eq!(first.smbus_read_i2c_block_data(0x08, 2).expect("a block"), [0x0f, 0x0f]);
+    first.write(&[0x08]).expect("a plain write");
+    let mut word = [0; 2];
+    first.read(&mut word).expect("a plain read");
+    assert_eq!(u16::from_le_bytes(word), 3855);
+    let mut pair = [LinuxI2CMessage::write(&[0x08]), LinuxI2CMessage::read(&mut word)];
+    assert_eq!(first.transfer(&mut pair).expect("a transfer"), 2);
+    assert_eq!(u16::from_le_bytes(word), 3855);
+    let mut second = server.device(0x56);
+    assert!((3000..4300).contains(&voltage(&mut second)));
+    // Each open file has an address of its own.
+    assert_eq!(voltage(&mut first), 3855);
+    let error = server.device(0x54).smbus_read_byte().expect_err("nothing is there").to_string();
+    assert!(error.contains("ENXIO"), "{error}");
+    drop((first, second));
+    server.ends(Signal::SIGTERM);
+}
+
+/// The file system of the path stays usable, and the other programs go on, whatever one program does.
+#[test]
+fn a_program_that_dies_or_hangs_disturbs_no_other() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let mut server = Server::start(&folder, &[CHIP]);
+    let mut device = server.device(0x55);
+    // One is stopped and one killed, each with the file open.
+    let reader = format!("exec 3<>'{}'; echo open; while :; do sleep 1; done", server.path);
+    let mut others: Vec<Child> = (0..2)
+        .map(|_| {
+            let mut other = Command::new("bash");
+            other.args(["-c", &reader]).stdout(Stdio::piped()).process_group(0);
+            let mut other = other.spawn().expect("bash runs");
+            other.stdout.as_mut().expect("a pipe").read_exact(&mut [0; 5]).expect("it is open");
+            other
+        })
+        .collect();
+    let send = |other: &Child, signal| kill(Pid::from_raw(-(other.id() as i32)), signal).expect("it runs");
+    send(&others[0], Signal::SIGSTOP);
+    send(&others[1], Signal::SIGKILL);
+    assert_eq!(voltage(&mut device), 3855);
+    // 256 files may be open; then others are refused until one is closed.
+    let mut open = Vec::new();
+    let refused = loop {
+        match File::options().read(true).write(true).open(&server.path) {
+            Ok(file) => open.push(file),
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(refused.raw_os_error(), Some(nix::errno::Errno::ENFILE as i32));
+    assert_eq!(voltage(&mut device), 3855);
+    drop(open);
+    within(Duration::from_secs(60), "a file is closed", || {
+        File::options().read(true).write(true).open(&server.path).is_ok()
+    });
+    // It ends although the file is open.
+    server.ends(Signal::SIGINT);
+    assert!(device.smbus_read_word_data(0x08).is_err());
+    for other in &mut others {
+        send(other, Signal::SIGKILL);
+        other.wait().expect("a child");
+    }
+}
+
+#[test]
+fn what_a_killed_server_has_left_is_replaced() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let mut server = Server::start(&folder, &[CHIP]);
+    server.child.kill().expect("it runs");
+    server.child.wait().expect("a child");
+    let mut again = Server::start(&folder, &[CHIP]);
+    assert_eq!(voltage(&mut again.device(0x55)), 3855);
+    // A second one is refused, and so is a file with content.
+    gaugefs(&["sim", CHIP, &again.path]).failed(&["something is mounted there"]);
+    fs::write(folder.file("text"), "text").expect("a file");
+    gaugefs(&["sim", CHIP, &folder.file("text")]).failed(&["not an empty file"]);
+    kill(Pid::from_raw(again.child.id() as i32), Signal::SIGTERM).expect("it runs");
+    again.child.wait().expect("a child");
+}
+
+#[test]
+fn the_knobs_act_on_the_gauges_of_the_bus() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let knobs = folder.file("knobs");
+    let mut server = Server::start(&folder, &[CHIP, "--knobs", &knobs, "--fast"]);
+    let mut device = server.device(0x55);
+    let set = |name: &str, text: &str| fs::write(format!("{knobs}/{name}"), text);
+    set("voltage_mv", "3210\n").expect("a knob");
+    within(Duration::from_secs(60), "the voltage follows", || {
+        server.device(0x55).smbus_read_word_data(0x08).is_ok_and(|voltage| voltage == 3210)
+    });
+    assert_eq!(fs::read_to_string(format!("{knobs}/voltage_mv")).expect("a knob"), "3210\n");
+    set("power", "off\n").expect("a knob");
+    assert!(device.smbus_read_word_data(0x08).is_err());
+    let refused = set("voltage_mv", "nonsense\n").expect_err("refused");
+    assert_eq!(refused.raw_os_error(), Some(nix::errno::Errno::EINVAL as i32));
+    let listed = fs::read_dir(&knobs).expect("a folder").count();
+    assert!(listed > 30, "{listed} knobs");
+    drop(device);
+    server.ends(Signal::SIGTERM);
+    assert!(!Path::new(&knobs).exists());
+}
+
+#[test]
+fn a_command_has_the_bus_in_its_own_dev_and_gives_its_exit_code() {
+    if !can_mount() || !has_namespaces() {
+        return;
+    }
+    apart();
+    let with = |script: &str| run(command(&["sim", CHIP, "--fast", "--", "bash", "-c", script]));
+    let out = with(
+        r#"[ "$I2C_DEV" = "/dev/i2c-$I2C_BUS" ] && stat -c '%F %a' "$I2C_DEV" && test -c /dev/null && echo ok"#,
+    );
+    assert_eq!(out.done(), "regular empty file 600\nok\n");
+    assert_eq!(with("exit 7").code, Some(7));
+    assert_eq!(with("kill -TERM $$").code, Some(128 + 15));
+    assert_eq!(with("kill -KILL $$").code, Some(128 + 9));
+    for path in [&[][..], &["./bus-of-a-test"]] {
+        let ran = gaugefs(&[&["sim", CHIP, "--fast"], path, &["--", "no-such-program"]].concat());
+        assert_eq!((ran.code, ran.err.contains("no such program")), (Some(127), true), "{}", ran.err);
+    }
+    assert!(!Path::new("bus-of-a-test").exists());
+    // With a path the command finds the bus there.
+    let folder = Folder::new();
+    let script = r#"gauge=$(od -An -tx1 -N1 "$I2C_DEV" 2>&1); echo "${I2C_BUS-none} $I2C_DEV""#;
+    let ran = gaugefs(&["sim", CHIP, "--fast", &folder.file("bus"), "--", "bash", "-c", script]);
+    assert_eq!(ran.done(), format!("none {}\n", folder.file("bus")));
+    assert!(!Path::new(&folder.file("bus")).exists());
+    // A signal goes to the command.
+    let mut server = command(&[
+        "sim",
+        CHIP,
+        "--fast",
+        "--",
+        "bash",
+        "-c",
+        "trap 'kill $!; exit 9' TERM; sleep 60 & echo; wait",
+    ]);
+    let mut server = server.stdout(Stdio::piped()).spawn().expect("gaugefs runs");
+    server.stdout.as_mut().expect("a pipe").read_exact(&mut [0]).expect("the command runs");
+    kill(Pid::from_raw(server.id() as i32), Signal::SIGTERM).expect("it runs");
+    assert_eq!(server.wait().expect("a child").code(), Some(9));
+}
+
+/// gaugefs on its own bus shows what it shows of a gauge that it simulates itself, and writes as it does there.
+#[test]
+fn a_gauge_is_mounted_from_its_bus_as_without_one() {
+    if !can_mount() || !has_namespaces() {
+        return;
+    }
+    apart();
+    let folder = Folder::new();
+    // Every file but those of the simulated gauge's knobs, after a write.
+    let script = r#"
+set -u
+mount=$1; shift
+"$gaugefs" mount --poll 3600 --state-dir "$mount.state" "$@" "$mount" || exit
+cd "$mount/BAT0"
+echo 3100 > df/80/53 || echo write failed
+# The second poll reads what no attribute needs.
+until [ "$(cat gauge/statistics/polls)" -ge 2 ] && [ -e gauge/registers/true_rc ]; do sleep 0.1; done
+find . -type f ! -path './sim/*' ! -path './gauge/report' ! -path './gauge/last_error' | sort | while read -r file; do
+    printf '%s: ' "$file"; timeout 60 cat "$file" 2>&1 | od -An -c | tr -s ' \n' ' '; echo
+done
+cd /
+"$gaugefs" umount "$mount"
+"#;
+    let bash = |source: &[&str], name: &str| {
+        let at = folder.file(name);
+        [&["bash", "-c", script, "bash", &at], source].concat().iter().map(|&word| word.to_string()).collect()
+    };
+    let list = |ran: &mut Command| {
+        let output = ran.env("gaugefs", env!("CARGO_BIN_EXE_gaugefs")).output().expect("it runs");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        // What counts time and this mount's own transfers.
+        let own = ["age_ms", "statistics/", "backup", "state_time"];
+        let lines = text.lines().filter(|line| !own.iter().any(|name| line.contains(name)));
+        lines.map(str::to_string).collect::<Vec<_>>()
+    };
+    let words: Vec<String> = bash(&["--sim", CHIP], "m");
+    let simulated = list(Command::new(&words[0]).args(&words[1..]));
+    let shell: Vec<String> = bash(&["--chip", CHIP, "--bus", "$I2C_DEV"], "n");
+    // The path is known to the command only.
+    let quoted =
+        shell.iter().map(|word| if word == "$I2C_DEV" { "\"$I2C_DEV\"".into() } else { quote(word) });
+    let line = quoted.collect::<Vec<_>>().join(" ");
+    let served = list(&mut command(&["sim", CHIP, "--", "sh", "-c", &line]));
+    assert!(simulated.len() > 250, "{simulated:#?}");
+    let different: Vec<_> =
+        simulated.iter().zip(&served).filter(|(simulated, served)| simulated != served).collect();
+    assert!(different.is_empty() && simulated.len() == served.len(), "{different:#?}");
+}
+
+fn quote(word: &str) -> String {
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+/// Programs that somebody else wrote.
+#[test]
+fn i2c_tools_work() {
+    if !can_mount() || !has_namespaces() {
+        return;
+    }
+    apart();
+    let path = format!("{}:/usr/sbin:/sbin", std::env::var("PATH").unwrap_or_default());
+    let is_there = Command::new("i2cdetect").arg("-V").env("PATH", &path).output().is_ok();
+    if !is_there {
+        eprintln!("SKIPPED: i2c-tools is missing; to run all tests: sudo apt-get install i2c-tools");
+        return;
+    }
+    let with = |script: &str| {
+        let mut command = command(&["sim", CHIP, "--fast", "--", "bash", "-c", script]);
+        command.env("PATH", &path);
+        run(command)
+    };
+    assert_eq!(with("i2cget -y $I2C_BUS 0x55 0x08 w").done(), "0x0f0f\n");
+    assert_eq!(with("i2ctransfer -y $I2C_BUS w1@0x55 0x08 r2").done(), "0x0f 0x0f\n");
+    let scan = with("i2cdetect -y $I2C_BUS").done();
+    assert_eq!(scan.matches(" 55").count() + scan.matches("--").count(), 112, "{scan}");
+    assert!(scan.contains("50: -- -- -- -- -- 55 --"), "{scan}");
+    // The packet error code that the gauge does not have.
+    assert_ne!(with("i2cget -y $I2C_BUS 0x55 0x08 wp").code, Some(0));
+    let offered = with("i2cdetect -F $I2C_BUS").done();
+    let lacks: Vec<&str> = offered.lines().filter(|line| line.ends_with(" no")).collect();
+    assert_eq!(lacks.len(), 2, "{offered}");
+    assert!(
+        lacks.iter().all(|line| line.contains("SMBus Block Read") || line.contains("Block Process Call"))
+    );
+    let dump = with("i2cdump -y $I2C_BUS 0x55 w").out;
+    assert!(dump.contains("08: 0f0f"), "{dump}");
+    // 0x00 to 0x01 is Control(): CONTROL_STATUS is asked for by a write of two bytes.
+    assert_eq!(
+        with("i2cset -y $I2C_BUS 0x55 0x00 0x0001 w && i2cget -y $I2C_BUS 0x55 0x00 w").done(),
+        "0x0100\n"
+    );
+}
+
+/// An account without any right, which mounts with fusermount3 or in a user namespace.
+#[test]
+fn an_ordinary_user_has_a_bus() {
+    if !can_mount() {
+        return;
+    }
+    if !geteuid().is_root() {
+        eprintln!("SKIPPED: only root can try what another user may do");
+        return;
+    }
+    apart();
+    let folder = Folder::new();
+    fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o777)).expect("its mode");
+    fs::copy(env!("CARGO_BIN_EXE_gaugefs"), folder.file("gaugefs")).expect("a copy that any user may run");
+    let script = r#"
+set -u
+cd "$1"
+mknod -m 666 fuse c 10 229 && mount --bind fuse /dev/fuse
+user() { setpriv --reuid 65534 --regid 65534 --clear-groups env -u XDG_RUNTIME_DIR HOME="$PWD/home" "$@"; }
+mkdir -m 777 home
+user ./gaugefs sim bq34z100-g1 --fast -- sh -c 'id -u; ./gaugefs probe --bus $I2C_DEV --address 0x55' || echo failed
+user ./gaugefs sim bq34z100-g1 --fast ./bus -- sh -c './gaugefs probe --bus "$I2C_DEV" --address 0x55' || echo failed
+# Without the right to mount, and without user namespaces that would give it.
+unshare -Ur sh -c 'echo 0 > /proc/sys/user/max_user_namespaces
+    setpriv --bounding-set -sys_admin ./gaugefs sim bq34z100-g1 --fast -- true; echo "code $?"'
+# As with Yama.
+mkdir -p sys/yama; echo 1 > sys/yama/ptrace_scope
+mount --bind sys /proc/sys/kernel
+user timeout 5 ./gaugefs sim bq34z100-g1 --fast ./other
+user ./gaugefs sim bq34z100-g1 --fast ./other -- true && echo quiet
+"#;
+    let output = Command::new("unshare")
+        .args(["--mount", "--propagation", "private", "bash", "-c", script, "bash"])
+        .arg(&folder.0)
+        .output()
+        .expect("util-linux has unshare and setpriv");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let said = text(&output.stdout) + &text(&output.stderr);
+    assert_eq!(said.matches("3.855 V").count(), 2, "{said}");
+    assert!(said.lines().any(|line| line == "65534") && !said.contains("failed"), "{said}");
+    assert!(said.contains("user namespaces are switched off") && said.contains("code 1\n"), "{said}");
+    assert!(said.contains("with a PATH before `--`"), "{said}");
+    assert!(
+        said.contains("kernel.yama.ptrace_scope is 1") && said.contains("gaugefs sim CHIP -- COMMAND"),
+        "{said}"
+    );
+    assert_eq!(said.matches("ptrace_scope").count(), 1, "a command of its own is served: {said}");
+    assert!(said.lines().any(|line| line == "quiet"), "{said}");
+}
+
+fn run_with(command: &mut Command, out: File) -> Ran {
+    let child = command.stdout(out).stderr(Stdio::piped()).spawn().expect("gaugefs runs");
+    Ran::of(child.wait_with_output().expect("its output"))
+}
+
+#[test]
+fn what_is_no_bus_is_refused() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let mut tree = command(&["mount", "-f", "--sim", CHIP, &folder.file("m")]).spawn().expect("gaugefs runs");
+    let capacity = folder.file("m/BAT0/capacity");
+    within(Duration::from_secs(60), "mounted", || Path::new(&capacity).exists());
+    fs::write(folder.file("text"), "text").expect("a file");
+    for path in [&capacity, &folder.file("text"), "/dev/null"] {
+        gaugefs(&["mount", "--bus", path, &folder.file("n")]).failed(&["not an I2C bus"]);
+    }
+    gaugefs(&["umount", &folder.file("m")]).done();
+    tree.wait().expect("a child");
+    // A line that cannot be printed is a failure, and nothing is left mounted.
+    let mut unheard = command(&["sim", CHIP, &folder.file("bus")]);
+    let full = File::options().write(true).open("/dev/full").expect("a full device");
+    run_with(&mut unheard, full).failed(&["cannot write standard output"]);
+    assert!(!Path::new(&folder.file("bus")).exists());
+    gaugefs(&["sim", "--fast"]).failed(&["no gauge; name a CHIP"]);
+    gaugefs(&["sim", CHIP]).failed(&["nowhere to offer the bus"]);
+    gaugefs(&["sim", "bus"]).failed(&["bus: no gauge that is simulated"]);
+    gaugefs(&["sim", CHIP, CHIP, "./bus"]).failed(&["another gauge is at address 0x55"]);
+    gaugefs(&["sim", "bq34z100-g1@0x80", "./bus"]).failed(&["expected a 7-bit address"]);
+    gaugefs(&["sim", CHIP, "bq27220@0x56", "--state", &folder.file("s"), "./bus"]).failed(&["one CHIP"]);
+}
+
+/// Numbers and arguments by chance, most of them near valid ones: GAUGEFS_IOCTLS of them, from GAUGEFS_SEED.
+#[test]
+fn ioctls_by_chance_end_and_harm_nobody() {
+    if !can_mount() {
+        return;
+    }
+    let number = |name: &str, default: u64| {
+        std::env::var(name).ok().map_or(default, |text| text.parse().expect("a number"))
+    };
+    let (count, seed) = (number("GAUGEFS_IOCTLS", 20_000), number("GAUGEFS_SEED", 1));
+    let folder = Folder::new();
+    let mut server = Server::start(&folder, &[CHIP, "--fast"]);
+    let mut random = Random(seed.wrapping_mul(2).wrapping_add(1));
+    let mut file = server.open();
+    // What is read for an argument at its end still goes into it.
+    let mut arena = vec![0_u8; (1 << 16) + 16_384];
+    let start = arena.as_mut_ptr() as u64;
+    let mut answered = 0;
+    for _ in 0..count {
+        match random.below(100) {
+            0 => file = server.open(),
+            1 => drop(file.write(&arena[..random.below(9000) as usize])),
+            2 => {
+                let length = random.below(9000) as usize;
+                drop(file.read(&mut arena[..length]));
+            }
+            _ => answered += u64::from(random.ioctl(&file, &mut arena, start)),
+        }
+    }
+    println!("GAUGEFS_SEED={seed}: {answered} of {count} were carried out");
+    assert!(answered > count / 20, "{answered}: they are too wild to reach the bus");
+    // The server and other programs are as before.
+    drop(file);
+    let mut funcs = server.open();
+    assert!(Random(1).funcs(&mut funcs), "it answers I2C_FUNCS");
+    server.ends(Signal::SIGTERM);
+}
+
+/// A linear congruential generator: the tests need no better one.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 >> 11
+    }
+
+    fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
+    }
+
+    /// An address: in the arena most times.
+    fn place(&mut self, start: u64) -> u64 {
+        match self.below(12) {
+            0 => 0,
+            1 => 8,
+            // What no program can have.
+            2 => 0x8000_0000_0000_0000 | self.next(),
+            _ => start + self.below((1 << 16) - 9000),
+        }
+    }
+
+    /// One ioctl with an argument that begins anywhere in the arena. Whether it was carried out.
+    fn ioctl(&mut self, file: &File, arena: &mut [u8], start: u64) -> bool {
+        let commands = [0x0701, 0x0702, 0x0703, 0x0703, 0x0704, 0x0705, 0x0706, 0x0707, 0x0708, 0x0720];
+        let command = match self.below(20) {
+            0 => self.next() & 0xffff,
+            choice => commands[choice as usize % commands.len()],
+        };
+        let at = self.below(1 << 12) as usize * 4;
+        let argument = match command {
+            0x0703 | 0x0706 => [0x55, 0x55, 0x55, 0x0b, 0x54, self.next()][self.below(6) as usize],
+            0x0704 => u64::from(self.below(50) == 0),
+            0x0701 | 0x0702 | 0x0708 => self.below(3) << self.below(40),
+            _ if self.below(10) == 0 => self.place(start),
+            _ => start + at as u64,
+        };
+        let head = &mut arena[at..at + 16];
+        if command == 0x0720 {
+            let data = self.place(start);
+            head[..4].copy_from_slice(&[self.below(2) as u8, self.next() as u8, 0, 0]);
+            head[4..8].copy_from_slice(&(self.below(10) as u32).to_ne_bytes());
+            head[8..].copy_from_slice(&data.to_ne_bytes());
+        } else {
+            let (list, count) = (start + at as u64 + 64, self.below(45) as u32);
+            head[..8].copy_from_slice(&list.to_ne_bytes());
+            head[8..12].copy_from_slice(&if self.below(3) > 0 { count % 3 } else { count }.to_ne_bytes());
+            for message in arena[at + 64..].chunks_exact_mut(16).take(count as usize) {
+                let address: u16 = if self.below(4) > 0 { 0x55 } else { self.next() as u16 };
+                let flags = if self.below(8) > 0 { self.below(2) } else { self.next() } as u16;
+                let length = if self.below(8) > 0 { self.below(8) } else { self.below(9000) } as u16;
+                let words = [address, flags, length, 0].map(u16::to_ne_bytes).concat();
+                message[..8].copy_from_slice(&words);
+                message[8..].copy_from_slice(&self.place(start).to_ne_bytes());
+            }
+        }
+        call(file, command, argument) >= 0
+    }
+
+    fn funcs(&mut self, file: &mut File) -> bool {
+        let mut funcs = [0_u8; 8];
+        call(file, 0x0705, funcs.as_mut_ptr() as u64) == 0 && u64::from_ne_bytes(funcs) & 1 == 1
+    }
+}
+
+fn call(file: &File, command: u64, argument: u64) -> i32 {
+    #[allow(unsafe_code, reason = "the argument points into memory of the test, or to nothing")]
+    unsafe {
+        nix::libc::ioctl(file.as_raw_fd(), command as nix::libc::Ioctl, argument as nix::libc::c_ulong)
+    }
+}
