@@ -489,7 +489,7 @@ impl Filesystem for Adapter {
             let mut inodes = self.inodes();
             let list = self.fs.list(folder);
             if self.fs.may_change(folder) {
-                inodes.listed(folder, hash(&list), offset > 0);
+                inodes.listed(folder, hash(&list), offset > 0, Now::read());
             }
             drop(inodes);
             let dots = [".", ".."].map(|name| (name.to_string(), folder));

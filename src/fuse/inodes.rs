@@ -37,6 +37,8 @@ const READ_THROUGH: Duration = Duration::from_millis(200);
 
 /// As many nodeids as this are in the table whether they are in use or not.
 const SPARE: usize = 128;
+/// For how long the kernel keeps a folder's names.
+const LISTING_KEPT: Duration = Duration::from_secs(10);
 
 /// A nodeid's bits from this one on distinguish it from others of the same file; those below are the number of its node.
 /// The numbers of folders and links have only those.
@@ -211,6 +213,8 @@ struct Listing {
     hash: Option<u64>,
     /// When it changed.
     since: SystemTime,
+    /// When the kernel was given it; `None` if it keeps none.
+    given: Option<Instant>,
 }
 
 /// The nodeids of files that are in use, and the listings of folders.
@@ -474,15 +478,28 @@ impl<W> Inodes<W> {
     }
 
     /// The kernel has been given a folder's names, or with `continued` more of them, and may keep them.
-    pub(super) fn listed(&mut self, folder: Node, hash: u64, continued: bool) {
+    pub(super) fn listed(&mut self, folder: Node, hash: u64, continued: bool, now: Now) {
         let since = self.started;
-        let listing = self.listings.entry(folder).or_insert(Listing { hash: None, since });
+        let listing = self.listings.entry(folder).or_insert(Listing { hash: None, since, given: None });
         listing.hash = Some(hash).filter(|_| !continued || listing.hash == Some(hash));
+        listing.given = Some(now.instant);
+    }
+
+    /// Whether the kernel is to drop a folder's names although they have not changed: to compare them at every poll costs
+    /// more than to give them again to whoever still uses them. The folder's time differs by a nanosecond then.
+    pub(super) fn has_rested(&mut self, folder: Node, now: Now) -> bool {
+        let Some(listing) = self.listings.get_mut(&folder) else { return false };
+        if listing.given.is_none_or(|given| now.instant < given + LISTING_KEPT) {
+            return false;
+        }
+        listing.given = None;
+        listing.since += Duration::from_nanos(1);
+        true
     }
 
     /// Whether the kernel may keep a folder's names.
     pub(super) fn is_listed(&self, folder: Node) -> bool {
-        self.listings.contains_key(&folder)
+        self.listings.get(&folder).is_some_and(|listing| listing.given.is_some())
     }
 
     /// Whether the names that the kernel may keep are other ones than these. The folder has another time then.
@@ -491,7 +508,7 @@ impl<W> Inodes<W> {
         else {
             return false;
         };
-        *listing = Listing { hash: Some(hash), since: now.time };
+        (listing.hash, listing.since) = (Some(hash), now.time);
         true
     }
 
@@ -615,20 +632,35 @@ mod tests {
     }
 
     #[test]
+    fn a_listing_that_the_kernel_has_had_for_long_is_dropped_once() {
+        let kept = LISTING_KEPT.as_millis() as u64;
+        let mut inodes = inodes();
+        assert!(!inodes.has_rested(Node::Root, at(kept)), "the kernel has none");
+        for turn in [0, 5] {
+            inodes.listed(Node::Root, 1, false, at(turn * kept));
+            assert!(!inodes.has_rested(Node::Root, at((turn + 1) * kept - 1)));
+            let before = inodes.fixed(Node::Root).since;
+            assert!(inodes.has_rested(Node::Root, at((turn + 1) * kept)));
+            assert!(!inodes.is_listed(Node::Root) && !inodes.has_rested(Node::Root, at((turn + 2) * kept)));
+            assert_eq!(inodes.fixed(Node::Root).since, before + Duration::from_nanos(1));
+        }
+    }
+
+    #[test]
     fn folders_have_the_time_of_the_mount_until_their_names_change() {
         let mut inodes = inodes();
         assert_eq!(inodes.fixed(Node::Root).number, 1, "FUSE_ROOT_ID");
         let time = |inodes: &Inodes<u32>| inodes.fixed(Node::Root).since;
         assert!(!inodes.has_outdated(Node::Root, 1, at(50)), "the kernel does not have them");
-        inodes.listed(Node::Root, 1, false);
+        inodes.listed(Node::Root, 1, false, at(50));
         assert!(inodes.is_listed(Node::Root) && !inodes.has_outdated(Node::Root, 1, at(60)));
         assert_eq!(time(&inodes), at(0).time);
         assert!(inodes.has_outdated(Node::Root, 2, at(77)));
         assert!(!inodes.has_outdated(Node::Root, 2, at(88)), "once");
         assert_eq!(time(&inodes), at(77).time);
         // Half of each.
-        inodes.listed(Node::Root, 2, false);
-        inodes.listed(Node::Root, 3, true);
+        inodes.listed(Node::Root, 2, false, at(50));
+        inodes.listed(Node::Root, 3, true, at(50));
         assert!(inodes.has_outdated(Node::Root, 3, at(99)));
     }
 

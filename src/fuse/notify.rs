@@ -217,8 +217,11 @@ impl Announcing {
                 // The kernel has not asked for its names.
                 continue;
             }
-            let names = hash(&self.fs.list(folder));
-            if lock(&self.table).has_outdated(folder, names, Now::read()) {
+            let is_outdated = lock(&self.table).has_rested(folder, Now::read()) || {
+                let names = hash(&self.fs.list(folder));
+                lock(&self.table).has_outdated(folder, names, Now::read())
+            };
+            if is_outdated {
                 // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows is
                 // invalid from now on; the pages of the listing stay, and so nothing waits for them.
                 let _ = self.notifier.inval_inode(INodeNo(folder.place().into()), -1, 0);

@@ -70,6 +70,7 @@ fn help_texts() {
             "wait --help",
             "watch --help",
             "metrics --help",
+            "events --help",
         ],
     );
 }

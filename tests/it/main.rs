@@ -9,6 +9,8 @@ mod config;
 mod doctor;
 mod documents;
 mod ends;
+#[cfg(feature = "screen")]
+mod events;
 mod house;
 mod input;
 mod keys;

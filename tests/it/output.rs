@@ -19,7 +19,7 @@ fn printing<'a>(
 ) -> Option<Vec<&'a str>> {
     Some(match name {
         // They print nothing to standard output.
-        "umount" | "wait" | "attach" | "sim-inside" | "detach" | "check-keys" => return None,
+        "umount" | "wait" | "events" | "attach" | "sim-inside" | "detach" | "check-keys" => return None,
         // It serves on when it has printed its line; `bus.rs` has its test.
         "sim" => return None,
         // They need a bus.

@@ -192,7 +192,7 @@ fn every_command_is_in_the_default_build() {
     );
     for verb in commands {
         let missing = cfg!(not(feature = "screen"))
-            && ["top", "learn", "log", "plot", "wait", "watch", "metrics"].contains(&verb);
+            && ["top", "learn", "log", "plot", "wait", "watch", "metrics", "events"].contains(&verb);
         assert_eq!(gaugefs(&[verb, "--help"]).code == Some(0), !missing, "{verb}");
     }
     let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("the manifest");

@@ -97,6 +97,7 @@ pub mod names;
 mod parameter;
 mod place;
 pub mod sample;
+pub mod supplies;
 mod value;
 pub mod watch;
 

@@ -1,5 +1,5 @@
-//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait` and
-//! `metrics`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
+//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`,
+//! `metrics` and `events`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
 //!
 //! All that they have of a gauge is `gaugefs-client`.
 
@@ -15,6 +15,7 @@ use gaugefs_host::error::Result;
 
 pub mod alert;
 mod decimal;
+mod events;
 mod learn;
 mod learning;
 mod log;
@@ -35,6 +36,7 @@ pub enum Command {
     Plot(plot::Plot),
     Wait(wait::Wait),
     Metrics(metrics::Metrics),
+    Events(events::Events),
 }
 
 impl Command {
@@ -47,6 +49,7 @@ impl Command {
             Self::Plot(plot) => plot.run(),
             Self::Wait(wait) => wait.run(),
             Self::Metrics(metrics) => metrics.run(),
+            Self::Events(events) => events.run(),
         }
     }
 }

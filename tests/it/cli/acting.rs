@@ -481,22 +481,37 @@ fn metrics_and_conditions_need_no_privilege() {
 
 /// What is shipped beside the program is understood by the programs that it is for.
 #[test]
-fn the_units_and_scripts_of_alerts_and_metrics_are_accepted() {
+fn the_units_and_scripts_beside_the_daemon_are_accepted() {
     let top = Path::new(env!("CARGO_MANIFEST_DIR"));
     let script = top.join("docs/fleet/gaugefs-alerts.openrc");
     let checked = Command::new("sh").arg("-n").arg(script).status().expect("a shell");
     assert!(checked.success());
     let folder = Folder::new();
-    let names =
-        ["udev/gaugefs-alerts.service", "udev/gaugefs-alerts@.service", "docs/fleet/gaugefs-metrics.service"];
-    let units = names.map(|name| {
+    let place = |name: &str, file: &str| {
         let text = fs::read_to_string(top.join(name)).expect("a unit");
+        let file = folder.0.join(file);
+        fs::create_dir_all(file.parent().expect("a folder")).expect("a folder");
         // systemd looks whether the program is there.
-        let text = text.replace("/usr/bin/gaugefs", "/bin/true");
-        let unit = folder.0.join(Path::new(name).file_name().expect("a name"));
-        fs::write(&unit, text).expect("a file");
-        unit.with_file_name(unit.file_name().expect("a name").to_string_lossy().replace("@.", "@i2c-1."))
-    });
+        fs::write(&file, text.replace("/usr/bin/gaugefs", "/bin/true")).expect("a file");
+        file
+    };
+    let mut units = Vec::new();
+    for name in ["udev/gaugefs-alerts", "udev/gaugefs-events", "docs/fleet/gaugefs-metrics"] {
+        let name = format!("{name}.service");
+        units.push(place(&name, name.rsplit('/').next().expect("a name")));
+    }
+    for name in ["gaugefs-alerts@", "gaugefs-events@"] {
+        place(&format!("udev/{name}.service"), &format!("{name}.service"));
+        units.push(folder.0.join(format!("{name}i2c-1.service")));
+    }
+    for name in ["gaugefs-events", "gaugefs-events@"] {
+        place("udev/events.conf", &format!("{name}.service.d/10-confined.conf"));
+    }
+    // Those that they are bound to, with one line that says what is run.
+    for name in ["gaugefs", "gaugefs@"] {
+        fs::write(folder.file(&format!("{name}.service")), "[Service]\nExecStart=/bin/true\n")
+            .expect("a file");
+    }
     let mut verify = Command::new("systemd-analyze");
     verify.args(["verify", "--man=no"]).args(&units).stdin(Stdio::null());
     match verify.output() {

@@ -385,11 +385,14 @@ fn any_fault_on_any_gauge_of_the_envelope_leaves_old_or_new() {
 }
 
 /// Runs that have found something: a commit that was at work when the host was back, a row that a loss of power had
-/// disturbed before it was its turn, a key that took effect after a change of keys had failed, and an authentication key that was lost with another.
+/// disturbed before it was its turn, a key that took effect after a change of keys had failed, an authentication key that was lost with
+/// another, and a gauge that is silent for longer than a session waits after it has taken a key.
 #[test]
 fn regression_drawn_gauges_that_were_left_in_between() {
     let moves: BTreeMap<&str, Vec<bool>> = CHIPS.iter().map(|chip| (chip.name, moving(chip))).collect();
-    for seed in [7643, 7994, 10452, 10683, 40228, 50195, 162902, 294261, 294680, 575131, 597522] {
+    for seed in
+        [7643, 7994, 10452, 10683, 40228, 50195, 162902, 294261, 294680, 575131, 597522, 74059, 189246]
+    {
         run(seed, &moves).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
     }
 }

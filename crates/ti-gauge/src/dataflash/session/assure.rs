@@ -227,6 +227,8 @@ impl Session {
                 gauge.wait(BUSY);
             }
             outcome = match self.may_seal(gauge) {
+                // It has just taken the keys, and is silent for seconds after some of them.
+                Ok(Some(_)) if self.patience.is_some() => gauge.close(),
                 Ok(Some(moment)) => gauge.close_since(moment),
                 Ok(None) => return Ok(()),
                 Err(error) => Err(error),
