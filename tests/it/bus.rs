@@ -11,12 +11,11 @@ use std::time::Duration;
 
 use i2cdev::core::{I2CDevice, I2CMessage, I2CTransfer};
 use i2cdev::linux::{LinuxI2CDevice, LinuxI2CMessage};
-use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, Folder, Ran, can_mount, command, gaugefs, run, within};
+use super::room::{CHIP, Folder, Ran, can_mount, command, drop_copied_mounts, gaugefs, run, within};
 
 /// A server at a path, ended with the test.
 struct Server {
@@ -69,11 +68,7 @@ fn apart() {
     if !geteuid().is_root() || unshare(CloneFlags::CLONE_NEWNS).is_err() {
         return;
     }
-    const NONE: Option<&str> = None;
-    mount(NONE, "/", NONE, MsFlags::MS_REC | MsFlags::MS_PRIVATE, NONE).expect("root may");
-    for path in gaugefs_client::mounts::list() {
-        let _ = umount2(&path, MntFlags::MNT_DETACH);
-    }
+    drop_copied_mounts();
 }
 
 /// Whether a command can have namespaces of its own here.

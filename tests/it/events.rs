@@ -16,7 +16,9 @@ use nix::sys::socket::{
 use nix::sys::time::{TimeVal, TimeValLike};
 use nix::unistd::{Pid, geteuid};
 
-use crate::room::{Folder, Foreground, as_nobody, can_mount, command, gaugefs, run, stop, within};
+use crate::room::{
+    Folder, Foreground, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, run, stop, within,
+};
 
 const SUPPLIES: &str = "/sys/class/power_supply";
 /// Far longer than anything takes on an idle machine.
@@ -26,6 +28,7 @@ const LONG: Duration = Duration::from_secs(60);
 fn is_apart(test: &str) -> bool {
     const APART: &str = "GAUGEFS_TEST_APART";
     if std::env::var_os(APART).is_some() {
+        drop_copied_mounts();
         return true;
     }
     let apart = |program: &Path, arguments: &[&str]| {

@@ -1,11 +1,13 @@
 //! What tests share: the folders that they work in, the program as a command, mounts of their own. A test file uses this
 //! room, and no other test file.
 
+mod apart;
 mod commands;
 mod documents;
 mod mounted;
 mod scratch;
 
+pub(crate) use apart::drop_copied_mounts;
 pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
     within,
