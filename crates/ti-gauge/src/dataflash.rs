@@ -361,9 +361,7 @@ impl DataFlash {
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            let record =
-                |this: &mut Self, gauge: &mut Gauge, session: &mut Session| this.owe(gauge, session, 0);
-            self.session(gauge, (found, asked), record, |this, gauge, session| {
+            self.session(gauge, (found, asked), Self::owing(0), |this, gauge, session| {
                 session.now = None;
                 let left = calmode::leave(gauge, calibration);
                 this.in_calibration &= left.is_err();
@@ -388,9 +386,7 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                this.owe(gauge, session, blocks(changes))
-            };
+            let record = Self::owing(blocks(changes));
             let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
                 let opened = match found.seal {
                     Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),

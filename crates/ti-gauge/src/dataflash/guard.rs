@@ -68,6 +68,11 @@ impl DataFlash {
         outcome
     }
 
+    /// The record of a session that is about to change the gauge's state, and this many blocks.
+    pub(super) fn owing(blocks: usize) -> impl FnOnce(&mut Self, &mut Gauge, &mut Session) -> Result<()> {
+        move |this, gauge, session| this.owe(gauge, session, blocks)
+    }
+
     /// Records that a session is about to change the gauge's state.
     pub(super) fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.identity(gauge)?;

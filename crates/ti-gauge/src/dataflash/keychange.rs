@@ -204,20 +204,19 @@ impl DataFlash {
                 _ if left.is_some() && lost.is_none() => {}
                 owed => {
                     (this.pending, this.unfinished) = (None, None);
-                    match (lost.unwrap_or_default(), owed) {
-                        (lost, owed) if lost.is_empty() => match owed {
-                            Some(owed) => this.leave(gauge, session, owed),
-                            None => session.remove_journal(),
-                        },
-                        (lost, _) => {
-                            for &name in &lost {
-                                session.note_keys(|key| key.begin(name), &keys_line(name));
-                            }
-                            let why = still_lost(&lost);
-                            log::warn!("{}: {why}", gauge.chip.name);
-                            this.leave(gauge, session, Left::of(true, why));
-                            this.leave_to_person();
+                    let lost = lost.unwrap_or_default();
+                    if !lost.is_empty() {
+                        for &name in &lost {
+                            session.note_keys(|key| key.begin(name), &keys_line(name));
                         }
+                        let why = still_lost(&lost);
+                        log::warn!("{}: {why}", gauge.chip.name);
+                        this.leave(gauge, session, Left::of(true, why));
+                        this.leave_to_person();
+                    } else if let Some(owed) = owed {
+                        this.leave(gauge, session, owed);
+                    } else {
+                        session.remove_journal();
                     }
                 }
             }

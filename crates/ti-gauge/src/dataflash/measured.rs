@@ -30,10 +30,7 @@ impl DataFlash {
         in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                this.owe(gauge, session, rows.len())
-            };
-            self.session(gauge, (found, asked), record, |this, gauge, session| {
+            self.session(gauge, (found, asked), Self::owing(rows.len()), |this, gauge, session| {
                 session.open(gauge)?;
                 this.note_measured(gauge, rows, session)
             })
