@@ -31,6 +31,7 @@ use gauge_owner::lock::Lock;
 use gauge_owner::{Opened, Source};
 use gauge_sim::Sim;
 use gaugefs_client::mounts;
+use gaugefs_host::signals;
 use ti_gauge::probe::ROM_ADDRESS;
 
 mod caller;
@@ -237,9 +238,7 @@ const SIGNALS: [Signal; 3] = [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP];
 
 /// Blocks these signals. To be called before any thread is started, which then inherits them as blocked.
 pub(crate) fn block() -> Result<SigSet> {
-    let signals = SIGNALS.into_iter().collect::<SigSet>();
-    signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
-    Ok(signals)
+    signals::block(&SIGNALS)
 }
 
 /// Serves the bus at a path until it is unmounted, or a signal ends it.

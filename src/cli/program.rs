@@ -9,7 +9,7 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 
 use crate::config;
 use crate::daemon;
@@ -19,6 +19,7 @@ use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 use gauge_owner::lock;
 use gauge_station::{Plan, Scanner, Screen};
+use gaugefs_host::signals;
 
 const PROGRAM: &str = "\
 Waits for a pack, identifies it, writes the image, serial number, date and lot, calibrates it if the
@@ -90,8 +91,7 @@ impl Program {
 
 /// The first signal ends the station when the present packs are done, the second one ends it at once.
 fn watch_signals() -> Result<Arc<AtomicBool>> {
-    let signals = [Signal::SIGTERM, Signal::SIGINT].into_iter().collect::<SigSet>();
-    signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
+    let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
     let stops = Arc::new(AtomicBool::new(false));
     let watched = stops.clone();
     thread::spawn(move || {

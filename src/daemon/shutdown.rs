@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 
 use nix::errno::Errno;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 
 use super::mountpoint;
 use crate::error::{Error, Result};
@@ -13,6 +13,7 @@ use crate::output::say;
 use gauge_owner::lock;
 use gauge_owner::{Handle, operations as op};
 use gaugefs_client::mounts;
+use gaugefs_host::signals;
 
 /// The phase of a mount.
 #[derive(Default)]
@@ -32,11 +33,9 @@ pub(super) enum Phase {
 pub(super) struct Shutdown(Arc<Mutex<Phase>>);
 
 impl Shutdown {
-    /// Starts the thread that handles signals. To be called before any other thread is started: the others
-    /// inherit the blocked signals, so that only this one receives them.
+    /// Starts the thread that handles signals. To be called before any other thread is started.
     pub(super) fn watch() -> Result<Self> {
-        let signals = [Signal::SIGTERM, Signal::SIGINT].into_iter().collect::<SigSet>();
-        signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
+        let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
         let phase = Arc::new(Mutex::default());
         let watched = Arc::clone(&phase);
         let watch = move || {

@@ -16,6 +16,7 @@ pub mod error;
 pub mod folders;
 pub mod input;
 pub mod output;
+pub mod signals;
 
 /// A time of a command line or a configuration file: in seconds, or with a unit such as `2min`.
 pub fn seconds(text: &str, (least, most): (f64, f64)) -> Result<Duration, String> {

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use nix::errno::Errno;
-use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signal::Signal;
 use nix::sys::socket::{
     AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, connect, send, socket,
 };
@@ -26,6 +26,7 @@ use gaugefs_client::follow;
 use gaugefs_client::supplies::{self, Look};
 use gaugefs_host::error::{Error, Result, shown};
 use gaugefs_host::output::say;
+use gaugefs_host::signals;
 use message::{Action, message};
 
 mod message;
@@ -91,8 +92,7 @@ impl From<Look> for Event {
 
 /// Reports the signals that end the process.
 fn await_end(sender: Sender<Event>) -> Result<()> {
-    let ends = [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP].into_iter().collect::<SigSet>();
-    ends.thread_block().map_err(|errno| Error::io("signals", "cannot be blocked", &errno.into()))?;
+    let ends = signals::block(&[Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP])?;
     let wait = move || {
         // It cannot fail: the set is valid.
         let _ = ends.wait();
