@@ -84,8 +84,11 @@ impl Daemon {
         fs::write(&config, text).expect("a file");
         let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
         command.args(["mount", "-f", "--config"]).arg(&config).stderr(Stdio::null());
-        // As in the background, and in the packaged service.
-        command.env("GLIBC_TUNABLES", "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0");
+        // As in the packaged service, and in the background.
+        let tunables = include_str!("../udev/service.conf")
+            .lines()
+            .find_map(|line| line.strip_prefix("Environment=")?.strip_prefix("GLIBC_TUNABLES="));
+        command.env("GLIBC_TUNABLES", tunables.expect("a line of the service"));
         let child = command.spawn().expect("gaugefs runs");
         let last = folder.join(format!("m/BAT{}/present", gauges - 1));
         let start = Instant::now();

@@ -22,11 +22,12 @@ use crate::output::{self, print_file};
 
 /// Environment variable of the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
-/// One heap for all threads, without a cache for each. A daemon has a thread for each gauge, which allocates little and
-/// seldom: what is free in heaps and caches of their own takes as much memory as what is in use. glibc reads this before
-/// a program begins; the packaged services have it in `service.conf`.
+/// One heap for all threads without a cache for each, and no cache of stacks. A daemon has a thread for each gauge, which
+/// allocates little and seldom: what is free in heaps and caches of their own takes as much memory as what is in use. The
+/// stacks on which the gauges were opened are not needed again. glibc reads this before a program begins; the packaged
+/// services have it in `service.conf`.
 const TUNABLES: &str = "GLIBC_TUNABLES";
-const ONE_HEAP: &str = "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0";
+const SMALL: &str = "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0:glibc.pthread.stack_cache_size=0";
 const READY: &[u8] = b"ready\n";
 
 /// Whether this process is the child.
@@ -47,7 +48,7 @@ pub fn start() -> Result<ExitCode> {
     }
     command.args(arguments).env(CHILD, "1").stdout(Stdio::piped());
     if env::var_os(TUNABLES).is_none() {
-        command.env(TUNABLES, ONE_HEAP);
+        command.env(TUNABLES, SMALL);
     }
     let mut child = command.spawn().map_err(failed)?;
     let mut answer = Vec::new();
@@ -116,5 +117,15 @@ pub fn notify() {
     });
     if let Err(error) = sent {
         log::warn!("cannot report to systemd that the gauge is mounted: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_packaged_service_is_as_small_as_a_daemon_in_the_background() {
+        let service = include_str!("../../udev/service.conf");
+        let line = format!("Environment={}={}", super::TUNABLES, super::SMALL);
+        assert!(service.lines().any(|at| at == line), "{line}");
     }
 }

@@ -10,6 +10,7 @@
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
@@ -152,16 +153,26 @@ pub fn start(
 ) -> Result<(Handle, Receiver<Result<()>>)> {
     let (queue, requests) = mpsc::channel();
     let (sender, opened) = mpsc::channel();
-    let name = if startup.name.is_empty() { chip.name } else { &startup.name };
-    let thread = std::thread::Builder::new().name(format!("poll {name}")).stack_size(256 * 1024);
+    let name = if startup.name.is_empty() { chip.name.to_string() } else { startup.name.clone() };
     let (mut owner, shared) = Owner::new(chip, bus, clock, settings, startup, signal);
-    let run = move || {
+    // Opening a gauge goes deeper than polling it, and a stack keeps the memory that it has once used: the thread that
+    // opens gives it back by ending.
+    let (hand_over, taken_over) = mpsc::sync_channel(1);
+    let open = move || {
         owner.begin(&sender);
         drop(sender);
-        owner.run(&requests);
+        // The other one waits for it.
+        let _ = hand_over.send(owner);
     };
-    thread.spawn(run).map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
+    let poll = move || taken_over.recv().into_iter().for_each(|mut owner: Box<Owner>| owner.run(&requests));
+    thread(format!("poll {name}"), poll)
+        .and_then(|()| thread(format!("open {name}"), open))
+        .map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
     Ok((Handle::new(shared, queue), opened))
+}
+
+fn thread(name: String, work: impl FnOnce() + Send + 'static) -> io::Result<()> {
+    std::thread::Builder::new().name(name).stack_size(256 * 1024).spawn(work).map(drop)
 }
 
 /// The owner: it alone has the gauge.
