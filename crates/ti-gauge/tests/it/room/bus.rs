@@ -12,20 +12,29 @@ use ti_gauge::keys::Keys;
 use super::Transferred;
 use crate::rig::Rig;
 
-/// A bus that hands each transfer to a function.
+/// A bus that hands each transfer to a function, with its number.
 struct Through<F> {
     bus: SimBus,
+    number: u64,
     act: F,
     claimed: Transferred,
 }
 
-impl<F: FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send> Bus for Through<F> {
+impl<F> Bus for Through<F>
+where
+    F: FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send,
+{
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Transferred {
-        (self.act)(&mut self.bus, write, read)
+        self.number += 1;
+        (self.act)(&mut self.bus, self.number, write, read)
     }
 
     fn claim(&mut self) -> Transferred {
         self.claimed
+    }
+
+    fn set_secret(&mut self, secret: bool) {
+        self.bus.set_secret(secret);
     }
 }
 
@@ -40,10 +49,20 @@ impl Rig {
     pub(crate) fn claimed_through(
         &mut self,
         claimed: Transferred,
-        act: impl FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send + 'static,
+        mut act: impl FnMut(&mut SimBus, &[u8], &mut [u8]) -> Transferred + Send + 'static,
     ) {
-        let bus = Through { bus: self.sim.bus(), act, claimed };
-        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), Keys::default(), false);
+        self.numbered_through(Keys::default(), claimed, move |bus, _, write, read| act(bus, write, read));
+    }
+
+    /// From here on each transfer is handed to `act` with its number, from 1; `claimed` answers a claim.
+    pub(crate) fn numbered_through(
+        &mut self,
+        keys: Keys,
+        claimed: Transferred,
+        act: impl FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send + 'static,
+    ) {
+        let bus = Through { bus: self.sim.bus(), number: 0, act, claimed };
+        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys, false);
     }
 
     /// Runs `act` right after the first transfer that `at` picks, `count` times.

@@ -9,34 +9,12 @@ use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
-use ti_gauge::gauge::Gauge;
 use ti_gauge::keys::Keys;
 
 use super::{Folder, PowerCut, until_cut};
 use crate::rig::Rig;
 
 pub(crate) type Transferred = std::result::Result<(), BusError>;
-
-/// A bus that hands each transfer to a function, with its number.
-struct Through<F> {
-    bus: SimBus,
-    number: u64,
-    act: F,
-}
-
-impl<F> Bus for Through<F>
-where
-    F: FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send,
-{
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Transferred {
-        self.number += 1;
-        (self.act)(&mut self.bus, self.number, write, read)
-    }
-
-    fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
-    }
-}
 
 impl Rig {
     /// A program starts at the place of that folder's journal.
@@ -51,8 +29,7 @@ impl Rig {
         keys: Keys,
         act: impl FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send + 'static,
     ) {
-        let bus = Through { bus: self.sim.bus(), number: 0, act };
-        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys, false);
+        self.numbered_through(keys, Ok(()), act);
         self.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
     }
 
