@@ -326,10 +326,6 @@ impl DataFlash {
         extras: Extras<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
-        if let Some(change) = changes.iter().find(|change| change.kind(gauge.chip) == Kind::Security) {
-            let why = "keys cannot be changed like other parameters";
-            return Err(Error::new(change.subject(), Cause::NotPermitted(why.into())).at(Step::Check));
-        }
         let outcome = self.check_wear(gauge).and_then(|()| {
             self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, extras, waited))
         });
@@ -477,13 +473,15 @@ impl DataFlash {
         let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
         for block in job.changed() {
             match landed {
-                Landed::New => self.note_block(gauge, block.place, block.new),
-                Landed::Old(_) | Landed::Unknown(_) => self.known.in_epoch(self.now.pack).forget(block.place),
+                Landed::There => self.note_block(gauge, block.place, block.new),
+                Landed::Back(_) | Landed::Unknown(_) => {
+                    self.known.in_epoch(self.now.pack).forget(block.place)
+                }
             }
         }
         match landed {
-            Landed::New | Landed::Old(None) => Ok(Outcome::Written { reset, old }),
-            Landed::Old(Some(error)) | Landed::Unknown(error) => Err(error),
+            Landed::There => Ok(Outcome::Written { reset, old }),
+            Landed::Back(error) | Landed::Unknown(error) => Err(error),
         }
     }
 

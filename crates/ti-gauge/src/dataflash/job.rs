@@ -27,9 +27,10 @@ pub(super) enum Side {
 
 /// Where data flash is after a job.
 pub(super) enum Landed {
-    New,
-    /// With the error for which the new content was given up, if it was wanted.
-    Old(Option<Error>),
+    /// It has the content that was wanted.
+    There,
+    /// It has the old content again: the new one was given up for this error.
+    Back(Error),
     Unknown(Error),
 }
 
@@ -236,10 +237,9 @@ pub(super) fn converge(
 ) -> Landed {
     let brought = job.bring(gauge, session, side, true);
     let error = match brought.and_then(|()| accept.map_or(Ok(()), |accept| accept(gauge))) {
-        Ok(()) if side == Side::New => return Landed::New,
-        Ok(()) => return Landed::Old(None),
+        Ok(()) => return Landed::There,
         Err(error) if !job.returns => return Landed::Unknown(error),
-        Err(error) if job.touched == 0 => return Landed::Old(Some(error)),
+        Err(error) if job.touched == 0 => return Landed::Back(error),
         Err(error) => error,
     };
     session.go_back(gauge);
@@ -251,7 +251,7 @@ pub(super) fn converge(
     match job.bring(gauge, session, Side::Old, false) {
         Ok(()) => {
             let why = format!("{error}; the old value was restored and verified");
-            Landed::Old(Some(Error::new("", Cause::RolledBack(why))))
+            Landed::Back(Error::new("", Cause::RolledBack(why)))
         }
         Err(second) => {
             let why = format!("{error}; then {second}: data flash contents unknown");
