@@ -335,6 +335,50 @@ fn i2c_tools_work() {
     );
 }
 
+#[test]
+fn smbus2_works() {
+    const PROGRAM: &str = r#"
+import os, smbus2
+
+with smbus2.SMBus(int(os.environ["I2C_BUS"])) as bus:
+    def refused(call, *arguments):
+        try:
+            call(*arguments)
+        except OSError as error:
+            return error.errno
+
+    both = [smbus2.i2c_msg.write(0x55, [0x08]), smbus2.i2c_msg.read(0x55, 2)]
+    bus.i2c_rdwr(*both)
+    print(bus.read_word_data(0x55, 0x08), bus.read_i2c_block_data(0x55, 0x08, 4), list(both[1]))
+    # Control(), and which firmware.
+    bus.write_word_data(0x55, 0x00, 0x0002)
+    print(bus.read_word_data(0x55, 0x00), bus.read_byte_data(0x55, 0x02))
+    bus.write_i2c_block_data(0x55, 0x00, [0x01, 0x00])
+    bus.write_byte(0x55, 0x00)
+    print(hex(bus.read_byte(0x55) | bus.read_byte(0x55) << 8))
+    print(refused(bus.read_byte_data, 0x54, 0x08), refused(bus.read_block_data, 0x55, 0x08))
+    bus.pec = 1
+    print(refused(bus.read_word_data, 0x55, 0x08))
+    print(bool(bus.funcs & smbus2.I2cFunc.I2C), bool(bus.funcs & smbus2.I2cFunc.SMBUS_READ_BLOCK_DATA))
+"#;
+    if !can_mount() || !has_namespaces() {
+        return;
+    }
+    apart();
+    // Another Python may come before the system's, which has the package.
+    let has = |python: &&str| {
+        let ran = Command::new(python).args(["-c", "import smbus2"]).output();
+        ran.is_ok_and(|ran| ran.status.success())
+    };
+    let Some(python) = ["python3", "/usr/bin/python3"].into_iter().find(has) else {
+        eprintln!("SKIPPED: smbus2 is missing; to run all tests: sudo apt-get install python3-smbus2");
+        return;
+    };
+    let shown = run(command(&["sim", CHIP, "--fast", "--", python, "-c", PROGRAM])).done();
+    // ENXIO, EOPNOTSUPP, and EBADMSG for a packet error code that the gauge does not have.
+    assert_eq!(shown, "3855 [15, 15, 0, 0] [15, 15]\n22 60\n0x100\n6 95\n74\nTrue False\n");
+}
+
 /// An account without any right, which mounts with fusermount3 or in a user namespace.
 #[test]
 fn an_ordinary_user_has_a_bus() {
