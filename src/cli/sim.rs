@@ -13,7 +13,7 @@ use crate::error::{Cause, Error, Result};
 use crate::output::is_standard_output;
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_owner::Source;
+use gauge_owner::{Script, Source};
 use ti_gauge::chip::Chip;
 
 const SIM: &str = "\
@@ -47,6 +47,12 @@ pub(super) struct Sim {
     /// File that keeps the flash of the gauge, of which there must be only one; created if missing
     #[arg(long, value_name = "FILE")]
     state: Option<PathBuf>,
+    /// Let this happen to the simulated gauges: a name as for `gaugefs mount --scenario`, or a file, whose path has a slash
+    #[arg(long, value_name = "NAME|FILE")]
+    scenario: Option<PathBuf>,
+    /// Draw what is left to chance in the scenario by this number [default: the scenario's]
+    #[arg(long, value_name = "N", requires = "scenario")]
+    scenario_seed: Option<u64>,
     /// Show the knobs of the gauges in this folder, which is mounted; made if missing
     #[arg(long, value_name = "DIR")]
     knobs: Option<PathBuf>,
@@ -107,6 +113,10 @@ impl Sim {
             let why = "nowhere to offer the bus; add a PATH, such as ./bus, or -- and a command";
             return Err(Error::new("sim", Cause::Invalid(why.into())));
         }
+        if self.scenario.is_some() && chips.is_empty() {
+            let why = "a recording shows what has happened, and nothing else; name a CHIP to simulate";
+            return Err(Error::new("--scenario", Cause::Invalid(why.into())));
+        }
         if self.state.as_deref().is_some_and(is_standard_output) {
             let why = "the gauge's flash is read from it and written to it; name a file";
             return Err(Error::new("--state", Cause::Invalid(why.into())));
@@ -125,7 +135,8 @@ impl Sim {
             std::path::absolute(path).map_err(failed)
         };
         let state = self.state.as_ref().map(io).transpose()?;
-        let sim = |chip| Source::Sim { chip, state: state.clone(), key: None };
+        let scenario = self.scenario.clone().map(|name| Script { name, seed: self.scenario_seed });
+        let sim = |chip| Source::Sim { chip, state: state.clone(), key: None, scenario: scenario.clone() };
         let mut gauges = chips
             .iter()
             .map(|&(chip, address)| Gauge::open(&sim(chip), address, &clock))

@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::error::Error;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
@@ -67,6 +67,8 @@ pub(crate) enum At {
 pub(crate) enum Effect<T> {
     Switch(fn(&mut T, bool)),
     File(&'static str, fn(&mut T) -> &mut Option<PathBuf>),
+    /// A file, whose path has a slash, or a name.
+    NameOrFile(&'static str, fn(&mut T) -> &mut Option<PathBuf>),
     /// In a file, both this and the next may be a number or a string.
     Number(&'static str, fn(&mut T, &str) -> Result<(), String>),
     Text(&'static str, fn(&mut T, &str) -> Result<(), String>),
@@ -127,7 +129,9 @@ impl<T: Options> Opt<T> {
         };
         match self.effect {
             Effect::Switch(_) => arg.action(ArgAction::SetTrue),
-            Effect::File(name, _) => arg.value_name(name).value_parser(clap::value_parser!(PathBuf)),
+            Effect::File(name, _) | Effect::NameOrFile(name, _) => {
+                arg.value_name(name).value_parser(clap::value_parser!(PathBuf))
+            }
             Effect::Number(name, set) | Effect::Text(name, set) => {
                 arg.value_name(name).value_parser(checked(set))
             }
@@ -155,7 +159,7 @@ impl<T: Options> Opt<T> {
             // What was given before stays, in a file.
             Effect::Switch(set) if matches.get_flag(self.name) => set(to, true),
             Effect::Switch(_) => {}
-            Effect::File(_, field) => {
+            Effect::File(_, field) | Effect::NameOrFile(_, field) => {
                 if let Some(path) = matches.get_one::<PathBuf>(self.name) {
                     *field(to) = Some(path.clone());
                 }
@@ -184,7 +188,9 @@ impl<T: Options> Opt<T> {
         let string = |value: &DeValue<'_>| value.as_str().map(str::to_string);
         match self.effect {
             Effect::Switch(set) => set(to, value.as_bool().ok_or("expected a boolean")?),
-            Effect::File(_, field) => *field(to) = Some(string(value).ok_or("expected a string")?.into()),
+            Effect::File(_, field) | Effect::NameOrFile(_, field) => {
+                *field(to) = Some(string(value).ok_or("expected a string")?.into())
+            }
             Effect::Number(_, set) | Effect::Text(_, set) => return set(to, &word(value)?),
             Effect::Chip(field) => return put(field(to), values::chip(&word(value)?)),
             Effect::SwitchOrText(_, set) => match (value.as_bool(), value.as_str()) {
@@ -204,7 +210,7 @@ impl<T: Options> Opt<T> {
     pub(crate) fn kind(&self) -> &'static str {
         match self.effect {
             Effect::Switch(_) => "boolean",
-            Effect::File(..) | Effect::Text(..) | Effect::Chip(_) => "string",
+            Effect::File(..) | Effect::NameOrFile(..) | Effect::Text(..) | Effect::Chip(_) => "string",
             Effect::Number(..) => "number",
             Effect::SwitchOrText(..) => "boolean or string",
             Effect::Words(..) => "array",
@@ -246,8 +252,10 @@ pub(crate) fn names<T: Options>(place: At) -> impl Iterator<Item = &'static str>
 /// The files that the options name.
 pub(super) fn paths<T: Options>(options: &mut T, mut each: impl FnMut(&mut PathBuf)) {
     for row in T::TABLE {
-        if let Effect::File(_, field) = row.effect
-            && let Some(path) = field(options)
+        let (Effect::File(_, field) | Effect::NameOrFile(_, field)) = row.effect else { continue };
+        let is_name = |path: &Path| !path.as_os_str().as_encoded_bytes().contains(&b'/');
+        if let Some(path) = field(options)
+            && !(matches!(row.effect, Effect::NameOrFile(..)) && is_name(path))
         {
             each(path);
         }

@@ -34,6 +34,8 @@ pub(crate) struct GaugeOptions {
     pub(crate) sim: Option<&'static Chip>,
     pub(crate) sim_state: Option<PathBuf>,
     pub(crate) sim_key: Option<Key>,
+    pub(crate) scenario: Option<PathBuf>,
+    pub(crate) scenario_seed: Option<u64>,
     pub(crate) bus: Option<PathBuf>,
     pub(crate) address: Option<u8>,
     pub(crate) chip: Option<&'static Chip>,
@@ -90,6 +92,29 @@ impl Options for GaugeOptions {
             not_with: &["bus", "replay"],
             needs: Some("sim"),
             sample: "'0414 3672'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "scenario",
+            effect: Effect::NameOrFile("NAME|FILE", |to| &mut to.scenario),
+            doc: "Let this happen to the simulated gauge: ebike-ride, failing-bus, power-cut, robot-day, solar-week, \
+                  swapped-pack, or a file, whose path has a slash",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "'robot-day'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "scenario-seed",
+            effect: Effect::Number("N", |to, text| put(&mut to.scenario_seed, values::count(text))),
+            doc: "Draw what is left to chance in the scenario by this number",
+            default: "the scenario's",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            needs: Some("scenario"),
+            sample: "7",
             ..Opt::NEW
         },
         Opt {
@@ -614,7 +639,9 @@ mod tests {
             for other in row.not_with.iter().chain(&row.needs) {
                 assert!(T::row(other).is_some(), "{}: no {other}", row.name);
             }
-            let needed: Vec<_> = row.needs.iter().filter_map(|needed| T::row(needed)).collect();
+            let mut needed: Vec<_> =
+                std::iter::successors(Some(row), |row| row.needs.and_then(T::row)).skip(1).collect();
+            needed.reverse();
             let without = format!("{:?}", in_file::<T>(&needed));
             let all = [&needed[..], &[row]].concat();
             let of_file = format!("{:?}", in_file::<T>(&all));

@@ -2,7 +2,7 @@
 
 use super::GaugeOptions;
 use gauge_bus::GAUGE_ADDRESS;
-use gauge_owner::{GaugeSetup, Source};
+use gauge_owner::{GaugeSetup, Script, Source};
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
 
 impl GaugeOptions {
@@ -11,7 +11,9 @@ impl GaugeOptions {
         match (self.sim, &self.replay, &self.bus) {
             (Some(chip), _, _) => {
                 let key = self.sim_key.as_ref().map(|key| key.0);
-                Source::Sim { chip, state: self.sim_state.clone(), key }
+                let seed = self.scenario_seed;
+                let scenario = self.scenario.clone().map(|name| Script { name, seed });
+                Source::Sim { chip, state: self.sim_state.clone(), key, scenario }
             }
             (None, Some(file), _) => Source::Recording(file.clone()),
             (None, None, Some(bus)) => Source::Bus {

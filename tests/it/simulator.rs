@@ -3,14 +3,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use gauge_bus::clock::SimClock;
 use gauge_sim::{FAULTS, Knob, Options, Sim};
 use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Scheme};
 
-use crate::room::{CHIP, Folder, can_mount, gaugefs, read};
+use crate::room::{CHIP, Folder, Foreground, can_mount, errno, gaugefs, read, within};
 
 const TEXT: &str = include_str!("../../docs/SIMULATOR.md");
 
@@ -154,4 +156,112 @@ fn simulator_refusals_are_in_the_last_error() {
     assert!(!last_error().is_empty());
     knob("load_ma", "500\n").expect("a knob");
     assert_eq!(last_error(), "");
+}
+
+/// A mount with a scenario, which keeps its flash and journals in the folder, and the gauge's folder.
+fn playing(folder: &Folder, scenario: &str) -> (Foreground, String) {
+    let (at, state, journals) = (folder.file("mnt"), folder.file("flash"), folder.file("journals"));
+    let more = ["--scenario", scenario, "--poll", "0.5", "--sim-state", &state, "--state-dir", &journals];
+    let mount = Foreground::new(&at, &more);
+    (mount, format!("{at}/BAT0"))
+}
+
+fn shows(gauge: &str, name: &str, text: &str) -> bool {
+    fs::read_to_string(Path::new(gauge).join(name)).is_ok_and(|shown| shown.trim() == text)
+}
+
+fn write(gauge: &str, name: &str, text: &str) -> Result<(), Errno> {
+    fs::write(Path::new(gauge).join(name), format!("{text}\n")).map_err(errno)
+}
+
+#[test]
+fn the_scenario_power_cut_ends_with_the_old_value() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (_mount, gauge) = playing(&folder, "power-cut");
+    assert_eq!((&*read(&gauge, "df/80/53"), &*read(&gauge, "serial_number")), ("3000", "0007"));
+    assert_eq!(write(&gauge, "df/80/53", "3100"), Err(Errno::ENOTRECOVERABLE));
+    assert!(read(&gauge, "gauge/last_error").contains("data flash contents unknown"));
+    within(Duration::from_secs(60), "settled", || {
+        read(&gauge, "gauge/last_error")
+            .contains("interrupted half way; the old values were restored and verified")
+    });
+    assert_eq!(read(&gauge, "df/80/53"), "3000");
+    assert_eq!(write(&gauge, "df/80/53", "3200"), Ok(()));
+}
+
+#[test]
+fn the_scenario_swapped_pack_changes_neither_pack() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (_mount, gauge) = playing(&folder, "swapped-pack");
+    assert_eq!(read(&gauge, "serial_number"), "0001");
+    assert_eq!(write(&gauge, "df/80/53", "3100"), Err(Errno::ENOTRECOVERABLE));
+    let why = read(&gauge, "gauge/last_error");
+    assert!(why.contains("another pack answers, and nothing was written to it"), "{why}");
+    within(Duration::from_secs(60), "the second pack", || shows(&gauge, "serial_number", "0007"));
+    assert_eq!(read(&gauge, "df/80/53"), "3000");
+    assert_eq!(read(&gauge, "sim/programmed"), "0");
+    // Nothing is written to it either as long as nobody has decided.
+    assert!(write(&gauge, "df/80/53", "3200").is_err());
+    assert_eq!(read(&gauge, "sim/programmed"), "0");
+    assert_eq!(write(&gauge, "sim/speed", "60"), Ok(()));
+    within(Duration::from_secs(60), "the first pack", || {
+        shows(&gauge, "serial_number", "0001")
+            && read(&gauge, "gauge/last_error")
+                .contains("a write was interrupted; data flash holds the old values")
+    });
+    assert_eq!(read(&gauge, "df/80/53"), "3000");
+    assert_eq!(write(&gauge, "df/80/53", "3200"), Ok(()));
+}
+
+/// A ride of three hours in a few seconds.
+#[test]
+fn a_scenario_is_recorded_and_drawn() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (_mount, gauge) = playing(&folder, "ebike-ride");
+    assert_eq!(write(&gauge, "sim/speed", "3600"), Ok(()));
+    let (rows, picture) = (folder.file("ride.csv"), folder.file("ride.svg"));
+    gaugefs(&["log", "--count", "5", "-o", &rows, &gauge]).done();
+    let text = fs::read_to_string(&rows).expect("rows");
+    let capacities: Vec<i64> =
+        text.lines().skip(1).filter_map(|row| row.split(',').nth(7)?.parse().ok()).collect();
+    assert_eq!(capacities.len(), 5, "{text}");
+    assert!(capacities[0] > 60 && (5..45).contains(&capacities[4]), "{text}");
+    gaugefs(&["plot", "-o", &picture, &rows]).done();
+    assert!(fs::read_to_string(&picture).expect("a picture").contains("</svg>"));
+}
+
+#[test]
+fn a_scenario_that_cannot_be_played_mounts_nothing() {
+    let folder = Folder::new();
+    let (at, file) = (folder.file("mnt"), folder.file("day.toml"));
+    let mount = |chip: &str, scenario: &str| gaugefs(&["mount", "--sim", chip, "--scenario", scenario, &at]);
+    mount(CHIP, "robot").failed(&["robot: there is no such scenario", "robot-day", "A file has a slash"]);
+    mount(CHIP, "./none.toml").failed(&["none.toml: cannot be read: No such file or directory"]);
+    fs::write(&file, "[[step]]\nat = 'soon'\n").expect("a file");
+    mount(CHIP, &file).failed(&["day.toml: line 2: not a time; write seconds, or one such as \"1h30m\""]);
+    fs::write(&file, "[[step]]\nat = 1\nload = 5\n").expect("a file");
+    mount(CHIP, &file).failed(&["day.toml: step 1: load: there is no such knob"]);
+    mount("bq27220", "swapped-pack").failed(&["swapped-pack: step 1: flash: this part has no flash there"]);
+    assert!(!Path::new(&at).join("BAT0").exists());
+    let sim = gaugefs(&["sim", "--replay", "tests/none", "--scenario", "robot-day", &folder.file("bus")]);
+    sim.failed(&["--scenario: a recording shows what has happened"]);
+}
+
+#[test]
+fn the_shipped_scenarios_are_in_the_help_and_in_the_document() {
+    let help = gaugefs(&["mount", "--help"]).done();
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    let names: Vec<&str> = gauge_sim::scenario::names().collect();
+    assert!(help.contains(&names.join(", ")), "{help}");
+    let documented: Vec<String> = rows("scenario").iter().map(|row| quoted(&row[0]).to_string()).collect();
+    assert_eq!(documented, names);
 }

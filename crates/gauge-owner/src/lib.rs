@@ -16,7 +16,7 @@
 //! use ti_gauge::value::Value;
 //!
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = Source::Sim { chip, state: None, key: None };
+//! let simulated = Source::Sim { chip, state: None, key: None, scenario: None };
 //! let opening = Opening::new("/run/gauges".into(), Arc::new(RealClock::new()));
 //! let gauge = opening.one("BAT0".into(), GaugeSetup::new(simulated))?.handle;
 //!
@@ -62,4 +62,4 @@ pub use owner::{
     start,
 };
 pub use setup::GaugeSetup;
-pub use source::{Opened, Source, of_sim, recorded};
+pub use source::{Opened, Script, Source, of_sim, recorded};

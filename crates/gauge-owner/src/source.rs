@@ -13,6 +13,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
+use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Sim, SimBus};
 use gaugefs_client::mounts;
 use ti_gauge::chip::{Chip, SealStatus, Tier};
@@ -21,6 +22,26 @@ use ti_gauge::registers::bursts;
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
+
+/// A scenario that a simulated gauge plays.
+#[derive(Clone, Debug)]
+pub struct Script {
+    /// Its name, or its file: a path with a slash.
+    pub name: PathBuf,
+    /// Another seed than the file's.
+    pub seed: Option<u64>,
+}
+
+impl Script {
+    fn read(&self) -> Result<Scenario> {
+        Scenario::read(&self.name, self.seed).map_err(of_sim)
+    }
+
+    fn play(&self, sim: &Sim) -> Result<()> {
+        let name = self.name.display().to_string();
+        sim.play(self.read()?).map_err(|error| of_sim(error).within(&name))
+    }
+}
 
 /// Where a gauge is.
 #[derive(Clone)]
@@ -33,6 +54,8 @@ pub enum Source {
         state: Option<PathBuf>,
         /// Unseal key of a new one.
         key: Option<[u16; 2]>,
+        /// What happens to it.
+        scenario: Option<Script>,
     },
     /// In a file that `--trace` wrote.
     Recording(PathBuf),
@@ -121,11 +144,16 @@ impl Source {
     /// gauge is locked for a moment.
     pub fn check(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
-            Self::Sim { chip, state: Some(path), .. } => {
+            Self::Sim { chip, state, scenario, .. } => {
+                if let Some(script) = scenario {
+                    let sim =
+                        Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
+                    script.play(&sim)?;
+                }
+                let Some(path) = state else { return Ok(()) };
                 let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
                 Sim::check_state(chip.name, path).map_err(of_sim)
             }
-            Self::Sim { .. } => Ok(()),
             Self::Recording(path) => recorded(path).map(drop),
             Self::Bus { bus, address, .. } => {
                 let adapter = Adapter::find(bus)?;
@@ -139,12 +167,13 @@ impl Source {
     pub fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
-            Self::Sim { chip, state, key } => {
+            Self::Sim { chip, state, key, scenario } => {
                 let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
                 state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
                 let (sim, bus) = power_up(chip, state, *key, clock)?;
+                scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
                 Ok(Opened { sim: Some(sim), lock, journal_key, ..opened })

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::envelope::{DRAWN, Envelope, Lost, NackAs};
-use super::error::Result;
+use super::error::{Error, Kind, Result};
 use super::fault::{Commit, Plan};
 use super::flash::{BLOCK, Flash, Store};
 use super::knob::{self, Dial, Knob, Of};
@@ -16,6 +16,7 @@ use super::model::Kept;
 use super::model::Model;
 use super::options::Options;
 use super::part::{Part, Scheme};
+use super::scenario::FLASH;
 use super::seal::{Level, Seal};
 use super::timing::Busy;
 use super::timing::Timing;
@@ -68,7 +69,8 @@ pub(super) struct Device {
     busy_until: Duration,
     /// Commits that are being programmed, the latest last.
     pending: Vec<Pending>,
-    /// Commits that were acknowledged and not stored.
+    /// Commits of the host, and those of them that were acknowledged and not stored.
+    commits: u64,
     dropped: u64,
     last_transfer: Duration,
     /// Transfers to the gauge.
@@ -116,6 +118,7 @@ impl Device {
             watchdog: Watchdog::new(),
             busy_until: now,
             pending: Vec::new(),
+            commits: 0,
             dropped: 0,
             last_transfer: Duration::ZERO,
             transfers: 0,
@@ -263,6 +266,7 @@ impl Device {
 
     /// Stores what the host has committed, unless the gauge does not allow it or a fault is due.
     pub(super) fn commit(&mut self, wire: &mut dyn Wire, mut kept: Kept, allowed: bool) {
+        self.commits += 1;
         let fault = self.plan.commit();
         if !allowed || !wire.gate(&self.flash) || fault == Some(Commit::Drop) {
             self.dropped += 1;
@@ -471,6 +475,67 @@ impl Gauge {
         self.device.flash.set(area, offset, bytes);
         self.device.save();
         self.wire.model().configure(&self.device.flash);
+    }
+
+    /// Puts bytes into flash as [`set_flash`](Self::set_flash) does, and has the gauge begin with them: `AREA OFFSET HEX`.
+    pub(super) fn put_flash(&mut self, text: &str, now: Duration) -> Result<()> {
+        let bad = |why: &str| Error::new(FLASH, Kind::Invalid, why);
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let [area, offset, hex] = words[..] else {
+            return Err(bad("not what to store; write an area, an offset and bytes, such as \"48 4 0007\""));
+        };
+        let number = |word: &str| match word.strip_prefix("0x") {
+            Some(digits) => usize::from_str_radix(digits, 16).ok(),
+            None => word.parse().ok(),
+        };
+        let pairs = hex.is_ascii() && hex.len() % 2 == 0;
+        let bytes = (0..hex.len())
+            .step_by(2)
+            .filter(|_| pairs)
+            .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).ok());
+        let bytes = bytes.collect::<Option<Vec<u8>>>().filter(|bytes| !bytes.is_empty());
+        let bytes =
+            bytes.ok_or_else(|| bad("not bytes; write two hexadecimal digits for each, such as 0007"))?;
+        let (area, offset) = match (number(area).and_then(|area| u16::try_from(area).ok()), number(offset)) {
+            (Some(area), Some(offset @ ..=0xffff)) => (area, offset),
+            _ => return Err(bad("not an area and an offset; write numbers")),
+        };
+        if self.device.flash.bytes_at(area, offset, bytes.len()).len() != bytes.len() {
+            return Err(bad("this part has no flash there"));
+        }
+        self.set_flash(area, offset, &bytes);
+        if self.device.is_on() {
+            let ready_at = self.device.ready_at.max(now);
+            self.device.restart(&mut *self.wire, ready_at);
+        }
+        Ok(())
+    }
+
+    /// Comes in the place of another gauge, on its board: the load, the temperature, the time and what the bus has still
+    /// to come go on. It has had no power, and has rested, since it was taken away.
+    pub(super) fn follow(&mut self, other: &mut Self, now: Duration) {
+        self.device.modelled = now;
+        self.power_off(now, None);
+        let (device, before) = (&mut self.device, &mut other.device);
+        (device.clock, device.speed) = (before.clock, before.speed);
+        std::mem::swap(&mut device.plan, &mut before.plan);
+        let battery = other.wire.model().battery();
+        let (load_ma, ambient) = (battery.load_ma, battery.ambient);
+        let wire = &mut *self.wire;
+        let battery = wire.model().battery_mut();
+        battery.ambient = ambient;
+        battery.load_ma = load_ma;
+        device.power_up(wire);
+    }
+
+    /// Seconds of battery time to a second.
+    pub(super) fn speed(&self) -> f64 {
+        self.device.speed
+    }
+
+    /// Commits of the host so far.
+    pub(super) fn commits(&self) -> u64 {
+        self.device.commits
     }
 
     pub(super) fn plan(&mut self) -> &mut Plan {

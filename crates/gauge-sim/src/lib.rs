@@ -3,7 +3,8 @@
 //!
 //! They are written from the manuals alone, byte by byte: acknowledgement, sealed and unsealed, the block-access window
 //! apart from flash, the checksum that commits, the voltage below which nothing is stored, a reset that takes its time.
-//! Knobs turn the load, the temperature, the timings and the power, and make the nth transfer fail.
+//! Knobs turn the load, the temperature, the timings and the power, and make the nth transfer fail. A
+//! [`scenario`] does that by a file.
 //!
 //! Real gauges differ from each other more than their manuals say. [`Options::envelope`] draws one by seed: blocks that
 //! are ready late while the window shows another one with a valid checksum, commits that leave the gauge deaf or its old
@@ -38,7 +39,7 @@
 //! behaviour of one specimen, a `part` the differences between the parts, and a `model` the gauge's view of its
 //! `battery`.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -66,6 +67,7 @@ mod parts;
 mod random;
 mod register;
 mod rom;
+pub mod scenario;
 mod seal;
 mod timing;
 mod update;
@@ -81,8 +83,9 @@ pub use fault::{FAULTS, FaultWord};
 pub use knob::Knob;
 use mac::Mac;
 pub use options::Options;
-use part::Scheme;
+use part::{Part, Scheme};
 use register::Register;
+use scenario::{Player, Scenario};
 
 /// One bit at 100 kHz.
 const BIT: Duration = Duration::from_micros(10);
@@ -138,7 +141,15 @@ impl fmt::Display for Record {
 }
 
 struct State {
+    part: &'static Part,
+    options: Options,
     gauge: Gauge,
+    /// The number of its pack, and the other packs that have been there.
+    pack: u32,
+    others: BTreeMap<u32, Gauge>,
+    /// Commits to packs that were exchanged.
+    commits: u64,
+    player: Option<Player>,
     counters: Counters,
     log: Option<VecDeque<Record>>,
     /// Until then nothing on the bus is acknowledged.
@@ -156,9 +167,90 @@ struct Counters {
 }
 
 impl State {
+    fn new(part: &'static Part, options: &Options, now: Duration) -> Result<Self> {
+        let gauge = make(part, options, now)?;
+        // The file is that of the first pack.
+        let options = Options { state: None, ..options.clone() };
+        let (counters, silent_until) = (Counters::default(), Duration::ZERO);
+        let (pack, others, commits, player) = (1, BTreeMap::new(), 0, None);
+        Ok(Self { part, options, gauge, pack, others, commits, player, counters, log: None, silent_until })
+    }
+
     /// The knob of that name, if the part has it.
     fn find(&self, name: &str) -> Option<&'static Knob> {
         knob::KNOBS.iter().find(|knob| knob.name == name && self.gauge.has_knob(knob))
+    }
+
+    /// Turns a knob. A text that is not understood changes nothing.
+    fn turn(&mut self, knob: &str, text: &str, now: Duration) -> Result<()> {
+        match self.find(knob) {
+            None => Err(Error::new(knob, Kind::Invalid, "there is no such knob")),
+            Some(known) if !known.writable => {
+                Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
+            }
+            Some(_) if knob == "fault" => self.gauge.plan().set(text),
+            // The help has the unit.
+            Some(known) => {
+                self.gauge.set_knob(knob, text, now).map_err(|error| match error.kind {
+                    Kind::Invalid | Kind::OutOfRange => {
+                        Error { text: format!("{} ({})", error.text, known.help), ..error }
+                    }
+                    Kind::NotPermitted | Kind::Io(_) => error,
+                })?;
+                if let Some(player) = &mut self.player {
+                    player.set_speed(self.gauge.speed(), now);
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Does what a scenario says.
+    fn act(&mut self, knob: &str, text: &str, now: Duration) -> Result<()> {
+        match knob {
+            scenario::PACK => self.exchange(text, now),
+            scenario::FLASH => self.gauge.put_flash(text, now),
+            _ => self.turn(knob, text, now),
+        }
+    }
+
+    /// Does all that the scenario says up to `now`, each at its time.
+    fn catch_up(&mut self, now: Duration) {
+        loop {
+            let commits = self.commits + self.gauge.commits();
+            let Some((at, act)) = self.player.as_mut().and_then(|player| player.next(commits, now)) else {
+                return;
+            };
+            // A gauge of that part has accepted it before.
+            let _ = self.act(&act.knob, &act.text, at);
+        }
+    }
+
+    /// Takes the pack away, and puts the one of that number in its place, as it was left or new.
+    fn exchange(&mut self, text: &str, now: Duration) -> Result<()> {
+        let number = knob::number(scenario::PACK, text, 1.0, 9.0)? as u32;
+        if number == self.pack {
+            return Ok(());
+        }
+        let mut next = match self.others.remove(&number) {
+            Some(gauge) => gauge,
+            None => make(self.part, &self.options, now)?,
+        };
+        self.gauge.power_off(now, None);
+        next.follow(&mut self.gauge, now);
+        let before = std::mem::replace(&mut self.gauge, next);
+        self.commits += before.commits();
+        self.others.insert(self.pack, before);
+        self.pack = number;
+        Ok(())
+    }
+}
+
+fn make(part: &'static Part, options: &Options, now: Duration) -> Result<Gauge> {
+    match part.scheme {
+        Scheme::Block(scheme) => Block::gauge(part, scheme, options, now),
+        Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, now),
+        Scheme::Registers(scheme) => Register::gauge(part, scheme, options, now),
     }
 }
 
@@ -183,12 +275,7 @@ impl Sim {
             let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
             return Err(Error::new(chip, Kind::Invalid, text));
         };
-        let gauge = match part.scheme {
-            Scheme::Block(scheme) => Block::gauge(part, scheme, options, clock.now())?,
-            Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, clock.now())?,
-            Scheme::Registers(scheme) => Register::gauge(part, scheme, options, clock.now())?,
-        };
-        let state = State { gauge, counters: Counters::default(), log: None, silent_until: Duration::ZERO };
+        let state = State::new(part, options, clock.now())?;
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
@@ -209,6 +296,13 @@ impl Sim {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The gauge as it is now.
+    fn now(&self) -> MutexGuard<'_, State> {
+        let mut state = self.lock();
+        state.catch_up(self.clock.now());
+        state
+    }
+
     /// A bus to the gauge.
     pub fn bus(&self) -> SimBus {
         self.bus_at(GAUGE_ADDRESS)
@@ -227,7 +321,7 @@ impl Sim {
 
     /// The text that a knob shows; `None` if there is no knob of that name.
     pub fn get(&self, knob: &str) -> Option<String> {
-        let mut state = self.lock();
+        let mut state = self.now();
         state.find(knob)?;
         let State { gauge, counters, .. } = &mut *state;
         Some(match knob {
@@ -243,24 +337,24 @@ impl Sim {
 
     /// Turns a knob. A text that is not understood changes nothing.
     pub fn set(&self, knob: &str, text: &str) -> Result<()> {
-        let text = text.trim();
-        let mut state = self.lock();
-        match state.find(knob) {
-            None => Err(Error::new(knob, Kind::Invalid, "there is no such knob")),
-            Some(known) if !known.writable => {
-                Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
-            }
-            Some(_) if knob == "fault" => state.gauge.plan().set(text),
-            // The help has the unit.
-            Some(known) => {
-                state.gauge.set_knob(knob, text, self.clock.now()).map_err(|error| match error.kind {
-                    Kind::Invalid | Kind::OutOfRange => {
-                        Error { text: format!("{} ({})", error.text, known.help), ..error }
-                    }
-                    Kind::NotPermitted | Kind::Io(_) => error,
-                })
-            }
+        self.now().turn(knob, text.trim(), self.clock.now())
+    }
+
+    /// Plays a scenario from now on, in place of any other. One that this part does not accept changes nothing.
+    pub fn play(&self, scenario: Scenario) -> Result<()> {
+        let now = self.clock.now();
+        let part = self.lock().part;
+        let mut rehearsal = State::new(part, &Options::default(), now)?;
+        for act in scenario.acts() {
+            rehearsal.act(&act.knob, &act.text, now).map_err(|error| {
+                let text = format!("{}: {}", error.subject, error.text);
+                Error { subject: act.place(), text, ..error }
+            })?;
         }
+        let mut state = self.lock();
+        state.player = Some(Player::new(scenario, now, state.gauge.speed()));
+        state.catch_up(now);
+        Ok(())
     }
 
     /// The gauge that the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs
@@ -271,19 +365,19 @@ impl Sim {
 
     /// All flash, subclass after subclass.
     pub fn flash(&self) -> Vec<u8> {
-        self.lock().gauge.flash().bytes()
+        self.now().gauge.flash().bytes()
     }
 
     /// Instruction flash by rows, and data flash as the boot loader has it; `None` for a part whose boot loader is not
     /// simulated.
     pub fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
-        self.lock().gauge.firmware()
+        self.now().gauge.firmware()
     }
 
     /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0
     /// with offsets from address 0x4000 on.
     pub fn set_flash(&self, area: u16, offset: usize, bytes: &[u8]) {
-        self.lock().gauge.set_flash(area, offset, bytes);
+        self.now().gauge.set_flash(area, offset, bytes);
     }
 
     /// Switches the log on or off, and empties it.
@@ -368,7 +462,14 @@ impl Bus for Direct<'_> {
 impl SimBus {
     fn attempt(&self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let clock = &*self.sim.clock;
-        let due = self.sim.lock().gauge.plan().next(write.len() + read.len());
+        let due = {
+            let mut state = self.sim.lock();
+            if let Some(player) = &mut state.player {
+                player.count_transfer();
+            }
+            state.catch_up(clock.now());
+            state.gauge.plan().next(write.len() + read.len())
+        };
         // The bus waits without holding the lock, so that knobs can still be read.
         if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
             let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);
@@ -404,6 +505,8 @@ impl SimBus {
         };
         let mut state = self.sim.lock();
         let nack_as = state.gauge.nack_as();
+        // What waits for a commit comes right after it.
+        state.catch_up(clock.now());
         let result = match result {
             Err(BusError::NoAck) => {
                 state.counters.nacks += 1;

@@ -75,7 +75,7 @@ impl Drop for Folder {
 
 fn simulated(chip: &str) -> GaugeSetup {
     let chip = Chip::by_name(chip).expect("it has a table");
-    GaugeSetup::new(Source::Sim { chip, state: None, key: None })
+    GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None })
 }
 
 const CHIP: &str = "bq34z100-g1";

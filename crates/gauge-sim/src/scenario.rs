@@ -1,0 +1,635 @@
+//! Scenarios: what happens to a gauge, and when, written as TOML.
+//!
+//! A scenario turns the knobs of a gauge at times of the battery, so that it is the same at any `speed`, or when so many
+//! transfers or commits have passed. Besides the knobs a step may exchange the pack and put bytes into flash. Chance is
+//! drawn when the file is read, by its seed: the same file and seed make the same steps.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::time::Duration;
+
+use serde::Deserialize;
+use toml::Value;
+
+use super::error::{Error, Kind, Result};
+use super::random::Random;
+
+/// The scenarios that come with the simulator, by their names.
+const SHIPPED: &[(&str, &str)] = &[
+    ("ebike-ride", include_str!("scenarios/ebike-ride.toml")),
+    ("failing-bus", include_str!("scenarios/failing-bus.toml")),
+    ("power-cut", include_str!("scenarios/power-cut.toml")),
+    ("robot-day", include_str!("scenarios/robot-day.toml")),
+    ("solar-week", include_str!("scenarios/solar-week.toml")),
+    ("swapped-pack", include_str!("scenarios/swapped-pack.toml")),
+];
+
+/// Largest size of a file.
+const LONGEST: u64 = 1 << 20;
+/// Most single steps that a file may come to.
+const MOST: usize = 200_000;
+/// How long a scenario may last.
+const LONGEST_TIME: Duration = Duration::from_secs(10 * 366 * 24 * 3600);
+/// Interval at which a value that changes by and by is set, unless the step says another.
+const EVERY: Duration = Duration::from_secs(60);
+
+/// What exchanges the pack; it comes before all else of its step.
+pub(super) const PACK: &str = "pack";
+/// What puts bytes into flash.
+pub(super) const FLASH: &str = "flash";
+
+/// A scenario that was read.
+#[derive(Clone, Debug, Default)]
+pub struct Scenario {
+    /// By battery time since the beginning.
+    timed: Vec<(Duration, Act)>,
+    /// Those that wait for traffic.
+    counted: Vec<Counted>,
+}
+
+/// What is turned, and to what.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Act {
+    pub(super) knob: String,
+    pub(super) text: String,
+    /// The step that says so, for messages.
+    step: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Counted {
+    count: Count,
+    after: Duration,
+    acts: Vec<Act>,
+}
+
+/// What is counted since the beginning.
+#[derive(Clone, Copy, Debug)]
+enum Count {
+    Transfers(u64),
+    Commits(u64),
+}
+
+/// The file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Script {
+    #[expect(dead_code, reason = "it is for the reader of the file")]
+    about: Option<String>,
+    seed: Option<u64>,
+    repeat: Option<Time>,
+    times: Option<u32>,
+    #[serde(default)]
+    start: BTreeMap<String, Value>,
+    #[serde(default)]
+    step: Vec<Step>,
+}
+
+#[derive(Deserialize)]
+struct Step {
+    at: Option<Time>,
+    transfer: Option<u64>,
+    commit: Option<u64>,
+    after: Option<Time>,
+    over: Option<Time>,
+    every: Option<Time>,
+    jitter: Option<f64>,
+    #[serde(flatten)]
+    knobs: BTreeMap<String, Value>,
+}
+
+/// A time such as `90`, `"90s"` or `"1h30m"`.
+#[derive(Clone, Copy)]
+struct Time(Duration);
+
+impl<'de> Deserialize<'de> for Time {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(from)?;
+        let time = match &value {
+            Value::Integer(seconds) => u64::try_from(*seconds).ok().map(Duration::from_secs),
+            Value::String(text) => time(text),
+            _ => None,
+        };
+        time.filter(|time| *time <= LONGEST_TIME).map(Self).ok_or_else(|| {
+            serde::de::Error::custom(
+                "not a time; write seconds, or one such as \"1h30m\", \"2d\" or \"250ms\"",
+            )
+        })
+    }
+}
+
+/// Whole numbers, each with its unit.
+fn time(text: &str) -> Option<Duration> {
+    let mut rest = text.trim();
+    let mut sum = Duration::ZERO;
+    while !rest.is_empty() {
+        let (number, after) = rest.split_at(rest.find(|at: char| !at.is_ascii_digit())?);
+        let end = after.find(|at: char| at.is_ascii_digit() || at == ' ').unwrap_or(after.len());
+        let (unit, after) = after.split_at(end);
+        let milliseconds: u64 = match unit {
+            "ms" => 1,
+            "s" => 1000,
+            "m" | "min" => 60_000,
+            "h" => 3_600_000,
+            "d" => 86_400_000,
+            _ => return None,
+        };
+        sum += Duration::from_millis(number.parse::<u64>().ok()?.checked_mul(milliseconds)?);
+        rest = after.trim_start();
+    }
+    (!text.trim().is_empty()).then_some(sum)
+}
+
+/// The names of the scenarios that come with the simulator.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    SHIPPED.iter().map(|(name, _)| *name)
+}
+
+impl Scenario {
+    /// Reads a scenario: one of [`names`], or a file, whose path has a slash. `seed` replaces the file's.
+    pub fn read(name: &Path, seed: Option<u64>) -> Result<Self> {
+        let subject = name.display().to_string();
+        let refuse = |kind, text: String| Error::new(subject.clone(), kind, text);
+        if !subject.contains('/') {
+            let found = SHIPPED.iter().find(|(shipped, _)| *shipped == subject);
+            let known = || names().collect::<Vec<_>>().join(", ");
+            let why = || {
+                format!(
+                    "there is no such scenario; there are: {}. A file has a slash, such as ./day.toml",
+                    known()
+                )
+            };
+            let (_, text) = found.ok_or_else(|| refuse(Kind::Invalid, why()))?;
+            return Self::parse(&subject, text, seed);
+        }
+        let text = gauge_bus::regular::read_text(name, LONGEST).map_err(|error| {
+            refuse(Kind::Io(error.kind()), format!("cannot be read: {}", gauge_bus::error::reason(&error)))
+        })?;
+        Self::parse(&subject, &text, seed)
+    }
+
+    /// Reads the text of a scenario; `subject` is its name in messages.
+    pub fn parse(subject: &str, text: &str, seed: Option<u64>) -> Result<Self> {
+        let bad = |text: String| Error::new(subject, Kind::Invalid, text);
+        let script: Script = toml::from_str(text).map_err(|error| {
+            let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+            bad(format!("line {line}: {}", error.message()))
+        })?;
+        let mut random = Random::new(seed.or(script.seed).unwrap_or(1));
+        random.roll(1);
+        let mut new = Self::default();
+        let start = acts(&script.start, 0).map_err(|error| bad(format!("[start]: {error}")))?;
+        // What a knob was set to last, for values that change by and by.
+        let mut last: BTreeMap<String, f64> = BTreeMap::new();
+        let note = |act: &Act, last: &mut BTreeMap<String, f64>| {
+            if let Ok(value) = act.text.parse() {
+                last.insert(act.knob.clone(), value);
+            }
+        };
+        start.iter().for_each(|act| note(act, &mut last));
+        new.timed.extend(start.into_iter().map(|act| (Duration::ZERO, act)));
+
+        let (period, times) = match (script.repeat, script.times) {
+            (None, None) => (Duration::ZERO, 1),
+            (Some(period), Some(times)) if !period.0.is_zero() && times > 0 => (period.0, times),
+            _ => return Err(bad("repeat: it needs a time, and `times`, how often the steps happen".into())),
+        };
+        if period.checked_mul(times).is_none_or(|sum| sum > LONGEST_TIME) {
+            return Err(bad("repeat: this takes more than ten years".into()));
+        }
+        let mut timed = Vec::new();
+        for (at, step) in (1..).zip(&script.step) {
+            let bad = |text: &str| bad(format!("step {at}: {text}"));
+            let acts = acts(&step.knobs, at).map_err(|error| bad(&error))?;
+            let count = match (step.at, step.transfer, step.commit) {
+                (Some(time), None, None) => {
+                    if step.after.is_some() {
+                        return Err(bad("after: it is for a step with transfer or commit"));
+                    }
+                    timed.push((time.0, at, step, acts));
+                    continue;
+                }
+                (None, Some(count @ 1..), None) => Count::Transfers(count),
+                (None, None, Some(count @ 1..)) => Count::Commits(count),
+                _ => {
+                    return Err(bad(
+                        "when; write one of `at` with a time, `transfer` or `commit` with a number from 1",
+                    ));
+                }
+            };
+            if step.over.is_some() || step.jitter.is_some() || step.every.is_some() {
+                return Err(bad("over, jitter and every: they are for a step with `at`"));
+            }
+            let after = step.after.map_or(Duration::ZERO, |time| time.0);
+            new.counted.push(Counted { count, after, acts });
+        }
+        timed.sort_by_key(|(time, at, ..)| (*time, *at));
+        if period > Duration::ZERO && timed.last().is_some_and(|(time, ..)| *time >= period) {
+            return Err(bad("repeat: a step is later than that".into()));
+        }
+        for turn in 0..times {
+            for (index, (time, at, step, acts)) in timed.iter().enumerate() {
+                let begun = period * turn + *time;
+                let bad = |text: &str| bad(format!("step {at}: {text}"));
+                let every = step.every.map_or(EVERY, |time| time.0);
+                if every.is_zero() {
+                    return Err(bad("every: it must be longer than 0"));
+                }
+                for act in acts {
+                    // Until another step sets the knob, or it is all over.
+                    let sets = |(.., acts): &&(Duration, usize, &Step, Vec<Act>)| {
+                        acts.iter().any(|other| other.knob == act.knob)
+                    };
+                    let next = timed[index + 1..].iter().find(sets).map(|(time, ..)| *time);
+                    let repeated = (turn + 1 < times)
+                        .then(|| timed.iter().find(sets).map(|(time, ..)| period + *time))
+                        .flatten();
+                    let end = next.or(repeated).unwrap_or(period.max(*time)).saturating_sub(*time);
+                    let goal: Option<f64> = act.text.parse().ok();
+                    let (Some(goal), true) = (goal, step.over.is_some() || step.jitter.is_some()) else {
+                        if (step.over.is_some() || step.jitter.is_some()) && acts.len() == 1 {
+                            return Err(bad("over and jitter: they are for a number"));
+                        }
+                        new.timed.push((begun, act.clone()));
+                        note(act, &mut last);
+                        continue;
+                    };
+                    let over = step.over.map_or(Duration::ZERO, |time| time.0);
+                    let from = match (last.get(&act.knob), over.is_zero()) {
+                        (_, true) => goal,
+                        (Some(from), false) => *from,
+                        (None, false) => {
+                            return Err(bad(
+                                "over: an earlier step, or [start], must set what it begins with",
+                            ));
+                        }
+                    };
+                    let jitter = step.jitter.unwrap_or(0.0);
+                    if !jitter.is_finite() || jitter < 0.0 {
+                        return Err(bad("jitter: not a number from 0"));
+                    }
+                    let length = if jitter > 0.0 { end.max(over) } else { over };
+                    let mut passed = Duration::ZERO;
+                    loop {
+                        let part =
+                            if over.is_zero() { 1.0 } else { passed.as_secs_f64() / over.as_secs_f64() };
+                        let noise = jitter * (random.roll(2001) as f64 / 1000.0 - 1.0);
+                        let value = from + (goal - from) * part.min(1.0) + noise;
+                        let text = value.round().to_string();
+                        new.timed.push((begun + passed, Act { text, ..act.clone() }));
+                        if new.timed.len() > MOST {
+                            return Err(bad("this comes to more than 200000 single steps; raise `every`"));
+                        }
+                        if passed >= length {
+                            break;
+                        }
+                        passed = (passed + every).min(length);
+                    }
+                    last.insert(act.knob.clone(), goal);
+                }
+                if new.timed.len() > MOST {
+                    return Err(bad("this comes to more than 200000 single steps"));
+                }
+            }
+        }
+        new.timed.sort_by_key(|(time, _)| *time);
+        Ok(new)
+    }
+
+    /// All that it ever does, once: what a gauge has to accept.
+    pub(super) fn acts(&self) -> impl Iterator<Item = &Act> {
+        self.timed.iter().map(|(_, act)| act).chain(self.counted.iter().flat_map(|counted| &counted.acts))
+    }
+
+    /// How long it lasts, in battery time.
+    pub fn length(&self) -> Duration {
+        self.timed.last().map_or(Duration::ZERO, |(time, _)| *time)
+    }
+}
+
+impl Act {
+    /// Where it is written.
+    pub(super) fn place(&self) -> String {
+        match self.step {
+            0 => "[start]".into(),
+            step => format!("step {step}"),
+        }
+    }
+}
+
+/// The settings of a table, as texts of the knobs; an exchange of the pack comes first.
+fn acts(knobs: &BTreeMap<String, Value>, step: usize) -> Result<Vec<Act>, String> {
+    let text = |value: &Value| match value {
+        Value::Integer(number) => Some(number.to_string()),
+        Value::Float(number) => Some(number.to_string()),
+        Value::String(text) => Some(text.clone()),
+        _ => None,
+    };
+    let act = |(knob, value): (&String, &Value)| {
+        let text = text(value).ok_or_else(|| format!("{knob}: not a number or a string"))?;
+        Ok(Act { knob: knob.clone(), text, step })
+    };
+    let mut acts = knobs.iter().map(act).collect::<Result<Vec<_>, String>>()?;
+    acts.sort_by_key(|act| act.knob != PACK);
+    Ok(acts)
+}
+
+/// A scenario that is played.
+#[derive(Debug)]
+pub(super) struct Player {
+    /// Those that are still to come.
+    timed: VecDeque<(Duration, Act)>,
+    counted: Vec<Counted>,
+    /// The host's time at which the speed changed last, the battery time since the beginning then, and the speed.
+    since: Duration,
+    passed: Duration,
+    speed: f64,
+    transfers: u64,
+}
+
+impl Player {
+    pub(super) fn new(scenario: Scenario, now: Duration, speed: f64) -> Self {
+        let Scenario { timed, counted } = scenario;
+        Self { timed: timed.into(), counted, since: now, passed: Duration::ZERO, speed, transfers: 0 }
+    }
+
+    /// Notes a change of the speed at that time.
+    pub(super) fn set_speed(&mut self, speed: f64, now: Duration) {
+        self.passed = self.passed_at(now);
+        (self.since, self.speed) = (now, speed);
+    }
+
+    fn passed_at(&self, now: Duration) -> Duration {
+        self.passed + now.saturating_sub(self.since).mul_f64(self.speed)
+    }
+
+    pub(super) fn count_transfer(&mut self) {
+        self.transfers += 1;
+    }
+
+    /// What is due next until `now`, and when it is.
+    pub(super) fn next(&mut self, commits: u64, now: Duration) -> Option<(Duration, Act)> {
+        let is_due = |counted: &Counted| match counted.count {
+            Count::Transfers(count) => self.transfers >= count,
+            Count::Commits(count) => commits >= count,
+        };
+        while let Some(at) = self.counted.iter().position(is_due) {
+            let Counted { after, acts, .. } = self.counted.remove(at);
+            let time = self.passed_at(now) + after;
+            for act in acts {
+                let at = self.timed.partition_point(|(other, _)| *other <= time);
+                self.timed.insert(at, (time, act));
+            }
+        }
+        let due = self.timed.front()?.0;
+        if due > self.passed_at(now) {
+            return None;
+        }
+        let left = due.saturating_sub(self.passed).as_secs_f64();
+        let wait = Duration::try_from_secs_f64(left / self.speed).unwrap_or_default();
+        let (_, act) = self.timed.pop_front()?;
+        Some((self.since.saturating_add(wait).min(now), act))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use gauge_bus::clock::{Clock, SimClock};
+
+    use super::*;
+    use crate::{Options, Sim};
+
+    const CHIP: &str = "bq34z100-g1";
+
+    /// A gauge and its clock, with a scenario from now on.
+    fn played(text: &str) -> (Sim, Arc<SimClock>) {
+        play(Scenario::parse("test", text, None).expect("a scenario"))
+    }
+
+    fn play(scenario: Scenario) -> (Sim, Arc<SimClock>) {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a part");
+        clock.sleep(Duration::from_secs(2));
+        sim.play(scenario).expect("it is accepted");
+        (sim, clock)
+    }
+
+    fn number(sim: &Sim, knob: &str) -> f64 {
+        sim.get(knob).expect("a knob").parse().expect("a number")
+    }
+
+    #[track_caller]
+    fn refused(text: &str) -> String {
+        Scenario::parse("day.toml", text, None).expect_err("refused").to_string()
+    }
+
+    #[test]
+    fn times_are_read_with_their_units() {
+        let seconds = |text| time(text).map(|time| time.as_secs_f64());
+        assert_eq!(seconds("1h30m"), Some(5400.0));
+        assert_eq!(seconds("2d 250ms"), Some(172_800.25));
+        assert_eq!(seconds("90s"), Some(90.0));
+        for bad in ["", " ", "90", "h", "-1s", "1.5h", "1y", "99999999999999999999s"] {
+            assert_eq!(seconds(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn steps_happen_at_the_time_of_the_battery() {
+        let text = "[start]\nload_ma = 0\nspeed = 60\n[[step]]\nat = '1h'\nload_ma = 500\n[[step]]\nat = '2h'\nload_ma = 0\n";
+        let (sim, clock) = played(text);
+        let soc = number(&sim, "soc");
+        clock.sleep(Duration::from_secs(59));
+        assert_eq!(number(&sim, "load_ma"), 0.0);
+        // Nobody asks for a while: each step has its time all the same.
+        clock.sleep(Duration::from_secs(3600));
+        assert_eq!(number(&sim, "load_ma"), 0.0);
+        let left = number(&sim, "soc");
+        assert!((soc - left - 50.0).abs() < 1.0, "{soc} to {left}");
+        // At another speed it is the same.
+        let (slow, clock) = played(&text.replace("60", "1"));
+        clock.sleep(Duration::from_secs(59 * 60));
+        assert_eq!(number(&slow, "load_ma"), 0.0);
+        clock.sleep(Duration::from_secs(2 * 60));
+        assert_eq!(number(&slow, "load_ma"), 500.0);
+        slow.set("speed", "3600").expect("it is turned");
+        clock.sleep(Duration::from_secs(1));
+        assert_eq!(number(&slow, "load_ma"), 0.0);
+        assert!((number(&slow, "soc") - left).abs() < 0.5);
+    }
+
+    #[test]
+    fn a_value_changes_by_and_by_and_with_noise() {
+        let (sim, clock) = played(
+            "[start]\ntemperature = 0\n[[step]]\nat = 10\ntemperature = 100\nover = '100s'\nevery = '10s'\n",
+        );
+        let mut shown = Vec::new();
+        for _ in 0..14 {
+            shown.push(number(&sim, "temperature"));
+            clock.sleep(Duration::from_secs(10));
+        }
+        assert_eq!(shown, [0., 0., 10., 20., 30., 40., 50., 60., 70., 80., 90., 100., 100., 100.]);
+
+        let text =
+            "[[step]]\nat = 0\nload_ma = 500\njitter = 100\nevery = '1s'\n[[step]]\nat = 100\nload_ma = 7\n";
+        let loads = |seed| {
+            let (sim, clock) = play(Scenario::parse("test", text, seed).expect("a scenario"));
+            let loads: Vec<i32> = (0..100)
+                .map(|_| {
+                    clock.sleep(Duration::from_secs(1));
+                    number(&sim, "load_ma") as i32
+                })
+                .collect();
+            loads
+        };
+        let first = loads(None);
+        assert_eq!(first[99], 7);
+        assert!(first[..99].iter().all(|load| (400..=600).contains(load)));
+        assert!(first.iter().max() > Some(&570) && first[..99].iter().min() < Some(&430), "{first:?}");
+        assert_eq!(loads(Some(1)), first, "the usual seed");
+        assert_ne!(loads(Some(2)), first);
+    }
+
+    #[test]
+    fn steps_wait_for_traffic() {
+        let (sim, clock) = played(
+            "[[step]]\ntransfer = 3\nload_ma = 70\n[[step]]\ntransfer = 3\nafter = 10\nload_ma = 80\n",
+        );
+        let mut bus = sim.bus();
+        let loads = [0; 4].map(|_| {
+            let load = number(&sim, "load_ma");
+            gauge_bus::Bus::transfer(&mut bus, &[0x08], &mut [0; 2]).expect("it answers");
+            load
+        });
+        assert_eq!(loads, [0.0, 0.0, 0.0, 70.0]);
+        clock.sleep(Duration::from_secs(9));
+        assert_eq!(number(&sim, "load_ma"), 70.0);
+        clock.sleep(Duration::from_secs(2));
+        assert_eq!(number(&sim, "load_ma"), 80.0);
+    }
+
+    #[test]
+    fn steps_repeat_with_other_noise() {
+        let text = "repeat = '10s'\ntimes = 3\n[[step]]\nat = 0\nload_ma = 500\njitter = 100\nevery = '1s'\n[[step]]\nat = 5\nload_ma = 7\n";
+        let (sim, clock) = played(text);
+        let loads: Vec<f64> = (0..40)
+            .map(|_| {
+                let load = number(&sim, "load_ma");
+                clock.sleep(Duration::from_secs(1));
+                load
+            })
+            .collect();
+        for turn in loads[..30].chunks(10) {
+            assert!(turn[..5].iter().all(|load| *load > 300.0), "{loads:?}");
+            assert_eq!(turn[5..], [7.0; 5]);
+        }
+        assert_ne!(loads[..5], loads[10..15]);
+        assert_eq!(loads[30..], [7.0; 10]);
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_with_its_place() {
+        assert_eq!(
+            refused("x = 1"),
+            "day.toml: line 1: unknown field `x`, expected one of `about`, `seed`, `repeat`, `times`, `start`, `step`"
+        );
+        assert!(
+            refused("\n\n[[step]]\nat = 'soon'\n").starts_with("day.toml: line 4: not a time"),
+            "{}",
+            refused("\n\n[[step]]\nat = 'soon'\n")
+        );
+        assert!(refused("[[step]]\nload_ma = 1\n").starts_with("day.toml: step 1: when; write one of"));
+        assert!(refused("[[step]]\nat = 1\ncommit = 1\n").contains("step 1: when"));
+        assert!(refused("[[step]]\nat = 1\nafter = 1\n").contains("after: it is for a step with"));
+        assert!(refused("[[step]]\ncommit = 1\njitter = 1\n").contains("for a step with `at`"));
+        assert!(
+            refused("[[step]]\nat = 1\nload_ma = 1\nover = 1\n").contains("must set what it begins with")
+        );
+        assert!(refused("[[step]]\nat = 1\npower = 'off'\njitter = 1\n").contains("they are for a number"));
+        assert!(
+            refused("[[step]]\nat = 1\nload_ma = 1\njitter = -1\n").contains("jitter: not a number from 0")
+        );
+        assert!(refused("[[step]]\nat = 1\nload_ma = 1\njitter = 1\nevery = 0\n").contains("longer than 0"));
+        assert!(refused("[[step]]\nat = 1\nload_ma = [1]\n").contains("load_ma: not a number or a string"));
+        assert!(refused("repeat = 5\n").contains("repeat: it needs a time"));
+        assert!(refused("repeat = 5\ntimes = 2\n[[step]]\nat = 5\n").contains("a step is later"));
+        assert!(refused("repeat = '300d'\ntimes = 1000\n").contains("ten years"));
+        assert!(
+            refused("repeat = '300d'\ntimes = 9\n[[step]]\nat = 0\nload_ma = 1\njitter = 1\nevery = '1s'\n")
+                .contains("200000")
+        );
+        let unknown = Scenario::read(Path::new("robot"), None).expect_err("no such").to_string();
+        assert!(unknown.contains("robot-day, solar-week") && unknown.contains("./day.toml"), "{unknown}");
+        let missing = Scenario::read(Path::new("./none.toml"), None).expect_err("no file");
+        assert_eq!(missing.to_string(), "./none.toml: cannot be read: No such file or directory");
+    }
+
+    #[test]
+    fn a_part_refuses_what_it_cannot_do_before_anything_happens() {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("bq27220", &Options::default(), clock).expect("a part");
+        let refuse = |text: &str| {
+            let scenario = Scenario::parse("test", text, None).expect("a scenario");
+            sim.play(scenario).expect_err("refused").to_string()
+        };
+        assert_eq!(refuse("[start]\nload_ma = 9\nload_mb = 1\n"), "[start]: load_mb: there is no such knob");
+        assert!(refuse("[[step]]\nat = 1\nsoc = 101\n").starts_with("step 1: soc: "));
+        assert_eq!(
+            refuse("[[step]]\nat = 1\nflash = '48 4 0007'\n"),
+            "step 1: flash: this part has no flash there"
+        );
+        assert!(refuse("[[step]]\nat = 1\nflash = '48 4'\n").contains("write an area, an offset and bytes"));
+        assert!(refuse("[[step]]\ntransfer = 1\npack = 10\n").starts_with("step 1: pack: "));
+        assert_eq!(number(&sim, "load_ma"), 0.0);
+    }
+
+    #[test]
+    fn another_pack_takes_the_place_of_the_first_and_gives_it_back() {
+        let (sim, clock) = played(
+            "[start]\nload_ma = 300\nsoc = 90\n[[step]]\nat = 10\npack = 2\nflash = '48 4 0007'\nsoc = 20\n[[step]]\nat = 1000\npack = 1\n",
+        );
+        let first = sim.flash();
+        clock.sleep(Duration::from_secs(900));
+        assert_eq!(number(&sim, "load_ma"), 300.0, "the board's load goes on");
+        assert!(number(&sim, "soc") < 20.0);
+        let second = sim.flash();
+        assert!(second != first);
+        clock.sleep(Duration::from_secs(200));
+        assert!(sim.flash() != second);
+        assert!(number(&sim, "soc") > 85.0, "it has rested");
+    }
+
+    #[test]
+    fn the_shipped_ones_end_as_they_say() {
+        // Name, hours, state of charge at the end.
+        for (name, hours, soc) in [
+            ("robot-day", 24, 99.0..=100.0),
+            ("ebike-ride", 3, 10.0..=35.0),
+            ("solar-week", 7 * 24, 90.0..=100.0),
+            ("failing-bus", 1, 68.0..=72.0),
+        ] {
+            let scenario = Scenario::read(Path::new(name), None).expect("it is shipped");
+            assert!(scenario.length() <= Duration::from_secs(hours * 3600), "{name}");
+            let (sim, clock) = play(scenario);
+            let mut least = 100.0_f64;
+            for _ in 0..hours * 6 {
+                clock.sleep(Duration::from_secs(600));
+                // A fault waits for a transfer.
+                let _ = gauge_bus::Bus::transfer(&mut sim.bus(), &[0x08], &mut [0; 2]);
+                least = least.min(number(&sim, "soc"));
+            }
+            let end = number(&sim, "soc");
+            assert!(soc.contains(&end), "{name}: {end}");
+            assert_eq!(
+                (sim.get("power").as_deref(), sim.get("fault").as_deref()),
+                (Some("on"), Some("none")),
+                "{name}"
+            );
+            assert!(least > 5.0, "{name}: {least}");
+        }
+        assert_eq!(names().count(), 6);
+        assert!(names().is_sorted());
+    }
+}
