@@ -149,6 +149,11 @@ impl Plan {
         Self { armed: Vec::new(), permille: 0, random: Random::new(seed), all }
     }
 
+    /// Draws random faults by this seed from now on.
+    pub(super) fn seed(&mut self, seed: u64) {
+        self.random = Random::new(seed);
+    }
+
     /// Replaces the faults by those of a text (see [`FAULTS`]). A bad text changes nothing.
     pub(super) fn set(&mut self, text: &str) -> Result<()> {
         let mut new = Self { armed: Vec::new(), permille: 0, random: self.random.clone(), all: self.all };

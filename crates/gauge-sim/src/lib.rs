@@ -352,6 +352,7 @@ impl Sim {
             })?;
         }
         let mut state = self.lock();
+        state.gauge.plan().seed(scenario.seed);
         state.player = Some(Player::new(scenario, now, state.gauge.speed()));
         state.catch_up(now);
         Ok(())

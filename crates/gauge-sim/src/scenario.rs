@@ -41,6 +41,8 @@ pub(super) const FLASH: &str = "flash";
 /// A scenario that was read.
 #[derive(Clone, Debug, Default)]
 pub struct Scenario {
+    /// That of random faults, too.
+    pub(super) seed: u64,
     /// By battery time since the beginning.
     timed: Vec<(Duration, Act)>,
     /// Those that wait for traffic.
@@ -175,9 +177,10 @@ impl Scenario {
             let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
             bad(format!("line {line}: {}", error.message()))
         })?;
-        let mut random = Random::new(seed.or(script.seed).unwrap_or(1));
+        let seed = seed.or(script.seed).unwrap_or(1);
+        let mut random = Random::new(seed);
         random.roll(1);
-        let mut new = Self::default();
+        let mut new = Self { seed, ..Self::default() };
         let start = acts(&script.start, 0).map_err(|error| bad(format!("[start]: {error}")))?;
         // What a knob was set to last, for values that change by and by.
         let mut last: BTreeMap<String, f64> = BTreeMap::new();
@@ -349,7 +352,7 @@ pub(super) struct Player {
 
 impl Player {
     pub(super) fn new(scenario: Scenario, now: Duration, speed: f64) -> Self {
-        let Scenario { timed, counted } = scenario;
+        let Scenario { timed, counted, .. } = scenario;
         Self { timed: timed.into(), counted, since: now, passed: Duration::ZERO, speed, transfers: 0 }
     }
 
@@ -490,6 +493,22 @@ mod tests {
         assert!(first.iter().max() > Some(&570) && first[..99].iter().min() < Some(&430), "{first:?}");
         assert_eq!(loads(Some(1)), first, "the usual seed");
         assert_ne!(loads(Some(2)), first);
+    }
+
+    #[test]
+    fn random_faults_are_of_the_seed_too() {
+        let failures = |seed| {
+            let text = "[start]\nfault = 'random 300'\n";
+            let (sim, clock) = play(Scenario::parse("test", text, seed).expect("a scenario"));
+            let mut bus = sim.bus();
+            let failed = |_| {
+                clock.sleep(Duration::from_millis(10));
+                gauge_bus::Bus::transfer(&mut bus, &[0x08], &mut [0; 2]).is_err()
+            };
+            (0..100).map(failed).collect::<Vec<_>>()
+        };
+        assert_eq!(failures(None), failures(Some(1)));
+        assert_ne!(failures(Some(1)), failures(Some(2)));
     }
 
     #[test]
