@@ -1,7 +1,7 @@
-//! `gaugefs sim`: simulated gauges as an I2C bus that any program can use, without privilege.
+//! `gaugefs sim`: simulated gauges as an I2C bus that any program can use.
 //!
 //! The crate `i2c-server` answers the calls of programs, and the simulated gauges are its targets. The calls come through
-//! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]). The arguments of a call are
+//! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]), without privilege, or through a device of [`cuse`]. The arguments of a call are
 //! in the memory of the calling program, which is read and written there ([`caller`]).
 
 use std::collections::BTreeSet;
@@ -35,9 +35,12 @@ use gaugefs_host::signals;
 use ti_gauge::probe::ROM_ADDRESS;
 
 mod caller;
+mod cuse;
 mod file;
 mod namespace;
 
+pub(crate) use cuse::Cuse;
+use file::Access;
 pub(crate) use namespace::become_command;
 
 /// The source of the mount, as mountinfo shows it.
@@ -266,7 +269,7 @@ pub(crate) fn at(
         }
     })?;
     print(&format!("{what} at {}\n", place.path.display())).inspect_err(|_| drop(place.remove()))?;
-    file::serve(device, &Arc::new(adapter))?;
+    file::serve(device, &Arc::new(adapter), Access::Direct)?;
     drop(panel.lock().unwrap_or_else(PoisonError::into_inner).take());
     place.remove().map(|()| ExitCode::SUCCESS)
 }
@@ -324,7 +327,7 @@ pub(crate) fn with_command(
         },
     };
     spawn("bus", move || {
-        if let Err(error) = file::serve(device, &adapter) {
+        if let Err(error) = file::serve(device, &adapter, Access::Direct) {
             say(error);
         }
     })?;

@@ -1,4 +1,4 @@
-//! A target behind `/dev/i2c-N`, or behind a FUSE file that answers like one, as `gaugefs sim` serves it.
+//! A target behind `/dev/i2c-N`, or behind a FUSE file or a device of CUSE that answers like one, as `gaugefs sim` serves it.
 //!
 //! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated
 //! START. The address is claimed with I2C_SLAVE first, because I2C_RDWR does not report that a kernel driver
@@ -42,16 +42,18 @@ mod ioctl {
 
 /// What distinguishes the number of a FUSE file from those of the kernel's adapters, which are minor numbers.
 const FILE: u64 = 1 << 32;
+/// The same for a device of CUSE.
+const CUSE: u64 = 1 << 33;
 
 /// An adapter: its device node, and the adapter's number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adapter {
     path: PathBuf,
-    /// The device number of the node, or [`FILE`] and that of the mount.
+    /// The device number of the node, with [`CUSE`] if it is one, or [`FILE`] and that of the mount.
     device: u64,
 }
 
-/// The device behind a path, if it may be an adapter: a node of i2c-dev, or a file that is a FUSE mount by itself.
+/// The device behind a path, if it may be an adapter: a node of i2c-dev or CUSE, or a file that is a FUSE mount by itself.
 /// Others are not even opened, because that has effects on many devices.
 fn device(path: &Path, status: &fs::Metadata) -> Option<u64> {
     /// `FUSE_SUPER_MAGIC` of `linux/magic.h`.
@@ -61,6 +63,11 @@ fn device(path: &Path, status: &fs::Metadata) -> Option<u64> {
     let kind = status.file_type();
     if kind.is_char_device() && major(status.rdev()) == I2C_MAJOR {
         return Some(status.rdev());
+    }
+    if kind.is_char_device() {
+        let (major, minor) = (major(status.rdev()), minor(status.rdev()));
+        let class = fs::read_link(format!("/sys/dev/char/{major}:{minor}/subsystem")).ok()?;
+        return class.ends_with("cuse").then(|| CUSE | status.rdev());
     }
     let is_mount = kind.is_file() && status.ino() == ROOT;
     let is_fuse = || rustix::fs::statfs(path).is_ok_and(|found| i64::from(found.f_type as u32) == FUSE);
@@ -84,16 +91,17 @@ impl Adapter {
         };
         let device = device(path, &status).ok_or_else(|| not_a_bus(""))?;
         let adapter = Self { path: path.to_path_buf(), device };
-        if device & FILE != 0 {
+        if device & (FILE | CUSE) != 0 {
             adapter.ask().map_err(|refusal| {
-                refusal
-                    .unwrap_or_else(|| not_a_bus(", although FUSE serves it: it does not answer I2C_FUNCS"))
+                refusal.unwrap_or_else(|| {
+                    not_a_bus(", although FUSE or CUSE serves it: it does not answer I2C_FUNCS")
+                })
             })?;
         }
         Ok(adapter)
     }
 
-    /// Asks a FUSE file what a bus answers, without a transfer. Without an error it has refused in its own way.
+    /// Asks a FUSE file or a device of CUSE what a bus answers, without a transfer. Without an error it has refused in its own way.
     fn ask(&self) -> Result<(), Option<Error>> {
         let failed = |what: &str, errno: Errno| Some(Error::io(self.to_string(), what, &errno.into()));
         let node = File::options().read(true).write(true).open(&self.path);
@@ -110,9 +118,10 @@ impl Adapter {
         }
     }
 
-    /// The adapter's number: N in `i2c-N`, whatever the name of the node. That of a FUSE file is larger than any of these.
+    /// The adapter's number: N in `i2c-N`, whatever the name of the node. That of a FUSE file or a
+    /// device of CUSE is larger than any of these.
     pub fn number(&self) -> u64 {
-        if self.device & FILE != 0 { self.device } else { minor(self.device) }
+        if self.device & (FILE | CUSE) != 0 { self.device } else { minor(self.device) }
     }
 
     /// The path given to [`Adapter::find`].

@@ -79,6 +79,23 @@ pub enum Request {
 }
 
 impl Request {
+    /// Where in the caller's memory its answer goes, and how many bytes: the addresses of [`Outcome::writes`], in their order.
+    ///
+    /// [`Outcome::writes`]: crate::Outcome::writes
+    pub fn answers(&self) -> Vec<(u64, usize)> {
+        match self {
+            Self::Functions(at, width) => vec![(*at, width.bytes())],
+            Self::Messages(messages) => {
+                let read = messages.iter().filter(|message| message.is_read() && !message.data.is_empty());
+                read.map(|message| (message.destination, message.data.len())).collect()
+            }
+            Self::Smbus(transaction, at) => {
+                transaction.answer().map(|length| (*at, length)).into_iter().collect()
+            }
+            Self::Address(_) | Self::TenBit(_) | Self::Pec(_) | Self::Accepted => Vec::new(),
+        }
+    }
+
     /// Decodes the number and the argument of an ioctl. The checks are the kernel's, in its order.
     pub fn decode(command: u32, argument: u64, width: Width, memory: &mut dyn Memory) -> Result<Self, Errno> {
         // A program of 32 bits cannot pass more.

@@ -82,6 +82,16 @@ impl Transaction {
         Ok(Self { kind, is_read, command, data: bytes })
     }
 
+    /// How many bytes it gives the caller, if any.
+    pub(crate) fn answer(&self) -> Option<usize> {
+        let has = match self.kind {
+            Kind::Quick | Kind::Block | Kind::BlockProcessCall => false,
+            Kind::Byte | Kind::ByteData | Kind::WordData | Kind::I2cBlock => self.is_read,
+            Kind::ProcessCall => true,
+        };
+        has.then_some(self.data.len())
+    }
+
     /// Carries it out. The result is the data for the caller, if there are any.
     pub(crate) fn run(
         mut self,
