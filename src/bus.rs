@@ -1,7 +1,8 @@
 //! `gaugefs sim`: simulated gauges as an I2C bus that any program can use.
 //!
 //! The crate `i2c-server` answers the calls of programs, and the simulated gauges are its targets. The calls come through
-//! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]), without privilege, or through a device of [`cuse`]. The arguments of a call are
+//! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]), without privilege, or through a device of [`cuse`]; or the kernel
+//! makes them, on an adapter that is plugged into it ([`vhci`]). The arguments of a call are
 //! in the memory of the calling program, which is read and written there ([`caller`]).
 
 use std::collections::BTreeSet;
@@ -38,10 +39,13 @@ mod caller;
 mod cuse;
 mod file;
 mod namespace;
+mod rights;
+mod vhci;
 
 pub(crate) use cuse::Cuse;
 use file::Access;
 pub(crate) use namespace::become_command;
+pub(crate) use vhci::Vhci;
 
 /// The source of the mount, as mountinfo shows it.
 const SOURCE: &str = "gaugefs-sim";

@@ -6,18 +6,16 @@
 
 use std::fs::{self, File};
 use std::os::fd::OwnedFd;
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use i2c_server::{Adapter, Errno, Memory};
-use nix::sys::prctl;
 use nix::sys::signal::SigSet;
-use nix::unistd::{Gid, Uid, geteuid, read, setgroups, setresgid, setresuid, write};
+use nix::unistd::{read, write};
 
 use super::file::{self, Access, HEAD, u32_at, u64_at};
-use super::spawn;
+use super::{rights, spawn};
 use crate::error::{Cause, Error, Result};
 use crate::fuse::single::MAX_WRITE;
 use crate::output::print;
@@ -40,8 +38,7 @@ pub(crate) struct Cuse {
 }
 
 impl Cuse {
-    /// Opens `/dev/cuse` for a device of that name, and gives up root's rights for good: whoever used sudo is the user from
-    /// then on, or the owner of the folder in which `state` is, or nobody. To be called before there is another thread.
+    /// Opens `/dev/cuse` for a device of that name, and gives up root's rights (see [`rights::give_up`]).
     pub(crate) fn open(name: &str, state: Option<&Path>) -> Result<Self> {
         let subject = format!("--cuse {name}");
         let refuse = |why: &str| Error::new(&subject, Cause::Invalid(why.into()));
@@ -70,11 +67,7 @@ impl Cuse {
             };
             Error::io(CUSE, what, &error)
         })?;
-        if geteuid().is_root() {
-            let (uid, gid) = successor(state)?;
-            give_up(uid, gid)
-                .map_err(|errno| Error::io("gaugefs", "cannot give up root's rights", &errno.into()))?;
-        }
+        rights::give_up(state)?;
         Ok(Self { device: device.into(), name: name.into() })
     }
 
@@ -97,33 +90,6 @@ impl Cuse {
         file::serve(device, &Arc::new(adapter), Access::Asked)?;
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// Who this process becomes.
-fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
-    if let Some(state) = state {
-        let folder = state.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let status = fs::metadata(folder)
-            .map_err(|error| Error::io(folder.display().to_string(), "cannot be used for --state", &error))?;
-        if status.uid() == 0 {
-            let why = "its folder is root's, whose rights are given up; choose a folder of the user that is to own the file";
-            return Err(Error::new(format!("--state {}", state.display()), Cause::Invalid(why.into())));
-        }
-        return Ok((Uid::from_raw(status.uid()), Gid::from_raw(status.gid())));
-    }
-    const NOBODY: u32 = 65534;
-    let number = |name| std::env::var(name).ok()?.parse().ok().filter(|number| *number != 0);
-    let (uid, gid) = (number("SUDO_UID"), number("SUDO_GID"));
-    let (uid, gid) = uid.zip(gid).unwrap_or((NOBODY, NOBODY));
-    Ok((Uid::from_raw(uid), Gid::from_raw(gid)))
-}
-
-/// Becomes that user, without a way back. A change of all user numbers from 0 clears the capabilities (capabilities(7)).
-fn give_up(uid: Uid, gid: Gid) -> nix::Result<()> {
-    setgroups(&[])?;
-    setresgid(gid, gid, gid)?;
-    setresuid(uid, uid, uid)?;
-    prctl::set_no_new_privs()
 }
 
 /// Agrees on the protocol, and has the kernel make the device.

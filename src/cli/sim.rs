@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use clap::Args;
 
-use crate::bus::{self, Cuse, Gauge, Panel};
+use crate::bus::{self, Cuse, Gauge, Panel, Vhci};
 use crate::config::{address, standard_input};
 use crate::error::{Cause, Error, Result};
 use crate::output::is_standard_output;
@@ -26,6 +26,7 @@ Examples:
   echo 500 > /tmp/knobs/load_ma                                   a discharge with 500 mA
   gaugefs sim --replay pack.log /tmp/bus                          what `mount --trace` has recorded
   sudo gaugefs sim bq34z100-g1 --cuse i2c-9                       a device for every program: /dev/i2c-9
+  sudo gaugefs sim bq34z100-g1 --device                           an adapter of the kernel's, for drivers too
 
 A program uses the file as it uses /dev/i2c-N. With a COMMAND the bus is /dev/i2c-N for it alone, N is in
 $I2C_BUS and the path in $I2C_DEV, and the exit code is the command's. Both work without root; the
@@ -33,7 +34,7 @@ programs have to be yours. `i2cdetect -l` does not list the bus.";
 
 /// Offer simulated gauges to any program as an I2C bus
 #[derive(Args, Debug)]
-#[command(after_help = SIM, override_usage = "gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <PATH>\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... [PATH] -- <COMMAND>...\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... --cuse <NAME>")]
+#[command(after_help = SIM, override_usage = "gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <PATH>\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... [PATH] -- <COMMAND>...\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <--device|--cuse <NAME>>")]
 pub(super) struct Sim {
     /// Gauges to simulate, as `gaugefs chips` lists them, each at 0x55 or the given address; the last word is the PATH to
     /// serve at, if it contains a slash
@@ -61,6 +62,10 @@ pub(super) struct Sim {
     /// kernel's CUSE
     #[arg(long, value_name = "NAME", conflicts_with_all = ["knobs", "command"])]
     cuse: Option<String>,
+    /// Plug an adapter into the kernel, as root, whose rights are given up before anything is served: drivers bind to it, and
+    /// it is /dev/i2c-N; needs the kernel's vhci-hcd and i2c-tiny-usb
+    #[arg(long, conflicts_with_all = ["knobs", "command", "cuse"])]
+    device: bool,
     /// Clock of the bus in kHz, which sets how long transfers take
     #[arg(long, value_name = "KHZ", default_value = "100", value_parser = ["100", "400"], conflicts_with = "fast")]
     speed: String,
@@ -89,6 +94,7 @@ impl Sim {
         let (chips, path) = self.parts()?;
         let signals = bus::block()?;
         let cuse = self.cuse.as_ref().map(|name| Cuse::open(name, self.state.as_deref())).transpose()?;
+        let vhci = self.device.then(|| Vhci::plug(self.state.as_deref())).transpose()?;
         let gauges = self.gauges(&chips)?;
         let names: Vec<_> =
             gauges.iter().map(|gauge| format!("{} 0x{:02x}", gauge.name, gauge.address)).collect();
@@ -97,6 +103,9 @@ impl Sim {
         let adapter = bus::adapter(gauges, (!self.fast).then_some(kilohertz * 1000))?;
         if let Some(cuse) = cuse {
             return cuse.serve(adapter, signals, &names.join(", "));
+        }
+        if let Some(vhci) = vhci {
+            return vhci.serve(&adapter, signals, &names.join(", "));
         }
         match (path, &self.command[..]) {
             (Some(path), []) => bus::at(&path, adapter, panel, signals, &names.join(", ")),
@@ -118,12 +127,13 @@ impl Sim {
             let why = "no gauge; name a CHIP, as `gaugefs chips` lists them, or a recording with --replay";
             return Err(Error::new("sim", Cause::Invalid(why.into())));
         }
-        if path.is_some() && self.cuse.is_some() {
+        let is_device = self.device || self.cuse.is_some();
+        if path.is_some() && is_device {
             let why = "the bus is offered as a device; leave out the PATH";
-            return Err(Error::new("--cuse", Cause::Invalid(why.into())));
+            return Err(Error::new("sim", Cause::Invalid(why.into())));
         }
-        if path.is_none() && self.command.is_empty() && self.cuse.is_none() {
-            let why = "nowhere to offer the bus; add a PATH, such as ./bus, or -- and a command, or --cuse";
+        if path.is_none() && self.command.is_empty() && !is_device {
+            let why = "nowhere to offer the bus; add a PATH, such as ./bus, or -- and a command, or --device";
             return Err(Error::new("sim", Cause::Invalid(why.into())));
         }
         if self.scenario.is_some() && chips.is_empty() {

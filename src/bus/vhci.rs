@@ -1,0 +1,527 @@
+//! `gaugefs sim --device`: the bus as an adapter of the kernel, to which drivers bind.
+//!
+//! The kernel's `vhci_hcd` takes the other end of a socket for a USB device (USB/IP, `Documentation/usb/usbip_protocol.rst`),
+//! here an i2c-tiny-usb, whose driver in the kernel makes an adapter of it (`drivers/i2c/busses/i2c-tiny-usb.c`). All
+//! requests are control transfers. Only root may plug it in; serving it takes no right.
+
+use std::fs;
+use std::io::{ErrorKind, Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::{Duration, Instant};
+
+use i2c_server::{Adapter, Client, Errno, FUNCTIONS, MAX_LENGTH, Message, Request};
+use nix::sys::signal::SigSet;
+use nix::unistd::geteuid;
+
+use super::{rights, spawn};
+use crate::error::{Cause, Error, Result};
+use crate::output::{print, say};
+use gauge_bus::regular;
+
+/// The host controller.
+const CONTROLLER: &str = "/sys/devices/platform/vhci_hcd.0";
+const MODULES: [&str; 2] = ["vhci-hcd", "i2c-tiny-usb"];
+/// How long the kernel may take from the plug to the adapter.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Vendor and product of an i2c-tiny-usb, by which its driver knows it.
+const IDS: [u8; 4] = [0x03, 0x04, 0x31, 0xc6];
+/// Number, text: vendor, product, serial number.
+const STRINGS: [&str; 3] = ["gaugefs", "simulated I2C bus", "1"];
+/// USB_SPEED_FULL.
+const SPEED: u32 = 2;
+
+// Commands of USB/IP.
+const SUBMIT: u32 = 1;
+const UNLINK: u32 = 2;
+const RET_SUBMIT: u32 = 3;
+const RET_UNLINK: u32 = 4;
+/// Length of each head.
+const HEAD: usize = 48;
+/// Most bytes of a control transfer, as its length has 16 bits.
+const LONGEST: usize = 0xffff;
+
+/// An adapter that is plugged in, and not yet served.
+#[derive(Debug)]
+pub(crate) struct Vhci {
+    socket: UnixStream,
+    port: u32,
+}
+
+impl Vhci {
+    /// Plugs an adapter into the kernel, and gives up root's rights (see [`rights::give_up`]).
+    pub(crate) fn plug(state: Option<&Path>) -> Result<Self> {
+        let failed = |what: &str, error: &std::io::Error| Error::io("--device", what, error);
+        if !geteuid().is_root() {
+            let why = "only root may plug an adapter into the kernel; run this with sudo, which is given up afterwards, or use \
+                       a PATH, which needs no root";
+            return Err(Error::new("--device", Cause::NotPermitted(why.into())));
+        }
+        // What is there already is left alone; what cannot be loaded is missing below.
+        let _ = Command::new("modprobe").arg("-a").args(MODULES).stderr(Stdio::null()).status();
+        let status = regular::read_text(&Path::new(CONTROLLER).join("status"), regular::SYSTEM).map_err(|error| {
+            let what = "the kernel has no vhci_hcd; load its modules (sudo modprobe -a vhci-hcd i2c-tiny-usb), or use a PATH, \
+                        which needs none";
+            failed(what, &error)
+        })?;
+        let Some(port) = free_port(&status) else {
+            let why = "all ports of vhci_hcd are taken; detach one (usbip detach), or end another `gaugefs sim --device`";
+            return Err(Error::new("--device", Cause::Busy(why.into())));
+        };
+        let (socket, theirs) = UnixStream::pair().map_err(|error| failed("cannot make a socket", &error))?;
+        // The number of the device on its bus, which is anybody's choice.
+        let number = 0x0001_0002 + port;
+        let line = format!("{port} {} {number} {SPEED}", theirs.as_raw_fd());
+        fs::write(Path::new(CONTROLLER).join("attach"), line)
+            .map_err(|error| failed("vhci_hcd refuses the adapter", &error))?;
+        rights::give_up(state)?;
+        Ok(Self { socket, port })
+    }
+
+    /// Serves the adapter until a signal ends this process, which unplugs it.
+    pub(crate) fn serve(self, adapter: &Adapter, signals: SigSet, what: &str) -> Result<ExitCode> {
+        let Self { socket, port } = self;
+        spawn("signals", move || {
+            if signals.wait().is_ok() {
+                std::process::exit(0);
+            }
+        })?;
+        let what = what.to_string();
+        spawn("adapter", move || match find(Path::new("/sys/class/i2c-dev"), port, PATIENCE) {
+            Some(node) => drop(print(&format!("{what} at {}\n", node.display()))),
+            None => say(format_args!(
+                "warning: --device: the kernel has made no adapter of it; is its driver there? sudo modprobe i2c-tiny-usb"
+            )),
+        })?;
+        serve(socket, adapter)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// A port of the controller for devices of full speed that nothing is plugged into: `status` has a line for each, of which
+/// `hs 0003 004 ...` is number 3 and free.
+fn free_port(status: &str) -> Option<u32> {
+    const FREE: &str = "004";
+    status.lines().find_map(|line| {
+        let mut words = line.split_ascii_whitespace();
+        let (hub, port, state) = (words.next()?, words.next()?, words.next()?);
+        (hub == "hs" && state == FREE).then(|| port.parse().ok()).flatten()
+    })
+}
+
+/// The node of the adapter at that port, once the kernel has made it.
+fn find(class: &Path, port: u32, patience: Duration) -> Option<PathBuf> {
+    let start = Instant::now();
+    // The device is N-P of the controller: bus N, port P of its hub, from 1 on.
+    let is_at_port = |name: &str| {
+        name.split_once('-')
+            .is_some_and(|(bus, at)| bus.parse::<u32>().is_ok() && at == (port + 1).to_string())
+    };
+    let is_ours = |device: &Path| {
+        let mut parts = device.components().map(|part| part.as_os_str().to_string_lossy());
+        parts.by_ref().any(|part| part == "vhci_hcd.0") && parts.any(|part| is_at_port(&part))
+    };
+    loop {
+        let found =
+            fs::read_dir(class).into_iter().flatten().flatten().find(|entry| {
+                fs::canonicalize(entry.path().join("device")).is_ok_and(|device| is_ours(&device))
+            });
+        if let Some(entry) = found {
+            return Some(Path::new("/dev").join(entry.file_name()));
+        }
+        if start.elapsed() > patience {
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    bytes.get(at..).and_then(|rest| rest.first_chunk()).map_or(0, |field| u32::from_be_bytes(*field))
+}
+
+/// Answers the kernel until it lets go of the device.
+fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
+    let failed = |error: std::io::Error| Error::io("vhci_hcd", "cannot be spoken to", &error);
+    let wrong = |what: &str| Err(Error::host("vhci_hcd", nix::errno::Errno::EPROTO, what));
+    let mut device = Device::default();
+    let mut head = [0; HEAD];
+    loop {
+        match socket.read_exact(&mut head) {
+            Ok(()) => {}
+            Err(error) if matches!(error.kind(), ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset) => {
+                return Ok(());
+            }
+            Err(error) => return Err(failed(error)),
+        }
+        let (code, sequence) = (u32_at(&head, 0), u32_at(&head, 4));
+        let (is_in, endpoint, length) =
+            (u32_at(&head, 12) == 1, u32_at(&head, 16), u32_at(&head, 24) as usize);
+        let mut answer = Vec::new();
+        let (code, status, count) = match code {
+            SUBMIT if length > LONGEST => return wrong("it sends more than a control transfer holds"),
+            SUBMIT => {
+                let mut data = vec![0; if is_in { 0 } else { length }];
+                socket.read_exact(&mut data).map_err(failed)?;
+                let setup = Setup::new(head[40..].first_chunk().expect("eight bytes"));
+                // There is no endpoint but that of control transfers.
+                let outcome = if endpoint == 0 { device.control(adapter, &setup, &data) } else { Err(Stall) };
+                match outcome {
+                    Ok(bytes) if is_in => {
+                        answer = bytes;
+                        answer.truncate(length);
+                        (RET_SUBMIT, 0, answer.len())
+                    }
+                    Ok(_) => (RET_SUBMIT, 0, length),
+                    Err(Stall) => (RET_SUBMIT, -nix::libc::EPIPE, 0),
+                }
+            }
+            // Every request has been answered before the next one is read.
+            UNLINK => (RET_UNLINK, 0, 0),
+            _ => return wrong("it sends what is no request of USB/IP"),
+        };
+        let mut reply = Vec::with_capacity(HEAD + answer.len());
+        for field in [code, sequence, 0, 0, 0, status as u32, count as u32] {
+            reply.extend(field.to_be_bytes());
+        }
+        reply.resize(HEAD, 0);
+        reply.extend(answer);
+        match socket.write_all(&reply) {
+            Ok(()) => {}
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
+            Err(error) => return Err(failed(error)),
+        }
+    }
+}
+
+/// The setup of a control transfer.
+struct Setup {
+    kind: u8,
+    request: u8,
+    value: u16,
+    index: u16,
+    length: usize,
+}
+
+impl Setup {
+    fn new(&[kind, request, v0, v1, i0, i1, l0, l1]: &[u8; 8]) -> Self {
+        let word = |low, high| u16::from_le_bytes([low, high]);
+        Self { kind, request, value: word(v0, v1), index: word(i0, i1), length: word(l0, l1).into() }
+    }
+}
+
+/// A request is not understood, or not possible.
+#[derive(Debug, PartialEq, Eq)]
+struct Stall;
+
+/// The USB device: an i2c-tiny-usb.
+#[derive(Default)]
+struct Device {
+    client: Client,
+    /// Writes of a transfer that is not complete yet.
+    waiting: Vec<Message>,
+    /// What GET_STATUS answers: of the last message.
+    status: Status,
+}
+
+/// STATUS_ of i2c-tiny-usb.
+#[derive(Clone, Copy, Default)]
+enum Status {
+    #[default]
+    Idle = 0,
+    Acknowledged = 1,
+    Refused = 2,
+}
+
+impl Device {
+    /// Carries out a control transfer: what is to be read, if anything is.
+    fn control(&mut self, adapter: &Adapter, setup: &Setup, data: &[u8]) -> Result<Vec<u8>, Stall> {
+        const VENDOR: u8 = 0x40;
+        const KIND: u8 = 0x60;
+        if setup.kind & KIND == VENDOR { self.vendor(adapter, setup, data) } else { standard(setup) }
+    }
+
+    fn vendor(&mut self, adapter: &Adapter, setup: &Setup, data: &[u8]) -> Result<Vec<u8>, Stall> {
+        const ECHO: u8 = 0;
+        const GET_FUNC: u8 = 1;
+        const SET_DELAY: u8 = 2;
+        const GET_STATUS: u8 = 3;
+        /// With the two bits of the first and of the last message of a transfer.
+        const I2C_IO: u8 = 4;
+        const FIRST: u8 = 1;
+        const LAST: u8 = 2;
+        match setup.request {
+            ECHO => Ok(setup.value.to_le_bytes().into()),
+            GET_FUNC => Ok((FUNCTIONS as u32).to_le_bytes().into()),
+            SET_DELAY => Ok(Vec::new()),
+            GET_STATUS => Ok(vec![self.status as u8]),
+            request if request & !(FIRST | LAST) == I2C_IO => {
+                if request & FIRST != 0 {
+                    self.waiting.clear();
+                }
+                self.message(adapter, setup, data, request & LAST != 0)
+            }
+            _ => Err(Stall),
+        }
+    }
+
+    /// A message of a transfer. Writes wait for what belongs to them; a read is sent with them, as a repeated START.
+    fn message(
+        &mut self,
+        adapter: &Adapter,
+        setup: &Setup,
+        data: &[u8],
+        is_last: bool,
+    ) -> Result<Vec<u8>, Stall> {
+        /// I2C_M_DMA_SAFE, which i2c-dev sets: it is about the kernel's own memory.
+        const DMA_SAFE: u16 = 0x0200;
+        let (is_read, flags) = (setup.value & 1 != 0, setup.value & !DMA_SAFE);
+        let data = if is_read { vec![0; setup.length] } else { data.to_vec() };
+        // A transfer has 42 messages at most; a driver of the kernel may send longer ones than a program.
+        if data.len() > MAX_LENGTH || self.waiting.len() > i2c_server::MAX_MESSAGES {
+            self.waiting.clear();
+            return Err(Stall);
+        }
+        self.waiting.push(Message { address: setup.index, flags, data, destination: 0 });
+        self.status = Status::Acknowledged;
+        if !is_read && !is_last {
+            return Ok(Vec::new());
+        }
+        let outcome = self.client.run(adapter, Request::Messages(std::mem::take(&mut self.waiting)));
+        match outcome {
+            Ok(mut outcome) => Ok(outcome.writes.pop().map(|(_, bytes)| bytes).unwrap_or_default()),
+            // The driver reads as many bytes as it has asked for, and then the status.
+            Err(Errno::NXIO) => {
+                self.status = Status::Refused;
+                Ok(vec![0; if is_read { setup.length } else { 0 }])
+            }
+            Err(_) => Err(Stall),
+        }
+    }
+}
+
+/// Requests that every USB device answers (USB 2.0, 9.4).
+fn standard(setup: &Setup) -> Result<Vec<u8>, Stall> {
+    const GET_STATUS: u8 = 0;
+    const CLEAR_FEATURE: u8 = 1;
+    const SET_FEATURE: u8 = 3;
+    const SET_ADDRESS: u8 = 5;
+    const GET_DESCRIPTOR: u8 = 6;
+    const SET_CONFIGURATION: u8 = 9;
+    const SET_INTERFACE: u8 = 11;
+    match setup.request {
+        GET_STATUS => Ok(vec![0; 2]),
+        CLEAR_FEATURE | SET_FEATURE | SET_ADDRESS | SET_CONFIGURATION | SET_INTERFACE => Ok(Vec::new()),
+        GET_DESCRIPTOR => descriptor(setup.value),
+        _ => Err(Stall),
+    }
+}
+
+fn descriptor(value: u16) -> Result<Vec<u8>, Stall> {
+    const DEVICE: u8 = 1;
+    const CONFIGURATION: u8 = 2;
+    const STRING: u8 = 3;
+    /// English of the United States.
+    const LANGUAGE: [u8; 2] = [0x09, 0x04];
+    let [number, kind] = value.to_le_bytes();
+    match (kind, number) {
+        (DEVICE, _) => {
+            // USB 1.1, a class of its own, packets of 64 bytes; then version, the strings, one configuration.
+            let mut bytes = vec![18, DEVICE, 0x10, 0x01, 0xff, 0, 0, 64];
+            bytes.extend(IDS);
+            bytes.extend([0x05, 0x01, 1, 2, 3, 1]);
+            Ok(bytes)
+        }
+        // One interface without further endpoints, 100 mA of a bus that has none.
+        (CONFIGURATION, _) => {
+            Ok(vec![9, CONFIGURATION, 18, 0, 1, 1, 0, 0x80, 50, 9, 4, 0, 0, 0, 0xff, 0, 0, 0])
+        }
+        (STRING, 0) => Ok([&[4, STRING][..], &LANGUAGE].concat()),
+        (STRING, number) => {
+            let text = STRINGS.get(usize::from(number) - 1).ok_or(Stall)?;
+            let units: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+            Ok([&[2 + units.len() as u8, STRING][..], &units].concat())
+        }
+        _ => Err(Stall),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread::{self, JoinHandle};
+
+    use i2c_server::Target;
+
+    use super::*;
+
+    /// A target that keeps what it is written, and answers with that.
+    struct Echo(Vec<u8>);
+
+    impl Target for Echo {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
+            if !write.is_empty() {
+                self.0 = write.to_vec();
+            }
+            for (byte, at) in read.iter_mut().zip(self.0.iter().cycle()) {
+                *byte = *at;
+            }
+            Ok(())
+        }
+    }
+
+    /// The kernel's side of the socket.
+    struct Kernel {
+        socket: UnixStream,
+        server: JoinHandle<Result<()>>,
+    }
+
+    impl Kernel {
+        fn new() -> Self {
+            let (socket, theirs) = UnixStream::pair().expect("sockets");
+            let adapter = Adapter::new().with(0x55, Echo(Vec::new()));
+            Self { socket, server: thread::spawn(move || serve(theirs, &adapter)) }
+        }
+
+        fn send(&mut self, code: u32, fields: [u32; 3], setup: [u8; 8], data: &[u8]) {
+            let [direction, endpoint, length] = fields;
+            let head = [code, 7, 1, direction, endpoint, 0, length, 0, 0, 0];
+            let mut request: Vec<u8> = head.iter().flat_map(|field| field.to_be_bytes()).collect();
+            request.extend(setup);
+            request.extend(data);
+            self.socket.write_all(&request).expect("sent");
+        }
+
+        /// The status, and what was read.
+        fn answer(&mut self, code: u32, is_in: bool) -> (i32, Vec<u8>) {
+            let mut head = [0; HEAD];
+            self.socket.read_exact(&mut head).expect("an answer");
+            assert_eq!((u32_at(&head, 0), u32_at(&head, 4)), (code, 7));
+            let mut data = vec![0; if is_in { u32_at(&head, 24) as usize } else { 0 }];
+            self.socket.read_exact(&mut data).expect("its data");
+            (u32_at(&head, 20) as i32, data)
+        }
+
+        fn get(&mut self, kind: u8, request: u8, value: u16, index: u16, length: u16) -> (i32, Vec<u8>) {
+            let setup = setup(kind, request, value, index, length);
+            self.send(SUBMIT, [1, 0, length.into()], setup, &[]);
+            self.answer(RET_SUBMIT, true)
+        }
+
+        fn put(&mut self, request: u8, value: u16, index: u16, data: &[u8]) -> i32 {
+            let setup = setup(0x40, request, value, index, data.len() as u16);
+            self.send(SUBMIT, [0, 0, data.len() as u32], setup, data);
+            self.answer(RET_SUBMIT, false).0
+        }
+
+        fn status(&mut self) -> u8 {
+            self.get(0xc0, 3, 0, 0, 1).1[0]
+        }
+
+        fn ends(self) -> Result<()> {
+            drop(self.socket);
+            self.server.join().expect("no panic")
+        }
+    }
+
+    fn setup(kind: u8, request: u8, value: u16, index: u16, length: u16) -> [u8; 8] {
+        let [v0, v1] = value.to_le_bytes();
+        let [i0, i1] = index.to_le_bytes();
+        let [l0, l1] = length.to_le_bytes();
+        [kind, request, v0, v1, i0, i1, l0, l1]
+    }
+
+    #[test]
+    fn the_kernel_finds_the_device_that_its_driver_knows() {
+        let mut kernel = Kernel::new();
+        let (status, device) = kernel.get(0x80, 6, 0x0100, 0, 64);
+        assert_eq!((status, device.len(), &device[8..12]), (0, 18, &IDS[..]));
+        // As much as is asked for.
+        assert_eq!(kernel.get(0x80, 6, 0x0200, 0, 9), (0, vec![9, 2, 18, 0, 1, 1, 0, 0x80, 50]));
+        assert_eq!(kernel.get(0x80, 6, 0x0200, 0, 255).1.len(), 18);
+        assert_eq!(kernel.get(0x80, 6, 0x0300, 0, 255).1, [4, 3, 9, 4]);
+        assert_eq!(kernel.get(0x80, 6, 0x0301, 0, 255).1, b"\x10\x03g\0a\0u\0g\0e\0f\0s\0");
+        assert_eq!(kernel.get(0x80, 6, 0x0304, 0, 255), (-nix::libc::EPIPE, vec![]));
+        assert_eq!(kernel.get(0xc0, 1, 0, 0, 4).1, (FUNCTIONS as u32).to_le_bytes());
+        // Another endpoint is not there.
+        kernel.send(SUBMIT, [1, 1, 8], [0; 8], &[]);
+        assert_eq!(kernel.answer(RET_SUBMIT, true), (-nix::libc::EPIPE, vec![]));
+        kernel.send(UNLINK, [0, 0, 0], [0; 8], &[]);
+        assert_eq!(kernel.answer(RET_UNLINK, false).0, 0);
+        assert_eq!(kernel.ends(), Ok(()));
+    }
+
+    #[test]
+    fn the_messages_of_a_transfer_belong_together() {
+        let mut kernel = Kernel::new();
+        // A write alone, then a read alone.
+        assert_eq!(kernel.put(7, 0, 0x55, &[0x10, 0x20]), 0);
+        assert_eq!(kernel.status(), 1);
+        assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 3), (0, vec![0x10, 0x20, 0x10]));
+        // A write and a read with a repeated START.
+        assert_eq!(kernel.put(5, 0, 0x55, &[0x08]), 0);
+        assert_eq!(kernel.get(0xc0, 6, 1, 0x55, 2), (0, vec![0x08, 0x08]));
+        assert_eq!(kernel.status(), 1);
+        // As i2c-dev marks its buffers.
+        assert_eq!(kernel.put(5, 0x0200, 0x55, &[0x09]), 0);
+        assert_eq!(kernel.get(0xc0, 6, 0x0201, 0x55, 2), (0, vec![0x09, 0x09]));
+        // Nobody is there.
+        assert_eq!(kernel.put(5, 0, 0x54, &[0x08]), 0);
+        assert_eq!(kernel.get(0xc0, 6, 1, 0x54, 2), (0, vec![0, 0]));
+        assert_eq!(kernel.status(), 2);
+        assert_eq!(kernel.put(7, 0, 0x54, &[]), 0);
+        assert_eq!(kernel.status(), 2);
+        // What was begun and not ended is not sent with the next one.
+        assert_eq!(kernel.put(5, 0, 0x55, &[0x66]), 0);
+        assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 1), (0, vec![0x09]));
+        // Flags that are not offered, and more than a message holds.
+        assert_eq!(kernel.put(7, 0x10, 0x55, &[1]), -nix::libc::EPIPE);
+        assert_eq!(kernel.put(7, 0, 0x55, &[1; MAX_LENGTH + 1]), -nix::libc::EPIPE);
+        assert_eq!(kernel.ends(), Ok(()));
+    }
+
+    #[test]
+    fn what_is_no_request_ends_the_server_with_a_reason() {
+        let mut kernel = Kernel::new();
+        kernel.send(9, [0; 3], [0; 8], &[]);
+        assert!(kernel.ends().expect_err("refused").to_string().contains("no request of USB/IP"));
+        let mut kernel = Kernel::new();
+        kernel.send(SUBMIT, [0, 0, 0x10000], [0; 8], &[]);
+        assert!(
+            kernel.ends().expect_err("refused").to_string().contains("more than a control transfer holds")
+        );
+        // Whatever the setup is, there is one answer.
+        let mut kernel = Kernel::new();
+        for number in 0..=u16::MAX {
+            let [low, high] = number.to_le_bytes();
+            let setup = [low, high, high ^ 1, low, 0x55, 0, 4, 0];
+            kernel.send(SUBMIT, [1, 0, 4], setup, &[]);
+            assert!(kernel.answer(RET_SUBMIT, true).1.len() <= 4);
+        }
+        assert_eq!(kernel.ends(), Ok(()));
+    }
+
+    #[test]
+    fn a_free_port_and_its_adapter_are_found() {
+        let status = "hub port sta spd dev      sockfd local_busid\n\
+                      hs  0000 006 002 00010002 000003 1-1\nhs  0001 004 000 00000000 000000 0-0\n\
+                      ss  0008 004 000 00000000 000000 0-0\n";
+        assert_eq!(free_port(status), Some(1));
+        assert_eq!(free_port("hub port sta\nss  0008 004 000\n"), None);
+        let folder = std::env::temp_dir().join(format!("gaugefs-vhci-{}", std::process::id()));
+        let class = folder.join("class");
+        for (name, place) in
+            [("i2c-3", "vhci_hcd.0/usb9/9-1/9-1:1.0/i2c-3"), ("i2c-4", "vhci_hcd.0/usb9/9-2/9-2:1.0/i2c-4")]
+        {
+            let device = folder.join("devices").join(place);
+            fs::create_dir_all(&device).expect("a folder");
+            fs::create_dir_all(class.join(name)).expect("a folder");
+            std::os::unix::fs::symlink(&device, class.join(name).join("device")).expect("a link");
+        }
+        let found = |port| find(&class, port, Duration::ZERO);
+        assert_eq!((found(1), found(2)), (Some("/dev/i2c-4".into()), None));
+        fs::remove_dir_all(&folder).expect("removed");
+    }
+}
