@@ -35,6 +35,7 @@ use gaugefs_client::mounts;
 use gaugefs_host::signals;
 use ti_gauge::probe::ROM_ADDRESS;
 
+mod asked;
 mod caller;
 mod cuse;
 mod file;

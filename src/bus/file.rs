@@ -13,8 +13,8 @@ use std::thread;
 use i2c_server::{Adapter, Client, Errno, Request, Width};
 use nix::unistd::{Pid, getegid, geteuid, read, write};
 
+use super::asked::{Asked, retry};
 use super::caller::Caller;
-use super::cuse::{Asked, retry};
 use crate::error::{Error, Result};
 use crate::fuse::single::MAX_WRITE;
 
