@@ -239,7 +239,7 @@ impl Task<'_> {
             Ok(())
         };
         let waited = self.waited();
-        let extras = Extras { calibrate, accept: Some(&mut accept) };
+        let extras = Extras { calibrate, accept: Some(&mut accept), ..Extras::default() };
         let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
         if outcome == Outcome::Unchanged {
             return Ok(format!("{name}: {}: the calibration is right as it is", before.show(unit)));
@@ -499,7 +499,7 @@ impl Task<'_> {
             Ok(())
         };
         let waited = self.waited();
-        let extras = Extras { calibrate: true, accept: Some(&mut accept) };
+        let extras = Extras { calibrate: true, accept: Some(&mut accept), ..Extras::default() };
         self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
         let read = match found {
             Some(read) => read,

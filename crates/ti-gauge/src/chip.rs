@@ -522,6 +522,9 @@ pub struct Access {
     pub scheme: Scheme,
     /// From selecting a block until its bytes are in the window.
     pub select: Duration,
+    /// From selecting a block until a look at it is worth while, where data memory is RAM: the least that drivers in use
+    /// wait. A look that shows nothing new is repeated at `select`.
+    pub soonest: Duration,
     /// From the checksum that commits until the gauge has stored the block.
     pub commit: Duration,
     /// From SET_CFGUPDATE until `[CFGUPMODE]` is first polled.
@@ -570,6 +573,7 @@ impl Access {
     pub const NONE: Self = Self {
         scheme: Scheme::None,
         select: Duration::ZERO,
+        soonest: Duration::ZERO,
         commit: Duration::ZERO,
         enter: Duration::ZERO,
         enter_limit: Duration::ZERO,

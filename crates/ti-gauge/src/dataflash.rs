@@ -318,6 +318,16 @@ impl DataFlash {
         self.write_with(gauge, changes, Extras::default(), waited)
     }
 
+    /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost. Quick where a doubt costs no
+    /// more than a second look: what is stored there does not outlive the next brown-out.
+    pub fn restore(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
+        if gauge.chip.volatile.is_none() {
+            let why = "its data memory is flash, and nothing of it is lost with the power";
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check));
+        }
+        self.write_with(gauge, changes, Extras { soon: true, ..Extras::default() }, waited)
+    }
+
     /// Makes all changes, or none, with what a calibration needs besides.
     pub(crate) fn write_with(
         &mut self,
@@ -432,10 +442,16 @@ impl DataFlash {
         self.check_gate(gauge, voltage_mv)?;
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
-        if let Some(row) = self.learn_marks(gauge)? {
+        // What a pack is known by is lost with its memory.
+        if !(extras.soon && found.lost)
+            && let Some(row) = self.learn_marks(gauge)?
+        {
             return Err(self.other_pack(gauge, row));
         }
-        let mut dirty = gather(gauge, changes)?;
+        let mut dirty = gather(gauge, changes, |gauge, place| match extras.soon {
+            true => sequence(gauge).load_soon(gauge, place),
+            false => sequence(gauge).load(gauge, place),
+        })?;
         dirty.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         gauge.note_open();
         // The window holds the block that was read last, so a single block need not be loaded again.
@@ -461,7 +477,8 @@ impl DataFlash {
             None => {}
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let neighbours = self.neighbours(gauge, &dirty)?;
+        // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
+        let neighbours = if extras.soon { Vec::new() } else { self.neighbours(gauge, &dirty)? };
         let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known().marks(gauge.chip));
         self.note(session, plan)?;
         self.refer(gauge, session);
@@ -469,7 +486,8 @@ impl DataFlash {
         self.now.may_be_renamed();
         gauge.statistics.progress.begin(dirty.len());
         let mut job = Job::write(dirty, neighbours, reset);
-        (job.in_window, job.was_lost) = (in_window, found.lost);
+        (job.in_window, job.was_lost, job.soon) = (in_window && !extras.soon, found.lost, extras.soon);
+        session.stays_open = extras.soon && found.lost && found.seal != Seal::Sealed;
         let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
         for block in job.changed() {
             match landed {
@@ -491,7 +509,7 @@ impl DataFlash {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
             if self.known().get(place).is_none() {
-                let content = sequence(gauge).load(gauge, place)?;
+                let content = sequence(gauge).load_soon(gauge, place)?;
                 other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
                 self.note_block(gauge, place, content);
             }
@@ -582,6 +600,8 @@ pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 /// What a calibration needs besides the write.
 #[derive(Default)]
 pub(crate) struct Extras<'a> {
+    /// The configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
+    pub(crate) soon: bool,
     /// Enter calibration mode first, in which the gauge ignores its gate, and leave it before the reset.
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.

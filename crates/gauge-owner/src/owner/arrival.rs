@@ -165,7 +165,7 @@ impl Owner {
             self.schedule.hurry();
             return;
         }
-        let outcome = self.dataflash.write(&mut self.gauge, &self.restore, Duration::ZERO);
+        let outcome = self.dataflash.restore(&mut self.gauge, &self.restore, Duration::ZERO);
         let outcome = self.noted(outcome);
         self.forget_dataflash();
         match outcome {
@@ -410,13 +410,16 @@ mod tests {
         }
     }
 
+    /// What is stored wrong is stored once more, so that it takes two to fail.
+    const CORRUPT: &str = "corrupt-commit; corrupt-commit";
+
     /// The end of CONFIG UPDATE clears [ITPOR], also when what was written is wrong.
     #[test]
     fn a_failed_restoration_is_tried_again_until_it_succeeds() {
         let mut rig = with_image();
         assert_eq!(capacity(&mut rig), 1340);
         lose_power(&rig);
-        rig.sim.set("fault", "corrupt-commit").expect("a fault");
+        rig.sim.set("fault", CORRUPT).expect("a fault");
         let mut pauses = Vec::new();
         for attempt in 1..=6 {
             rig.owner.poll_on_time();
@@ -425,7 +428,7 @@ mod tests {
             assert_eq!(failure.contains("gaugefs import"), attempt > 1, "{failure}");
             pauses.push(rig.owner.schedule.due(INTERVAL) - rig.clock.now());
             rig.clock.sleep(INTERVAL);
-            rig.sim.set("fault", "corrupt-commit").expect("a fault");
+            rig.sim.set("fault", CORRUPT).expect("a fault");
         }
         let expected = [500, 1000, 2000, 4000, 8000, 8000].map(Duration::from_millis);
         assert_eq!(pauses, expected);

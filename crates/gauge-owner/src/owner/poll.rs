@@ -232,7 +232,8 @@ impl Owner {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol(why.into())).at(Step::Read));
         }
-        if self.dataflash.is_surprised(chip, |code| word(chip, &registers, code)) {
+        let value = |code| word(chip, &registers, code);
+        if self.dataflash.misreads_loss(&mut self.gauge, value)? || self.dataflash.is_surprised(chip, value) {
             self.schedule.reads(taken);
             self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
             taken = self.gauge.clock.now();

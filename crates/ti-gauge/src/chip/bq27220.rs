@@ -80,6 +80,8 @@ pub static CHIP: Chip = Chip {
         scheme: Scheme::MacUpdate,
         // Flipper's driver read wrong bytes after 0.5 ms and waits 1 ms; the others wait 10 ms.
         select: Duration::from_millis(10),
+        // Flipper's driver wrote off 0.5 ms, and ships with 1 ms.
+        soonest: Duration::from_millis(1),
         // All of them wait 10 ms before they read back.
         commit: Duration::from_millis(10),
         // 6.1: up to 1 s. One driver waits 1.2 s before it looks for [CFGUPDATE].

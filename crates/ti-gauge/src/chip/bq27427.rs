@@ -73,6 +73,8 @@ pub(super) const ACCESS: Access = Access {
     scheme: Scheme::CfgUpdate,
     // No document gives it; Zephyr's bq274xx waits so long.
     select: Duration::from_millis(30),
+    // Zephyr's bq274xx, on parts of this family; the kernel's driver waits 1 ms.
+    soonest: Duration::from_millis(5),
     // What a shipped product waits before it reads the checksum back; SLUA801 has it for the family.
     commit: Duration::from_millis(10),
     // 2.4.3: at least so long, where the bq27441-G1 is asked at once.

@@ -134,6 +134,8 @@ pub(super) const ACCESS: Access = Access {
     // No document gives it. The kernel's driver waits 1 ms, Zephyr's bq274xx 5 ms; owners who read at
     // once saw a wrong first byte.
     select: Duration::from_millis(30),
+    // Zephyr's bq274xx, on parts of this family; the kernel's driver waits 1 ms.
+    soonest: Duration::from_millis(5),
     // SLUA801, between the checksum and reading it back.
     commit: Duration::from_millis(10),
     // 3.1: within a second; SLUA801 asks five times, half a second apart.

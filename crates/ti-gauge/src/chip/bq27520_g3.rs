@@ -84,6 +84,7 @@ pub static CHIP: Chip = Chip {
         scheme: Scheme::Block,
         // A shipped OMAP4 kernel driver for this part; no document gives it.
         select: Duration::from_millis(50),
+        soonest: Duration::ZERO,
         // SLUS914A 7.3.
         commit: Duration::from_millis(100),
         enter: Duration::ZERO,

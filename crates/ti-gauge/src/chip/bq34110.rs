@@ -76,6 +76,7 @@ pub static CHIP: Chip = Chip {
         // Zephyr's driver waits 1 ms, the underwater vehicle's 50 ms and then for the echo; the echo, the sum
         // and a second try are ours as well.
         select: Duration::from_millis(20),
+        soonest: Duration::ZERO,
         // The longest wait of a driver that then reads back, but for the second that one waits between the sum
         // and the length, which we send together as SLUUBH1C does for the bq35100.
         commit: Duration::from_millis(300),

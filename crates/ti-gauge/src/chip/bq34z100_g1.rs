@@ -84,6 +84,7 @@ pub static CHIP: Chip = Chip {
         // No document gives it. Drivers in the field wait 5 to 30 ms; read too early, the window shows zeros or
         // the block before.
         select: Duration::from_millis(30),
+        soonest: Duration::ZERO,
         // Not given either: 100 ms after a checksum is the rule for the sibling bq27545-G1 (SLUSAT0E).
         commit: Duration::from_millis(100),
         enter: Duration::ZERO,

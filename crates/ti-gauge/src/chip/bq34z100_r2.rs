@@ -90,6 +90,7 @@ pub static CHIP: Chip = Chip {
         scheme: Scheme::Block,
         // The times are those of the bq34z100-G1, none of which is in a manual.
         select: Duration::from_millis(30),
+        soonest: Duration::ZERO,
         commit: Duration::from_millis(100),
         enter: Duration::ZERO,
         enter_limit: Duration::ZERO,

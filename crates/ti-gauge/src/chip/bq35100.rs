@@ -93,6 +93,7 @@ pub static CHIP: Chip = Chip {
         scheme: Scheme::Mac,
         // No document gives it; pilotak/BQ35100 waits 2 ms. The echo and the sum tell what was read too early.
         select: Duration::from_millis(5),
+        soonest: Duration::ZERO,
         // Not given either; pilotak/BQ35100 waits 100 ms, CoreKinect's driver 10 ms.
         commit: Duration::from_millis(100),
         enter: Duration::ZERO,

@@ -1,10 +1,9 @@
 //! Changes as blocks: which windows of data flash they touch, and what those hold before and after.
 
 use super::Change;
-use super::schemes::sequence;
 use super::window::{Dirty, Window, learned, locate};
 use crate::chip::Parameter;
-use crate::codec::{self, Bytes};
+use crate::codec::{self, Bytes, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
 use crate::value::Type;
@@ -17,15 +16,19 @@ impl Change {
     }
 }
 
-/// Reads every block that the changes touch and applies them to a copy.
-pub(super) fn gather(gauge: &mut Gauge, changes: &[Change]) -> Result<Vec<Dirty>> {
+/// Reads every block that the changes touch by `load`, and applies them to a copy.
+pub(super) fn gather(
+    gauge: &mut Gauge,
+    changes: &[Change],
+    load: impl Fn(&mut Gauge, Window) -> Result<[u8; WINDOW]>,
+) -> Result<Vec<Dirty>> {
     let mut dirty: Vec<Dirty> = Vec::new();
     for change in changes {
         for (number, ((place, at), &byte)) in change.windows().zip(&change.bytes).enumerate() {
             let index = match dirty.iter().position(|block| block.place == place) {
                 Some(index) => index,
                 None => {
-                    let old = sequence(gauge).load(gauge, place)?;
+                    let old = load(gauge, place)?;
                     let learned = learned(gauge.chip, place);
                     dirty.push(Dirty { place, old, new: old, written: Bytes::default(), learned });
                     dirty.len() - 1

@@ -35,7 +35,7 @@ pub(super) fn read_subclass(
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
-        let window = sequence(gauge).load(gauge, place)?;
+        let window = sequence(gauge).load_soon(gauge, place)?;
         note(place, &window);
         bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
@@ -45,11 +45,24 @@ pub(super) fn read_subclass(
 /// Loads a block whose content is known into the window again, and returns it as it is now: learned bytes may
 /// have moved, and the checksum covers them.
 pub(super) fn reload(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
+    reload_by(gauge, block, |gauge| sequence(gauge).glance(gauge, block.place))
+}
+
+/// Loads a block of RAM into the window again.
+pub(super) fn reload_soon(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
+    reload_by(gauge, block, |gauge| sequence(gauge).load_soon(gauge, block.place))
+}
+
+fn reload_by(
+    gauge: &mut Gauge,
+    block: &Dirty,
+    look: impl Fn(&mut Gauge) -> Result<[u8; WINDOW]>,
+) -> Result<Dirty> {
     if !sequence(gauge).fills_window() {
         return Ok(block.clone());
     }
     let differs = |window: &[u8; WINDOW]| block.differs(window, &block.old);
-    let window = match sequence(gauge).glance(gauge, block.place) {
+    let window = match look(gauge) {
         Ok(window) if differs(&window).is_none() => window,
         _ => sequence(gauge).load(gauge, block.place)?,
     };
@@ -118,16 +131,28 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let mut stored = block.new;
     let range = first..last + 1;
     let read = sequence(gauge).read_part(gauge, block.place, first, &mut stored[range]);
-    let is_right = |stored: &[u8; WINDOW]| (0..WINDOW).filter(written).all(|at| stored[at] == block.new[at]);
-    if read.is_ok() && is_right(&stored) {
+    if read.is_ok() && is_right(block, &stored) {
         return Ok(());
     }
+    verify_whole(gauge, block)
+}
+
+/// Compares the written bytes of a block of RAM.
+pub(super) fn verify_soon(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    match sequence(gauge).load_soon(gauge, block.place) {
+        Ok(stored) if is_right(block, &stored) => Ok(()),
+        _ => verify_whole(gauge, block),
+    }
+}
+
+fn is_right(block: &Dirty, stored: &[u8; WINDOW]) -> bool {
+    (0..WINDOW).filter(|&at| block.written.has(at)).all(|at| stored[at] == block.new[at])
+}
+
+fn verify_whole(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-    if is_right(&stored) {
-        return Ok(());
-    }
-    let at = (0..WINDOW).filter(written).find(|&at| stored[at] != block.new[at]);
-    Err(mismatch(block, &stored, at.unwrap_or(first)))
+    let wrong = (0..WINDOW).filter(|&at| block.written.has(at)).find(|&at| stored[at] != block.new[at]);
+    wrong.map_or(Ok(()), |at| Err(mismatch(block, &stored, at)))
 }
 
 /// Compares the whole block but for bytes that the gauge rewrites itself.

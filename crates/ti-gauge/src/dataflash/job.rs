@@ -3,10 +3,10 @@
 
 use std::time::Duration;
 
-use super::io::{reload, still_open, verify_written};
+use super::io::{reload, reload_soon, still_open, verify_soon, verify_written};
 use super::planned::{Held, Seen, classify};
 use super::schemes::sequence;
-use super::session::{RESTORES, Session, reads_wrong, store};
+use super::session::{RESTORES, Session, put, reads_wrong, store};
 use super::state::has_lost_memory;
 use super::window::{Dirty, Window};
 use crate::codec::{Bytes, WINDOW};
@@ -46,6 +46,8 @@ pub(super) struct Job {
     pub(super) returns: bool,
     /// The data memory was lost before the job was begun, so its loss is no reason to give up.
     pub(super) was_lost: bool,
+    /// The memory is RAM whose loss is being repaired: each block is looked at once, and again only in doubt.
+    pub(super) soon: bool,
     /// Blocks of which a commit may have been sent.
     pub(super) touched: usize,
     /// The gauge has begun to use the new content: what is otherwise changed since then it has done itself.
@@ -70,6 +72,7 @@ impl Job {
             in_window: false,
             returns: false,
             was_lost: false,
+            soon: false,
             touched: 0,
             in_use: false,
             moving: Vec::new(),
@@ -94,6 +97,9 @@ impl Job {
     /// Stores the new content where it is not.
     fn forward(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         session.begin(gauge)?;
+        if self.soon {
+            self.store_soon(gauge, session)?;
+        }
         let mut touched = self.touched;
         let outcome = self.blocks.iter().filter(|seen| !seen.is_at(Side::New)).try_for_each(|seen| {
             let compared = session.pack.compared;
@@ -106,6 +112,30 @@ impl Job {
         });
         self.touched = touched;
         outcome
+    }
+
+    /// Stores the new content of all blocks, and then looks at each of them: the window shows another block before, so that
+    /// one look tells. Those that are not as they should be are left to be stored one by one, with all looks.
+    fn store_soon(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        let waiting: Vec<usize> =
+            (0..self.blocks.len()).filter(|&at| !self.blocks[at].is_at(Side::New)).collect();
+        for &at in &waiting {
+            let moment = session.assure(gauge)?;
+            let Ok(block) = reload_soon(gauge, &self.blocks[at].to_new()) else { continue };
+            session.go_forward(gauge);
+            // What has become of it shows below.
+            let touched = &mut self.touched;
+            let _ = put(gauge, &block, moment, || *touched += 1);
+        }
+        for &at in &waiting {
+            let seen = &mut self.blocks[at];
+            seen.stored = sequence(gauge).load_soon(gauge, seen.block.place)?;
+            seen.held = classify(&seen.block, &seen.stored);
+            if seen.held == Held::New {
+                gauge.statistics.progress.step();
+            }
+        }
+        session.assure(gauge).map(drop)
     }
 
     /// Restores the old content. `is_seen` says that the blocks have just been looked at.
@@ -220,7 +250,7 @@ impl Job {
         }
         let unread = self.blocks.iter().zip(unread).filter(|(_, unread)| ends || *unread);
         unread.map(|(seen, _)| seen.to(side)).try_for_each(|block| {
-            let verified = verify_written(gauge, &block);
+            let verified = if self.soon { verify_soon(gauge, &block) } else { verify_written(gauge, &block) };
             if side == Side::Old { verified.map_err(|error| error.at(Step::Restore)) } else { verified }
         })
     }

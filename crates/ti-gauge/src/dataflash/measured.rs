@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::blocks::gather;
 use super::planned;
+use super::schemes::sequence;
 use super::session::{Session, in_time};
 use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
@@ -51,7 +52,7 @@ impl DataFlash {
             Change { place: Place::of(row), bytes, row: Some(row), saved: false }
         });
         let as_they_are: Vec<Change> = as_they_are.collect();
-        let mut blocks = gather(gauge, &as_they_are)?;
+        let mut blocks = gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place))?;
         blocks.iter_mut().for_each(|block| block.new = block.old);
         blocks.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         let olds = as_they_are

@@ -104,16 +104,25 @@ impl DataFlash {
         self.doubts.learn(self.now.arrival, ());
     }
 
-    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, another
-    /// count of cycles, by which later polls are judged, or a loss of power that was not known, for which `--restore`
-    /// writes to the gauge. I2C has no error detection.
+    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
+    /// count of cycles, by which later polls are judged. I2C has no error detection.
     pub fn is_surprised(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
-        let lost = lost_flag(chip).and_then(|(flags, lost)| Some(value(flags)? & lost != 0));
-        if lost.is_some_and(|lost| lost != self.known_pack.and_then(|known| known.lost).unwrap_or(false)) {
-            return true;
-        }
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
+    }
+
+    /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
+    /// not say the same once more. The profile is written for a loss.
+    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(u8) -> Option<u16>) -> Result<bool> {
+        let Some((flags, lost)) = lost_flag(gauge.chip) else { return Ok(false) };
+        let shown = value(flags).map(|word| word & lost != 0);
+        let Some(shown) =
+            shown.filter(|&shown| shown != self.known_pack.and_then(|known| known.lost).unwrap_or(false))
+        else {
+            return Ok(false);
+        };
+        let again = read_word(gauge, Word::Register(flags))?;
+        Ok((again & lost != 0) != shown)
     }
 
     /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by

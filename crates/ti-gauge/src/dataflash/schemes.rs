@@ -30,6 +30,12 @@ pub(super) trait Sequence {
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
     /// Loads a block into the window and reads it with its checksum until two looks agree, some time apart.
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
+    /// Loads a block of RAM, and believes the first look that shows that the window was loaded: what is stored there is lost
+    /// with the next brown-out, so a doubtful block costs a second look, and not every block a long one. In doubt, and on
+    /// parts with flash, this is `load`.
+    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        self.load(gauge, place)
+    }
     /// Loads a block whose content is known: one look, when it must be ready, with its checksum.
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
     /// Loads a block into the window and reads some of its bytes, unchecked: a content that is not the expected
@@ -93,6 +99,26 @@ fn look_twice<T: PartialEq>(
     before?;
     let why = "the block reads differently each time";
     Err(Error::new("", Cause::Protocol(why.into())).at(Step::ReadBlock))
+}
+
+/// Looks at a selected block of RAM as soon as that is worth while, and once more when the table says that it is there.
+/// `None` if neither look shows that the window was loaded since it held `before`.
+fn look_soon(
+    gauge: &mut Gauge,
+    before: &[u8; WINDOW],
+    look: impl Fn(&mut Gauge) -> Option<[u8; WINDOW]>,
+) -> Option<[u8; WINDOW]> {
+    let selected = gauge.clock.now();
+    [gauge.chip.access.soonest, gauge.chip.access.select].into_iter().find_map(|time| {
+        wait_until(gauge, selected, time);
+        look(gauge).filter(|now| is_loaded(before, now))
+    })
+}
+
+/// Whether a look shows that the window was loaded since it was looked at before: until then it shows what it held, or a
+/// blank block, each with a checksum that fits.
+fn is_loaded(before: &[u8; WINDOW], now: &[u8; WINDOW]) -> bool {
+    now != before && now.iter().any(|&byte| byte != 0)
 }
 
 /// Waits until a selected block must be ready.

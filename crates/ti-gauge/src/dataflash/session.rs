@@ -16,7 +16,7 @@ mod store;
 use crate::journal::{Entry, KeyPlan, OpenJournal};
 use assure::Assurance;
 pub(super) use assure::Reference;
-pub(super) use store::{ByKeys, store};
+pub(super) use store::{ByKeys, put, store};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
@@ -49,6 +49,8 @@ pub(super) struct Session {
     pub(super) decided: bool,
     /// A mode was started that must be ended on every exit.
     begun: bool,
+    /// The gauge does not seal itself at the end of that mode: what makes it do so was lost with its memory.
+    pub(super) stays_open: bool,
     /// Calibration mode was entered and must be left on every exit.
     pub(super) calibrating: Option<&'static Calibration>,
     /// How long the seal state is restored; `None` while a short time is enough.
@@ -103,6 +105,7 @@ impl Session {
             asked,
             decided: false,
             begun: false,
+            stays_open: false,
             calibrating: None,
             patience: None,
             pack: Assurance::default(),
@@ -191,7 +194,7 @@ impl Session {
         if sequence(gauge).always_finishes() {
             sequence(gauge).finish(gauge)?;
             self.begun = false;
-            reopen(gauge, goal)?;
+            reopen(gauge, goal, self.stays_open)?;
         } else {
             let state = self.reset(gauge)?;
             self.pack.was_opened |= state == Seal::Sealed;
@@ -391,11 +394,13 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
 
 /// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be
 /// read.
-fn reopen(gauge: &mut Gauge, goal: Seal) -> Result<()> {
+fn reopen(gauge: &mut Gauge, goal: Seal, stays_open: bool) -> Result<()> {
     let access = &gauge.chip.access;
     let limit = gauge.clock.now() + access.reset_limit;
     // The gauge may have sealed itself, and show it late.
-    gauge.wait(SEAL_LAG);
+    if !stays_open {
+        gauge.wait(SEAL_LAG);
+    }
     loop {
         match gauge.seal_anew() {
             Ok(now) => return gauge.go(now, goal),

@@ -23,6 +23,7 @@ mod preflight;
 mod probe;
 mod recovery;
 mod rescue;
+mod restore;
 mod rig;
 mod room;
 mod rules;

@@ -622,7 +622,7 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
             if name == "key change" && !has_keys {
                 continue;
             }
-            let (said, transfers) = host(&Rig::new(chip), &folder, None, access);
+            let (said, transfers) = host(&Rig::calibrated(chip, Seal::Sealed), &folder, None, access);
             said.expect("no cut").expect("no fault");
             assert_eq!(folder.files(), Vec::<String>::new(), "{chip} {name}");
             for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {

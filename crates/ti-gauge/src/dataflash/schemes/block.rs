@@ -1,7 +1,7 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
-use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_twice, settle, wait_until};
+use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_soon, look_twice, settle, wait_until};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
 use crate::error::{Cause, Error, Result, Step};
@@ -58,6 +58,23 @@ impl Sequence for Block {
         }
         let why = format!("{}: the block reads differently when selected again", place.name(0));
         Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
+    }
+
+    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        if gauge.chip.volatile.is_some()
+            && let Ok((before, _)) = read_window(gauge, place)
+            && select(gauge, place).is_ok()
+        {
+            let selection = [place.subclass, block_of(place)?];
+            let look = |gauge: &mut Gauge| {
+                let seen = read_window(gauge, place).ok();
+                seen.filter(|(shown, _)| shown.echo == selection).map(|(shown, _)| shown.window)
+            };
+            if let Some(window) = look_soon(gauge, &before.window, look) {
+                return Ok(window);
+            }
+        }
+        self.load(gauge, place)
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {

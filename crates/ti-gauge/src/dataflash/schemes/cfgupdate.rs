@@ -75,6 +75,10 @@ impl Sequence for CfgUpdate {
         self.access.load(gauge, place)
     }
 
+    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        self.access.load_soon(gauge, place)
+    }
+
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         self.access.glance(gauge, place)
     }

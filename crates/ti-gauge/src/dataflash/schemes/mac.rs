@@ -1,7 +1,7 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 
-use super::{Sequence, look_twice, settle};
+use super::{Sequence, look_soon, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
 use crate::dataflash::window::{has_address, holds_keys};
@@ -37,6 +37,20 @@ impl Sequence for Mac {
             outcome = load_once(gauge, place);
         }
         outcome
+    }
+
+    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+        let mut before = [0; WINDOW];
+        if gauge.chip.volatile.is_some()
+            && gauge.read(MAC_DATA, &mut before).is_ok()
+            && request(gauge, place).is_ok()
+        {
+            let look = |gauge: &mut Gauge| read_answer(gauge, place).ok().map(|(window, _)| window);
+            if let Some(window) = look_soon(gauge, &before, look) {
+                return Ok(window);
+            }
+        }
+        self.load(gauge, place)
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {

@@ -81,28 +81,34 @@ fn store_once(
     gauge: &mut Gauge,
     block: &Dirty,
     moment: Moment,
-    mut commits: impl FnMut(),
+    commits: impl FnMut(),
 ) -> (Result<()>, Result<()>) {
-    let mut committed = Ok(());
-    for piece in sequence(gauge).pieces(block) {
-        committed = sequence(gauge).fill(gauge, &piece).and_then(|()| {
-            if !gauge.is_unbroken_since(moment) {
-                let why = "the gauge was away for a moment before the block was programmed; try again";
-                return Err(Error::new("", Cause::NotNow(why.into())).at(Step::WriteBlock));
-            }
-            commits();
-            Statistics::count(&gauge.statistics.flash_writes);
-            sequence(gauge).commit(gauge, &piece)
-        });
-        if let Err(error) = &committed
-            && matches!(error.cause(), Cause::NotNow(_))
-        {
-            // What it shows is nothing that this commit has done.
-            return (Err(error.clone()), Err(error.clone()));
-        }
-        if committed.is_err() {
-            break;
-        }
+    let committed = put(gauge, block, moment, commits);
+    if let Err(error) = &committed
+        && matches!(error.cause(), Cause::NotNow(_))
+    {
+        // What it shows is nothing that this commit has done.
+        return (Err(error.clone()), Err(error.clone()));
     }
     (committed, verify(gauge, block))
+}
+
+/// Fills the window, which shows the block, and commits it.
+pub(in crate::dataflash) fn put(
+    gauge: &mut Gauge,
+    block: &Dirty,
+    moment: Moment,
+    mut commits: impl FnMut(),
+) -> Result<()> {
+    for piece in sequence(gauge).pieces(block) {
+        sequence(gauge).fill(gauge, &piece)?;
+        if !gauge.is_unbroken_since(moment) {
+            let why = "the gauge was away for a moment before the block was programmed; try again";
+            return Err(Error::new("", Cause::NotNow(why.into())).at(Step::WriteBlock));
+        }
+        commits();
+        Statistics::count(&gauge.statistics.flash_writes);
+        sequence(gauge).commit(gauge, &piece)?;
+    }
+    Ok(())
 }
