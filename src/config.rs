@@ -70,7 +70,7 @@ impl Setup {
         mount.check_log()?;
         gauge_owner::key_file::check_name(gauge.key_file.as_deref())?;
         gauge.replay = gauge.replay.map(standard_input);
-        gauge.restore = gauge.restore.map(standard_input);
+        gauge.profile = gauge.profile.map(standard_input);
         make_absolute(&mut mount, Path::new(""))?;
         make_absolute(&mut gauge, Path::new(""))?;
         mount.read_only |= gauge.replay.is_some();

@@ -410,7 +410,7 @@ mod tests {
         let shown = gauges.iter().map(|gauge| {
             let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
             let place = (path(&gauge.bus), gauge.address, gauge.chip.is_some());
-            let rest = (path(&gauge.restore), gauge.poll.map(|poll| poll.as_secs()), gauge.energy);
+            let rest = (path(&gauge.profile), gauge.poll.map(|poll| poll.as_secs()), gauge.energy);
             (place, rest, gauge.writes_per_hour, path(&gauge.key_file))
         });
         let text = |text: &str| Some(text.to_string());

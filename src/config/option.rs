@@ -41,6 +41,9 @@ pub(crate) struct Opt<T: 'static> {
     pub(super) at: &'static [At],
     /// The options that it contradicts; said on one of the two sides. A default gives way to a gauge's own option.
     pub(super) not_with: &'static [&'static str],
+    /// The option of which this is an older name; empty for none.
+    #[cfg_attr(not(test), allow(dead_code, reason = "what it does follows from its effect"))]
+    pub(super) of: &'static str,
     /// An option that it needs.
     pub(super) needs: Option<&'static str>,
     /// A value as TOML, for the tests.
@@ -97,6 +100,7 @@ impl<T: Options> Opt<T> {
         heading: "",
         at: &[At::Line, At::Table],
         not_with: &[],
+        of: "",
         needs: None,
         sample: "true",
     };

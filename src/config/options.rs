@@ -41,7 +41,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) chip: Option<&'static Chip>,
     pub(crate) replay: Option<PathBuf>,
     pub(crate) byte_writes: bool,
-    pub(crate) restore: Option<PathBuf>,
+    pub(crate) profile: Option<PathBuf>,
     pub(crate) name: Option<String>,
     pub(crate) poll: Option<Duration>,
     pub(crate) energy: bool,
@@ -172,13 +172,24 @@ impl Options for GaugeOptions {
             ..Opt::NEW
         },
         Opt {
-            name: "restore",
-            effect: Effect::File("FILE", |to| &mut to.restore),
-            doc: "Image, as `gaugefs export` writes it, to write again after a gauge without flash has lost power",
+            name: "profile",
+            effect: Effect::File("FILE", |to| &mut to.profile),
+            doc: "Image, as `gaugefs export` writes it, that a gauge without flash gets whenever it has lost its power",
             on_line: "; - is standard input",
             heading: GAUGE,
             at: ANY_MOUNTED,
             not_with: &["replay"],
+            sample: "'image'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "restore",
+            effect: Effect::File("FILE", |to| &mut to.profile),
+            doc: "Another name of --profile",
+            heading: GAUGE,
+            at: ANY_MOUNTED,
+            not_with: &["replay", "profile"],
+            of: "profile",
             sample: "'image'",
             ..Opt::NEW
         },
@@ -649,7 +660,12 @@ mod tests {
             if row.is_at(At::Line) || row.is_at(At::Argument) {
                 assert_eq!(format!("{:?}", on_command_line(&all)), of_file, "{}", row.name);
             }
-            assert!(effects.insert(of_file), "{} has the effect of another one", row.name);
+            // An older name has the effect of the option whose name it is.
+            let is_new = match T::row(row.of) {
+                Some(option) => of_file != format!("{:?}", in_file::<T>(&[option])),
+                None => effects.insert(of_file),
+            };
+            assert_eq!(is_new, row.of.is_empty(), "{} has the effect of another one", row.name);
         }
     }
 

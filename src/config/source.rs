@@ -40,7 +40,7 @@ impl GaugeOptions {
                 writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
             },
             auth_order: self.auth_order.unwrap_or_default(),
-            restore: self.restore.clone(),
+            profile: self.profile.clone(),
             trace: self.trace.clone(),
             trace_replace: self.trace_replace,
             ..usual

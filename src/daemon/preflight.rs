@@ -152,7 +152,7 @@ fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
         _ => error,
     }));
     if let Some(chip) = gauge.source.chip() {
-        found.extend(gauge.restored(chip).err());
+        found.extend(gauge.profile(chip).err());
     }
     found
 }

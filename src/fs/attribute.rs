@@ -188,6 +188,11 @@ impl Reading<'_> {
     /// cell outside of GAUGE_START and GAUGE_STOP.
     fn value(&self, role: Role) -> Option<i64> {
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid && self.is_present())?;
+        // What the gauge measures, whatever is in its data memory.
+        let is_measured = matches!(role, Role::VoltageNow | Role::CurrentNow | Role::CurrentAvg | Role::Temp);
+        if !is_measured && !snapshot.is_configured {
+            return None;
+        }
         let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
         let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
         valid(self.chip.register(role)?, value, self.flags().unwrap_or_default())
@@ -210,7 +215,8 @@ impl Reading<'_> {
     /// A value of data flash, while it is known and the pack is there. A firmware that keeps its data flash elsewhere,
     /// as the signature shows, has none.
     fn stored(&self, role: Role) -> Option<Value> {
-        let (subclass, parameter) = self.chip.stored(role).filter(|_| self.is_present())?;
+        let is_known = self.is_present() && self.snapshot.is_some_and(|snapshot| snapshot.is_configured);
+        let (subclass, parameter) = self.chip.stored(role).filter(|_| is_known)?;
         let kept = |row: &Signature| self.handle.kept_value((row.subclass, row.offset), row.kind);
         let fits = |row: &Signature| matches!(kept(row), Some(Value::Int(found)) if row.holds(found));
         let value = self.handle.kept_value((subclass.id, parameter.offset), parameter.kind);

@@ -357,7 +357,7 @@ fn regression_a_check_refuses_what_the_mount_refuses() {
     let full = Tiny::new(&folder);
     full.iter().for_each(Tiny::fill);
     let sim = "[[gauge]]\nsim = \"bq27441-g1\"\n";
-    let options = ["log", "state-dir", "sim-state", "trace", "restore", "key-file", "replay", "mountpoint"];
+    let options = ["log", "state-dir", "sim-state", "trace", "profile", "key-file", "replay", "mountpoint"];
     let mut cases: Vec<(String, String, String)> = Vec::new();
     let mut case = |name: String, text: &dyn Fn(&str) -> String| {
         let at = folder.file(&name);
@@ -368,7 +368,7 @@ fn regression_a_check_refuses_what_the_mount_refuses() {
         for kind in THINGS {
             // A file system without room is no place for what is only read.
             if kind == "full"
-                && (full.is_none() || ["restore", "key-file", "replay", "mountpoint"].contains(&option))
+                && (full.is_none() || ["profile", "key-file", "replay", "mountpoint"].contains(&option))
             {
                 continue;
             }
@@ -571,9 +571,10 @@ enum Dash {
 }
 
 /// Every such option and argument.
-const DASHES: [(&str, &str, Dash); 30] = [
+const DASHES: [(&str, &str, Dash); 31] = [
     ("mount", "config", Dash::Input),
     ("mount", "replay", Dash::Input),
+    ("mount", "profile", Dash::Input),
     ("mount", "restore", Dash::Input),
     (
         "mount",
@@ -666,6 +667,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
             ("sim", "replay") => vec!["sim", "--replay", "-", "./bus", "--", "true"],
             ("sim", "state") => vec!["sim", CHIP, "--state", "-", "./bus", "--", "true"],
             ("mount", "replay") => vec!["mount", "--replay", "-", &other],
+            ("mount", "profile") => vec!["mount", "--sim", CHIP, "--profile", "-", &other],
             ("mount", "restore") => vec!["mount", "--sim", CHIP, "--restore", "-", &other],
             ("mount", "key_file") => vec!["mount", "--sim", CHIP, "--key-file", "-", &other],
             ("mount", "log") => vec!["mount", "--sim", CHIP, "--log", "-", &other],

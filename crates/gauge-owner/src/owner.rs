@@ -6,7 +6,7 @@
 //!
 //! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
 //! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
-//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `poll` reads its registers, `report` records all
+//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `poll` reads its registers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
@@ -38,6 +38,7 @@ mod calibrate;
 mod debt;
 mod direct;
 mod handle;
+mod memory;
 mod now;
 mod operation;
 pub mod operations;
@@ -47,7 +48,6 @@ mod report;
 pub mod rig;
 mod words;
 
-use arrival::Loss;
 pub use attempt::Attempt;
 pub use backup::Backup;
 pub use backup::readable;
@@ -55,6 +55,7 @@ use debt::Debt;
 pub use direct::Direct;
 use handle::Shared;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
+use memory::Memory;
 use now::Content;
 pub use now::Presence;
 use operation::Request;
@@ -84,8 +85,8 @@ pub struct Settings {
     pub limits: Limits,
     /// Byte order in which challenges are sent.
     pub auth_order: Order,
-    /// Configuration that is written again to a gauge with RAM data memory after it has lost power.
-    pub restore: Vec<Change>,
+    /// Configuration that a gauge whose data memory is RAM gets again after it has lost its power.
+    pub profile: Vec<Change>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
     /// Saves the configuration before the first write; `None` for not at all.
@@ -102,7 +103,7 @@ impl Default for Settings {
             allow_unproven: false,
             limits: Limits::default(),
             auth_order: Order::default(),
-            restore: Vec::new(),
+            profile: Vec::new(),
             journal: None,
             backup: None,
         }
@@ -193,10 +194,8 @@ struct Owner {
     identified: Duration,
     /// Polls in a row that found a gauge which has not measured since its power-up or reset.
     unmeasured: u32,
-    /// See [`Settings::restore`].
-    restore: Vec<Change>,
-    /// What is known of the gauge's loss of its configuration.
-    loss: Loss,
+    /// What is known of its data memory, where that is RAM.
+    memory: Memory,
     /// See [`Settings::backup`].
     backup: Option<Backup>,
     /// The configuration of this gauge is saved.
@@ -238,8 +237,7 @@ impl Owner {
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
-            restore: settings.restore,
-            loss: Loss::None,
+            memory: Memory::new(settings.profile),
             backup: settings.backup,
             backed_up: Fact::default(),
             unverified: startup.unverified,

@@ -39,7 +39,7 @@ pub struct GaugeSetup {
     /// Byte order in which challenges are sent.
     pub auth_order: Order,
     /// Image that a gauge without flash gets again after it has lost power.
-    pub restore: Option<PathBuf>,
+    pub profile: Option<PathBuf>,
     /// File in which every transfer is recorded.
     pub trace: Option<PathBuf>,
     /// That file may be there already, and is replaced.
@@ -58,7 +58,7 @@ impl GaugeSetup {
             allow_unproven: false,
             limits: Limits::default(),
             auth_order: Order::default(),
-            restore: None,
+            profile: None,
             trace: None,
             trace_replace: false,
         }
@@ -75,8 +75,8 @@ impl GaugeSetup {
     }
 
     /// The configuration that it gets again after it has lost power, if its part is a `chip`.
-    pub fn restored(&self, chip: &'static Chip) -> Result<Vec<Change>> {
-        let Some(path) = &self.restore else { return Ok(Vec::new()) };
+    pub fn profile(&self, chip: &'static Chip) -> Result<Vec<Change>> {
+        let Some(path) = &self.profile else { return Ok(Vec::new()) };
         let image = Image::open(path, Some(chip))?;
         Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
     }
@@ -115,7 +115,7 @@ impl GaugeSetup {
             allow_unproven: self.allow_unproven,
             limits: self.limits,
             auth_order: self.auth_order,
-            restore: self.restored(chip)?,
+            profile: self.profile(chip)?,
             journal: place
                 .clone()
                 .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),

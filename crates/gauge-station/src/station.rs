@@ -172,7 +172,7 @@ impl Plan {
         let chip = image.chip;
         if chip.access.scheme.is_ram() {
             let why = format!(
-                "a {} loses its configuration with its power; gaugefs mount --restore writes it again",
+                "a {} loses its configuration with its power; gaugefs mount --profile writes it again",
                 chip.model
             );
             return Err(invalid("image", why));

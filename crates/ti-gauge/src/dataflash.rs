@@ -68,7 +68,7 @@ use schemes::sequence;
 use session::{Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
-use state::has_lost_memory;
+pub use state::has_lost_memory;
 pub(crate) use state::read_word;
 use wear::Wear;
 use window::learned;
@@ -318,14 +318,22 @@ impl DataFlash {
         self.write_with(gauge, changes, Extras::default(), waited)
     }
 
-    /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost. Quick where a doubt costs no
-    /// more than a second look: what is stored there does not outlive the next brown-out.
-    pub fn restore(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
+    /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost: `lost` says so, or the gauge's
+    /// flag, or a parameter with another value that the gauge does not rewrite itself. Otherwise nothing is written, and
+    /// what the gauge has learned stays. Quick where a doubt costs no more than a second look: what is stored there does
+    /// not outlive the next brown-out.
+    pub fn restore(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        lost: bool,
+        waited: Duration,
+    ) -> Result<Outcome> {
         if gauge.chip.volatile.is_none() {
             let why = "its data memory is flash, and nothing of it is lost with the power";
             return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check));
         }
-        self.write_with(gauge, changes, Extras { soon: true, ..Extras::default() }, waited)
+        self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)
     }
 
     /// Makes all changes, or none, with what a calibration needs besides.
@@ -459,9 +467,13 @@ impl DataFlash {
         for change in changes {
             self.check_safe(change, &dirty)?;
         }
-        let old = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
+        let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
+        if extras.soon && !extras.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
+            return Ok(Outcome::Unchanged);
+        }
         dirty.retain(|block| block.old != block.new);
-        if dirty.is_empty() {
+        // The flag of a loss is cleared by the end of CONFIG UPDATE only, and would hide the next one.
+        if dirty.is_empty() && !(extras.soon && found.lost) {
             return Ok(Outcome::Unchanged);
         }
         for block in &dirty {
@@ -594,6 +606,27 @@ impl DataFlash {
     }
 }
 
+/// Whether data memory in RAM, whose flag shows no loss, has lost these values: it holds the part's defaults in their
+/// place. Those of a part without the flag are in one-time programmable memory, so any other value counts there. What the
+/// gauge rewrites itself shows nothing.
+fn is_forgotten(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> bool {
+    let differs =
+        |(change, old): &(&Change, &Vec<u8>)| !change.is_learned() && change.stored_over(old) != **old;
+    let differing: Vec<_> = changes.iter().zip(old).filter(differs).collect();
+    let others: Vec<_> = differing.iter().filter(|(change, old)| !change.is_default(old)).collect();
+    if chip.volatile == Some(0) || others.is_empty() {
+        return !differing.is_empty();
+    }
+    let names: Vec<String> = others.iter().map(|(change, _)| change.name()).collect();
+    log::warn!(
+        "{}: the gauge differs from its profile, and has not lost its memory: {}; write the profile with gaugefs import, or \
+         take the values over with gaugefs export",
+        chip.name,
+        names.join(", ")
+    );
+    false
+}
+
 /// Judges the gauge that works with the new values.
 pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 
@@ -602,6 +635,8 @@ pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 pub(crate) struct Extras<'a> {
     /// The configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
     pub(crate) soon: bool,
+    /// Its data memory is known to be lost.
+    pub(crate) lost: bool,
     /// Enter calibration mode first, in which the gauge ignores its gate, and leave it before the reset.
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.

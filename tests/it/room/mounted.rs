@@ -73,12 +73,12 @@ impl Mount {
         interval: Duration,
         keys: Keys,
         prepare: impl FnOnce(&Sim),
-        restore: Vec<Change>,
+        profile: Vec<Change>,
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
     ) -> Option<Self> {
         Self::of(
             chip,
-            Settings { keys, interval, restore, ..Settings::default() },
+            Settings { keys, interval, profile, ..Settings::default() },
             prepare,
             bus,
             fuse::Options::default(),

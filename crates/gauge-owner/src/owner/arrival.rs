@@ -5,26 +5,14 @@ use std::time::Duration;
 
 use super::{Answers, Attempt, Owner};
 use crate::error::{Cause, Error, Result, Step};
-use ti_gauge::chip::{Chip, Limited, Recognised, Role, recognise};
-use ti_gauge::dataflash::{Outcome, Place};
+use ti_gauge::chip::{Chip, Limited, Recognised, recognise};
+use ti_gauge::dataflash::Place;
 use ti_gauge::gauge::agreed;
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
 
 /// A gauge's watchdog allows each command twice a second.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
-
-/// The loss of the configuration of a gauge whose data memory is RAM.
-#[derive(Debug, Default)]
-pub(super) enum Loss {
-    /// None that is known of.
-    #[default]
-    None,
-    /// The saved configuration is to be written. That has failed `attempts` times, and `failure` is the last one.
-    Owed { attempts: u32, failure: String },
-    /// The configuration was verified, or there is none to write; the flag may still be set.
-    Settled,
-}
 
 impl Owner {
     /// Identifies the gauge and polls it for the first time.
@@ -42,7 +30,7 @@ impl Owner {
     pub(super) fn after_first_poll(&mut self) {
         self.schedule.hurry();
         self.report_calibration_mode();
-        self.restore_after_power_loss();
+        self.keep_configured();
         // Before the mount appears: some monitors read what does not change only once.
         self.read_if_open();
     }
@@ -81,11 +69,7 @@ impl Owner {
         self.forget_dataflash();
         self.rare = Registers::UNREAD;
         self.schedule.begin_anew();
-        if matches!(std::mem::take(&mut self.loss), Loss::Owed { .. }) {
-            let why = "the gauge was gone or exchanged while --restore was still to be written; it is written if this \
-                       gauge reports a power loss, otherwise check with `gaugefs diff`";
-            log::warn!("{}: {why}", self.shared.name());
-        }
+        self.memory.arrives();
         self.shared.publish(|published| {
             published.presence.next();
             (published.answers, published.limited) = (answers, limited);
@@ -127,82 +111,6 @@ impl Owner {
         let (limited, chip) = (published.limited?, self.gauge.chip);
         let why = limited.why(chip, &published.answers);
         Some(Error::new(limited.name(chip), Cause::NotPermitted(why)))
-    }
-
-    /// Writes the saved configuration to a gauge with RAM data memory that has lost its power. Called after
-    /// each scheduled poll, whose flags show the loss.
-    pub(super) fn restore_after_power_loss(&mut self) {
-        let chip = self.gauge.chip;
-        let (Some(lost), Some(flags)) = (chip.volatile, chip.register(Role::Flags)) else { return };
-        let published = self.shared.published();
-        if published.limited.is_some() {
-            return;
-        }
-        let word = published.snapshot.as_ref().and_then(|snapshot| snapshot.value(flags));
-        let is_reported = word.is_some_and(|word| word & i64::from(lost) != 0);
-        let attempts = match (&self.loss, is_reported) {
-            // The end of CONFIG UPDATE clears the flag also after a write that failed.
-            (Loss::Owed { attempts, .. }, _) => *attempts,
-            (Loss::None, true) => 0,
-            (Loss::None, false) | (Loss::Settled, true) => return,
-            (Loss::Settled, false) => {
-                self.loss = Loss::None;
-                return;
-            }
-        };
-        // If the power was lost between two polls, what was read of data memory is out of date, and the seal
-        // may be open.
-        self.forget_dataflash();
-        if is_reported {
-            self.dataflash.forget();
-            self.shared.forget_scales();
-        }
-        self.publish_seal();
-        if self.restore.is_empty() {
-            let why = "lost its configuration with its power; mount with --restore to write it again";
-            log::warn!("{}: {why}", self.shared.name());
-            self.loss = Loss::Settled;
-            self.schedule.hurry();
-            return;
-        }
-        let outcome = self.dataflash.restore(&mut self.gauge, &self.restore, Duration::ZERO);
-        let outcome = self.noted(outcome);
-        self.forget_dataflash();
-        match outcome {
-            Ok(outcome) => {
-                self.log_written(&self.restore, &outcome);
-                let done = match outcome {
-                    Outcome::Written { .. } => "configuration restored",
-                    Outcome::Unchanged => "configuration is as saved",
-                };
-                log::info!("{}: {done}", self.shared.name());
-                self.shared.succeeded(&Attempt::RESTORE);
-                self.loss = Loss::Settled;
-                self.schedule.hurry();
-            }
-            Err(error) => self.still_owed(&error, attempts, is_reported),
-        }
-    }
-
-    /// The saved configuration could not be written; it is tried again.
-    fn still_owed(&mut self, error: &ti_gauge::error::Error, attempts: u32, is_reported: bool) {
-        let what = if is_reported {
-            "tried again with the next poll"
-        } else {
-            "tried again with the next poll, but the gauge no longer reports the loss: if gaugefs ends before it has \
-             succeeded, write the configuration with `gaugefs import`"
-        };
-        let owed = error.facts().owed;
-        let error = Error::new("--restore", Cause::NotNow(format!("{error}; {what}"))).owing(owed);
-        let line = error.to_string();
-        match &self.loss {
-            // In the log only once.
-            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::RESTORE, &error),
-            _ => self.shared.report(Attempt::RESTORE, &error),
-        }
-        self.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
-        let interval = self.shared.published().interval;
-        self.schedule.try_again(self.gauge.clock.now(), attempts, interval);
     }
 
     /// Reports the flaws that the table describes, if the bytes that show them have been read.
@@ -369,8 +277,8 @@ mod tests {
         let chip = Chip::by_name("bq27441-g1").expect("it has a table");
         let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\n";
         let image = ti_gauge::image::Image::parse(image, Some(chip)).expect("an image");
-        let restore = image.to_restore().expect("values in range");
-        let settings = super::super::Settings { restore, ..super::super::Settings::default() };
+        let profile = image.to_restore().expect("values in range");
+        let settings = super::super::Settings { profile, ..super::super::Settings::default() };
         let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
         rig.owner.open().expect("it answers");
         rig
@@ -417,15 +325,13 @@ mod tests {
     #[test]
     fn a_failed_restoration_is_tried_again_until_it_succeeds() {
         let mut rig = with_image();
-        assert_eq!(capacity(&mut rig), 1340);
         lose_power(&rig);
         rig.sim.set("fault", CORRUPT).expect("a fault");
         let mut pauses = Vec::new();
-        for attempt in 1..=6 {
+        for _ in 1..=6 {
             rig.owner.poll_on_time();
             let failure = rig.handle.published().last_error.to_string();
-            assert!(failure.starts_with("--restore: ") && failure.contains("tried again"), "{failure}");
-            assert_eq!(failure.contains("gaugefs import"), attempt > 1, "{failure}");
+            assert!(failure.starts_with("profile: ") && failure.contains("tried again"), "{failure}");
             pauses.push(rig.owner.schedule.due(INTERVAL) - rig.clock.now());
             rig.clock.sleep(INTERVAL);
             rig.sim.set("fault", CORRUPT).expect("a fault");

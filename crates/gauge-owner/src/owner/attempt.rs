@@ -34,7 +34,7 @@ pub enum Importance {
 impl Attempt {
     /// To stage lines of `df/transaction`.
     pub const STAGE: Self = Self::Operation("stage", Importance::Change);
-    /// To write the configuration of `--restore`.
+    /// To write the profile.
     pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
 
     pub(super) fn importance(&self) -> Importance {

@@ -35,6 +35,8 @@ pub struct Snapshot {
     /// Whether the gauge has measured since its power-up or reset: before that its registers hold 0, or what they
     /// held before.
     pub is_valid: bool,
+    /// Whether its data memory is what its profile says: a gauge that has lost it predicts with TI's defaults.
+    pub is_configured: bool,
     /// Whether the gauge measured the current: that of a primary cell only between GAUGE_START and GAUGE_STOP.
     pub has_current: bool,
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::attempt::Importance;
 use super::operation::{Asked, Operation};
-use super::{Attempt, Loss, Owner, Seal, words};
+use super::{Attempt, Owner, Seal, words};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
@@ -211,7 +211,7 @@ impl Owner {
     pub(super) fn read_if_open(&mut self) {
         let published = self.shared.published();
         // Values that are about to be undone or restored must not be shown.
-        let is_settled = self.dataflash.owed().is_none() && !matches!(self.loss, Loss::Owed { .. });
+        let is_settled = self.dataflash.owed().is_none() && !self.memory.is_waited_for();
         let looked = self.looked.is_known(self.shared.content());
         if looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
             return;

@@ -124,6 +124,11 @@ impl Schedule {
         self.number = self.number.next_multiple_of(SLOW_EVERY) + 1;
     }
 
+    /// The last poll has read the slow tier.
+    pub(super) fn has_read_slow_tier(&self) -> bool {
+        self.number % SLOW_EVERY == 2
+    }
+
     fn reads_slow_tier(&self) -> bool {
         self.number % SLOW_EVERY == 1
     }
@@ -161,7 +166,7 @@ impl Owner {
                 if was_gone {
                     log::info!("{}: the gauge is back", self.shared.name());
                 }
-                self.restore_after_power_loss();
+                self.keep_configured();
                 self.read_if_open();
             }
             Err(error) => self.poll_failed(&error),
@@ -190,6 +195,7 @@ impl Owner {
         // A pack may be exchanged while it does not answer.
         self.forget_dataflash();
         self.dataflash.suspect(self.gauge.chip);
+        self.memory.is_doubtful();
         if was_gone {
             return;
         }
@@ -208,6 +214,7 @@ impl Owner {
         let mut taken = self.gauge.clock.now();
         let (slow, statics) =
             (self.schedule.reads_slow_tier(), !self.statics.is_known(self.shared.content()));
+        let statics = statics || self.memory.watches_copies(self.gauge.chip);
         let condition = &self.gauge.chip.condition;
         if slow || statics {
             // Both tiers in one pass: a burst may hold registers of each.
@@ -261,10 +268,12 @@ impl Owner {
             );
         }
         let is_valid = self.unmeasured == 0;
+        let is_configured = self.is_configured(&registers);
         let control_status = self.control_status;
         let primary = chip.condition.primary.as_ref();
         let has_current = primary.is_none_or(|primary| control_status & primary.active != 0);
-        let snapshot = Snapshot { taken, number, registers, control_status, is_valid, has_current };
+        let snapshot =
+            Snapshot { taken, number, registers, control_status, is_valid, is_configured, has_current };
         self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
         self.shared.succeeded(&Attempt::Poll);
         Ok(())

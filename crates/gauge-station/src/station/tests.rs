@@ -722,7 +722,7 @@ fn an_image_that_contradicts_the_station_is_refused() {
     // RAM is lost with the power.
     fs::write(folder.file("golden.toml"), "chip = \"bq27441-g1\"\n[state]\ntaper-rate = 90\n")
         .expect("a file");
-    assert!(of(&["bq27441-g1"]).contains("--restore"), "{}", of(&["bq27441-g1"]));
+    assert!(of(&["bq27441-g1"]).contains("--profile"), "{}", of(&["bq27441-g1"]));
 }
 
 /// A rack on which the pack is exchanged while somebody scans its number.

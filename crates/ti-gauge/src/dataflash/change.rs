@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 use super::Place;
 use super::checks::integer;
 pub use crate::chip::Row;
-use crate::chip::{Chip, FLAT, Kind, Parameter, Safe};
+use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Safe};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::notation;
@@ -130,6 +130,26 @@ impl Change {
         }
         let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
         Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+    }
+
+    /// Whether these bytes, in its place, are what the part has there by itself.
+    pub(super) fn is_default(&self, bytes: &[u8]) -> bool {
+        let Some((_, parameter)) = self.row else { return true };
+        let printed = match parameter.range {
+            Range::Int { default, .. } => default.map(Value::Int),
+            Range::Float { default, .. } => default.map(Value::Float),
+            Range::Text { default } => default.map(|text| Value::Text(text.into())),
+        };
+        let flavour = parameter.flavour.map(|(_, default)| Value::Int(default));
+        let is =
+            |default: Value| codec::encode(parameter.kind, &default).is_some_and(|default| default == bytes);
+        // Where none is printed, nothing can be told.
+        printed.is_none() || [printed, flavour].into_iter().flatten().any(is)
+    }
+
+    /// Whether the gauge rewrites it itself.
+    pub fn is_learned(&self) -> bool {
+        self.row.is_some_and(|(_, parameter)| parameter.learned)
     }
 
     /// Name for the log: the parameter's name, or the place of undocumented bytes.

@@ -24,7 +24,7 @@ pub(super) fn lost_flag(chip: &Chip) -> Option<(u8, u16)> {
 
 /// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in
 /// CONFIG UPDATE has not lost its power since it entered that mode, whatever it has not forgotten of an earlier loss.
-pub(super) fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
+pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
     let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == Word::Register(flags));

@@ -9,8 +9,10 @@ use ti_gauge::gauge::Gauge;
 
 use crate::rig::Rig;
 
+type Values = &'static [((u8, u16), &'static str)];
+
 /// Parts with RAM, and values that they do not have by themselves: in two blocks at least where there are so many.
-const PARTS: &[(&str, &[((u8, u16), &str)])] = &[
+const PARTS: &[(&str, Values)] = &[
     ("bq27441-g1", &[((82, 10), "1200"), ((80, 22), "700"), ((89, 0), "90"), ((64, 2), "0x0e")]),
     ("bq27421-g1", &[((82, 10), "1200"), ((89, 0), "90"), ((49, 0), "12")]),
     ("bq27426", &[((82, 6), "1200"), ((49, 0), "12"), ((89, 0), "90")]),
@@ -19,7 +21,7 @@ const PARTS: &[(&str, &[((u8, u16), &str)])] = &[
     ("bq27220", &[((0, 0x929F), "1200"), ((0, 0x91FD), "4100")]),
 ];
 
-fn changes(chip: &str, values: &[((u8, u16), &str)]) -> Vec<Change> {
+fn changes(chip: &str, values: Values) -> Vec<Change> {
     let chip = Chip::by_name(chip).expect("it has a table");
     let change = |&((id, at), text): &((u8, u16), &str)| Rig::change_of(chip, id, at, text).saved();
     values.iter().map(change).collect()
@@ -35,7 +37,7 @@ impl Rig {
     }
 
     fn restore(&mut self, changes: &[Change]) -> Result<Outcome> {
-        self.dataflash.restore(&mut self.gauge, changes, Duration::ZERO)
+        self.dataflash.restore(&mut self.gauge, changes, true, Duration::ZERO)
     }
 }
 

@@ -1,0 +1,522 @@
+//! Data memory that is RAM: a gauge whose power is gone for a moment has TI's defaults, and predicts nonsense. Its profile
+//! is written again before anything that depends on it is shown.
+
+use std::time::Duration;
+
+use super::{Attempt, Owner, Presence};
+use crate::error::{Cause, Error, Step};
+use ti_gauge::chip::{Chip, Role};
+use ti_gauge::dataflash::{self, Change, Outcome};
+use ti_gauge::epoch::Fact;
+use ti_gauge::gauge::{Seal, Statistics};
+use ti_gauge::registers::Registers;
+
+/// How often the profile is written to a gauge that has lost it again by the next poll.
+const TRIES: u32 = 3;
+
+/// What is known of data memory in RAM.
+#[derive(Debug)]
+pub(super) struct Memory {
+    /// See [`super::Settings::profile`].
+    profile: Vec<Change>,
+    loss: Loss,
+    /// The profile has been compared with this gauge, which nobody may have exchanged or switched off since.
+    compared: Fact<(), Presence>,
+    /// DesignCapacity() as last polled, of a part without the flag.
+    design: Option<i64>,
+    /// How often the profile was written, and lost again by the next look at it.
+    lost_again: u32,
+    /// The gauge was told that it has a battery.
+    inserted: Fact<(), Presence>,
+}
+
+/// The loss of the configuration.
+#[derive(Debug, Default)]
+enum Loss {
+    /// None that is known of.
+    #[default]
+    None,
+    /// The profile is to be written. That has failed `attempts` times, and `failure` is the last one.
+    Owed { attempts: u32, failure: String },
+    /// There is no profile to write.
+    Accepted,
+    /// The profile was written, and the next poll shows whether the gauge keeps it.
+    Written,
+    /// The gauge loses it each time.
+    Stopped,
+}
+
+impl Memory {
+    pub(super) fn new(profile: Vec<Change>) -> Self {
+        Self {
+            profile,
+            loss: Loss::None,
+            compared: Fact::default(),
+            design: None,
+            lost_again: 0,
+            inserted: Fact::default(),
+        }
+    }
+
+    /// A gauge has come, or come back.
+    pub(super) fn arrives(&mut self) {
+        (self.loss, self.lost_again) = (Loss::None, 0);
+        self.is_doubtful();
+    }
+
+    /// The gauge may have lost its power unnoticed.
+    pub(super) fn is_doubtful(&mut self) {
+        self.compared = Fact::default();
+    }
+
+    /// Whether the registers that are copies of data memory are read with each poll: no flag shows its loss.
+    pub(super) fn watches_copies(&self, chip: &Chip) -> bool {
+        chip.volatile == Some(0) && !self.profile.is_empty()
+    }
+
+    /// Whether what data memory holds now is about to be replaced, or should be.
+    pub(super) fn is_waited_for(&self) -> bool {
+        matches!(self.loss, Loss::Owed { .. } | Loss::Stopped)
+    }
+}
+
+impl Owner {
+    /// Whether the registers of a poll follow from the profile, or the gauge has none.
+    pub(super) fn is_configured(&mut self, registers: &Registers) -> bool {
+        let chip = self.gauge.chip;
+        let Some(flag) = chip.volatile.filter(|_| !self.memory.profile.is_empty()) else { return true };
+        // The register is a copy of data memory.
+        let design = chip.register(Role::ChargeFullDesign).and_then(|design| registers.value(design));
+        if flag == 0 && std::mem::replace(&mut self.memory.design, design) != design {
+            self.memory.is_doubtful();
+        }
+        // A gauge without the flag is believed once it has been compared.
+        let is_believed = flag != 0 || self.memory.compared.is_known(self.shared.published().presence);
+        is_believed && !self.memory.is_waited_for() && !reports_loss(chip, registers)
+    }
+
+    /// Writes the profile to a gauge that has lost it with its power. Called after each scheduled poll, whose flags show
+    /// the loss. Where no flag does, the profile is compared: when the gauge has come or has not answered, and now and
+    /// then while it is open. A flag may have been cleared by somebody else, so that is compared once, too.
+    pub(super) fn keep_configured(&mut self) {
+        self.repair_memory();
+        self.tell_of_battery();
+    }
+
+    fn repair_memory(&mut self) {
+        let chip = self.gauge.chip;
+        let Some(flag) = chip.volatile else { return };
+        let published = self.shared.published();
+        let Some(snapshot) = published.snapshot.as_ref().filter(|_| published.limited.is_none()) else {
+            return;
+        };
+        let is_reported = reports_loss(chip, &snapshot.registers);
+        if flag == 0 && published.seal != Seal::Sealed && self.schedule.has_read_slow_tier() {
+            self.memory.is_doubtful();
+        }
+        let is_compared = self.memory.compared.is_known(published.presence);
+        let (attempts, is_lost) = match (&self.memory.loss, is_reported) {
+            // The end of CONFIG UPDATE clears the flag also after a write that failed.
+            (Loss::Owed { attempts, .. }, _) => (*attempts, true),
+            (Loss::None, true) => (0, true),
+            (Loss::Written, true) => {
+                self.memory.lost_again += 1;
+                (0, true)
+            }
+            (Loss::Accepted | Loss::Stopped, true) => return,
+            (Loss::Stopped, false) if flag == 0 => return,
+            (Loss::Written, false) if flag == 0 => (0, false),
+            (Loss::None | Loss::Accepted | Loss::Written | Loss::Stopped, false) => {
+                (self.memory.loss, self.memory.lost_again) = (Loss::None, 0);
+                if is_compared || self.memory.profile.is_empty() {
+                    return;
+                }
+                (0, false)
+            }
+        };
+        // If the power was lost between two polls, what was read of data memory is out of date, and the seal
+        // may be open.
+        if is_lost {
+            self.forget_dataflash();
+        }
+        if is_reported {
+            self.dataflash.forget();
+            self.shared.forget_scales();
+        }
+        self.publish_seal();
+        if self.memory.profile.is_empty() {
+            let why = "lost its configuration with its power; mount with --profile to write it again";
+            log::warn!("{}: {why}", self.shared.name());
+            self.memory.loss = Loss::Accepted;
+            self.schedule.hurry();
+            return;
+        }
+        if self.memory.lost_again >= TRIES {
+            return self.stop_restoring();
+        }
+        self.write_profile(attempts, is_lost);
+    }
+
+    fn write_profile(&mut self, attempts: u32, is_lost: bool) {
+        let profile = self.memory.profile.clone();
+        let ended = Statistics::read(&self.gauge.statistics.resets);
+        let outcome = self.dataflash.restore(&mut self.gauge, &profile, is_lost, Duration::ZERO);
+        let outcome = self.noted(outcome);
+        let was_kept = outcome == Ok(Outcome::Unchanged);
+        if !was_kept {
+            self.forget_dataflash();
+        }
+        match outcome {
+            Ok(outcome) => {
+                let now = self.shared.published().presence;
+                self.memory.compared.learn(now, ());
+                self.shared.succeeded(&Attempt::RESTORE);
+                if was_kept {
+                    self.memory.loss = Loss::None;
+                    self.memory.lost_again = 0;
+                    self.show_configured();
+                    return;
+                }
+                self.memory.design = None;
+                self.log_written(&profile, &outcome);
+                log::info!(
+                    "{}: lost its configuration with its power; the profile is restored",
+                    self.shared.name()
+                );
+                if self.gauge.chip.volatile == Some(0) && matches!(self.memory.loss, Loss::Written) {
+                    self.memory.lost_again += 1;
+                }
+                self.memory.loss = Loss::Written;
+                self.memory.inserted = Fact::default();
+                self.schedule.hurry();
+            }
+            Err(error) => {
+                // It was written to the end, and the gauge has lost it at once.
+                let was_written = Statistics::read(&self.gauge.statistics.resets) > ended;
+                // Where no flag shows that, what does not stay there is taken for it.
+                let is_lost = self.gauge.chip.volatile == Some(0)
+                    || dataflash::has_lost_memory(&mut self.gauge) == Ok(true);
+                if was_written && is_lost {
+                    self.memory.lost_again += 1;
+                }
+                match self.memory.lost_again >= TRIES {
+                    true => self.stop_restoring(),
+                    false => self.still_owed(&error, attempts),
+                }
+            }
+        }
+    }
+
+    /// Tells a gauge that waits for it that it has a battery: by the profile no pin detects one (`[BIE]` is 0), and before
+    /// BAT_INSERT such a gauge does not gauge (SLUUAC9A 4.1.7). It answers, so there is one. Said once after the gauge has
+    /// come and after each restore, so that a BAT_REMOVE of somebody else stays.
+    fn tell_of_battery(&mut self) {
+        let chip = self.gauge.chip;
+        let published = self.shared.published();
+        let Some(code) = waits_for_insertion(chip, &self.memory.profile) else { return };
+        let flags = published.snapshot.as_ref().zip(chip.register(Role::Flags));
+        let flags = flags.and_then(|(snapshot, flags)| snapshot.value(flags));
+        let is_there = flags.is_none_or(|flags| flags & i64::from(chip.condition.present) != 0);
+        if is_there || self.memory.is_waited_for() || self.memory.inserted.is_known(published.presence) {
+            return;
+        }
+        match self.gauge.ask(code) {
+            Ok(_) => {
+                log::info!(
+                    "{}: waits for a battery by its configuration; BAT_INSERT was sent",
+                    self.shared.name()
+                );
+                self.memory.inserted.learn(published.presence, ());
+                self.schedule.hurry();
+            }
+            Err(error) => self.shared.report(Attempt::RESTORE, &error.within("BAT_INSERT").into()),
+        }
+    }
+
+    /// What was polled before the profile was compared can be shown now.
+    fn show_configured(&mut self) {
+        let registers = self.shared.published().snapshot.as_ref().map(|snapshot| snapshot.registers.clone());
+        let is_configured = registers.is_some_and(|registers| self.is_configured(&registers));
+        self.shared.publish(|published| {
+            if let Some(snapshot) = &mut published.snapshot
+                && snapshot.is_configured != is_configured
+            {
+                std::sync::Arc::make_mut(snapshot).is_configured = is_configured;
+            }
+        });
+    }
+
+    /// The gauge loses what is written to it each time.
+    fn stop_restoring(&mut self) {
+        let why = format!(
+            "the gauge has lost its data memory {TRIES} times right after the profile was written to it, so it is not \
+             written any more: it resets as soon as it is configured; check its supply, and whether the profile is for \
+             this part; after that, unplug the gauge or restart the mount"
+        );
+        let error = Error::new("profile", Cause::NotNow(why)).at(Step::Restore);
+        self.shared.report(Attempt::RESTORE, &error);
+        self.memory.loss = Loss::Stopped;
+        self.show_configured();
+    }
+
+    /// The profile could not be written; it is tried again.
+    fn still_owed(&mut self, error: &ti_gauge::error::Error, attempts: u32) {
+        let owed = error.facts().owed;
+        let why = format!("{error}; tried again with the next poll");
+        let error = Error::new("profile", Cause::NotNow(why)).owing(owed);
+        let line = error.to_string();
+        match &self.memory.loss {
+            // In the log only once.
+            Loss::Owed { failure, .. } if *failure == line => self.shared.record(Attempt::RESTORE, &error),
+            _ => self.shared.report(Attempt::RESTORE, &error),
+        }
+        self.memory.loss = Loss::Owed { attempts: attempts.saturating_add(1), failure: line };
+        self.show_configured();
+        let interval = self.shared.published().interval;
+        self.schedule.try_again(self.gauge.clock.now(), attempts, interval);
+    }
+}
+
+/// The subcommand for which a gauge with this profile waits before it gauges.
+fn waits_for_insertion(chip: &Chip, profile: &[Change]) -> Option<u16> {
+    let insert =
+        chip.subcommands.iter().find(|subcommand| subcommand.name == "BAT_INSERT" && subcommand.sealed)?;
+    let waits = |change: &Change| {
+        let bit = change.row()?.1.bits.iter().find(|bit| bit.name == "BIE")?;
+        let word = change.bytes().iter().fold(0, |word: u16, &byte| word << 8 | u16::from(byte));
+        Some(word & bit.mask == 0)
+    };
+    profile.iter().find_map(waits)?.then_some(insert.code)
+}
+
+/// Whether the registers show that data memory was lost.
+fn reports_loss(chip: &Chip, registers: &Registers) -> bool {
+    let flags = chip.register(Role::Flags).and_then(|flags| registers.value(flags));
+    flags.zip(chip.volatile).is_some_and(|(flags, lost)| flags & i64::from(lost) != 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Settings, Startup, operations as op};
+    use super::*;
+    use gauge_bus::clock::Clock as _;
+    use gauge_bus::{Bus, BusError};
+    use gauge_sim::{Sim, SimBus};
+    use std::sync::{Arc, Mutex};
+    use ti_gauge::chip::CHIPS;
+    use ti_gauge::image::Image;
+
+    const CAPACITY: i64 = 1234;
+
+    /// The rows of the Design Capacity of parts with RAM.
+    fn parts() -> impl Iterator<Item = &'static Chip> {
+        CHIPS.iter().copied().filter(|chip| chip.volatile.is_some())
+    }
+
+    fn profile(chip: &'static Chip, more: &str) -> Vec<Change> {
+        let rows =
+            chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+        let row = rows.into_iter().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
+        let name = chip.name_of(row);
+        let (group, name) = name.split_once('/').expect("a group and a name");
+        let image = format!("chip = \"{}\"\n[{group}]\n{name} = {CAPACITY}\n{more}", chip.name);
+        let image = Image::parse(&image, Some(chip)).expect("an image");
+        image.to_restore().expect("values in range")
+    }
+
+    fn rig(chip: &'static Chip, more: &str) -> Rig {
+        let settings = Settings { profile: profile(chip, more), ..Settings::default() };
+        let mut rig = Rig::of(chip.name, settings, Startup::default());
+        rig.start().expect("it answers");
+        rig.poll_after(INTERVAL);
+        rig.poll_after(INTERVAL);
+        rig
+    }
+
+    fn lose_power(sim: &Sim) {
+        sim.set("power", "off").expect("a knob");
+        sim.set("power", "on").expect("a knob");
+    }
+
+    /// What DesignCapacity() shows to whoever is shown anything.
+    fn shown(rig: &Rig) -> Option<i64> {
+        let published = rig.handle.published();
+        let snapshot = published.snapshot.as_ref().filter(|snapshot| snapshot.is_configured)?;
+        snapshot.value(rig.handle.chip().register(Role::ChargeFullDesign)?)
+    }
+
+    #[test]
+    fn a_profile_is_written_before_anything_else_is_shown() {
+        for chip in parts() {
+            let mut rig = rig(chip, "");
+            let register = chip.register(Role::ChargeFullDesign);
+            assert_eq!(shown(&rig), register.map(|_| CAPACITY), "{}", chip.name);
+            for _ in 0..2 {
+                lose_power(&rig.sim);
+                rig.clock.sleep(Duration::from_secs(3));
+                for _ in 0..3 {
+                    rig.poll_after(Duration::from_secs(1));
+                    let shown = shown(&rig);
+                    assert!(shown.is_none() || shown == Some(CAPACITY), "{}: {shown:?}", chip.name);
+                }
+                assert_eq!(shown(&rig), register.map(|_| CAPACITY), "{}", chip.name);
+                assert_eq!(&*rig.handle.published().last_error, "", "{}", chip.name);
+            }
+        }
+    }
+
+    /// The gauge resets whenever CONFIG UPDATE is left.
+    struct Resets {
+        bus: SimBus,
+        sim: Arc<Mutex<Option<Sim>>>,
+    }
+
+    impl Bus for Resets {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            let outcome = self.bus.transfer(write, read);
+            if matches!(write, [0x00, 0x42 | 0x91, 0x00])
+                && let Some(sim) = &*self.sim.lock().expect("no panic")
+            {
+                lose_power(sim);
+            }
+            outcome
+        }
+    }
+
+    #[test]
+    fn a_gauge_that_resets_as_soon_as_it_is_configured_is_left_alone_after_three_tries() {
+        for chip in parts() {
+            let sim = Arc::new(Mutex::new(None));
+            let settings = Settings { profile: profile(chip, ""), ..Settings::default() };
+            let wrap = |bus| -> Box<dyn Bus> { Box::new(Resets { bus, sim: sim.clone() }) };
+            let mut rig = Rig::on(chip.name, settings, Startup::default(), wrap);
+            *sim.lock().expect("no panic") = Some(rig.sim.clone());
+            lose_power(&rig.sim);
+            rig.clock.sleep(Duration::from_secs(3));
+            rig.start().expect("it answers");
+            let mut modes = 0;
+            for _ in 0..30 {
+                rig.poll_after(INTERVAL);
+                let resets = Statistics::read(&rig.owner.gauge.statistics.resets);
+                modes = resets.max(modes);
+            }
+            // A try that fails without a flag that shows why is undone, too.
+            assert!((3..=6).contains(&modes), "{}: {modes}", chip.name);
+            let error = rig.handle.published().last_error.to_string();
+            assert!(
+                error.contains("3 times") && error.contains("not written any more"),
+                "{}: {error}",
+                chip.name
+            );
+            assert_eq!(shown(&rig), None, "{}", chip.name);
+            // It is tried anew when it was away.
+            *sim.lock().expect("no panic") = None;
+            rig.sim.set("power", "off").expect("a knob");
+            for _ in 0..3 {
+                rig.poll_after(INTERVAL);
+            }
+            rig.sim.set("power", "on").expect("a knob");
+            for _ in 0..3 {
+                rig.poll_after(INTERVAL);
+            }
+            assert_eq!(shown(&rig), chip.register(Role::ChargeFullDesign).map(|_| CAPACITY), "{}", chip.name);
+        }
+    }
+
+    #[test]
+    fn a_flag_that_somebody_has_cleared_hides_no_loss() {
+        for chip in parts().filter(|chip| chip.volatile != Some(0)) {
+            let mut rig = rig(chip, "");
+            rig.sim.set("power", "off").expect("a knob");
+            rig.poll_after(INTERVAL);
+            rig.sim.set("power", "on").expect("a knob");
+            rig.clock.sleep(Duration::from_secs(3));
+            let mut other = rig.sim.bus();
+            for word in [0x13, 0x42] {
+                other.transfer(&[0x00, word, 0x00], &mut []).expect("it is acknowledged");
+                rig.clock.sleep(Duration::from_secs(3));
+            }
+            for _ in 0..3 {
+                rig.poll_after(INTERVAL);
+            }
+            assert_eq!(shown(&rig), chip.register(Role::ChargeFullDesign).map(|_| CAPACITY), "{}", chip.name);
+        }
+    }
+
+    /// Another value than the part's own is no loss, where a flag would show one.
+    #[test]
+    fn a_value_that_somebody_has_set_stays_while_the_gauge_keeps_its_memory() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let mut rig = rig(chip, "");
+        let row = chip.row("82", "10").expect("Design Capacity");
+        rig.ask(&op::WRITE, vec![Change::parse(row, b"2000", false).expect("it fits")]).expect("UNSEALED");
+        rig.ask(&op::REFRESH, ()).expect("it answers");
+        rig.owner.memory.is_doubtful();
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        assert_eq!(shown(&rig), Some(2000));
+        lose_power(&rig.sim);
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        assert_eq!(shown(&rig), Some(CAPACITY));
+    }
+
+    #[test]
+    fn what_the_gauge_has_learned_is_no_sign_of_a_loss() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let mut rig = rig(chip, "qmax-cell-0 = 15000\n");
+        rig.sim.set_flash(82, 0, &17_000_u16.to_be_bytes());
+        rig.owner.memory.is_doubtful();
+        let before = rig.sim.flash();
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        assert!(rig.sim.flash() == before);
+    }
+
+    #[test]
+    fn a_gauge_that_loses_its_power_every_ten_seconds_is_configured_each_time() {
+        for chip in parts() {
+            let mut rig = rig(chip, "");
+            for round in 0..20 {
+                lose_power(&rig.sim);
+                rig.clock.sleep(Duration::from_secs(3));
+                rig.poll_after(Duration::ZERO);
+                rig.poll_after(Duration::from_secs(1));
+                rig.poll_after(Duration::from_secs(2));
+                let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
+                assert_eq!(shown(&rig), expected, "{}, round {round}", chip.name);
+            }
+        }
+    }
+
+    /// `[BIE]` is bit 13 of OpConfig, and `[BAT_DET]` bit 3 of Flags().
+    #[test]
+    fn a_gauge_that_waits_for_a_battery_is_told_of_it() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let flags = |rig: &Rig| {
+            let published = rig.handle.published();
+            published.snapshot.as_ref().and_then(|snapshot| snapshot.value(chip.register(Role::Flags)?))
+        };
+        for (config, is_sent) in [("0x05f8", true), ("0x25f8", false)] {
+            let mut rig = rig(chip, &format!("[registers]\nopconfig = {config}\n"));
+            rig.sim.keep_log(true);
+            lose_power(&rig.sim);
+            for _ in 0..4 {
+                rig.poll_after(Duration::from_secs(3));
+            }
+            let sent = rig.sim.log().iter().filter(|record| record.write == [0x00, 0x0C, 0x00]).count();
+            assert_eq!(sent, usize::from(is_sent), "{config}");
+            assert!(flags(&rig).is_some_and(|flags| flags & 8 != 0), "{config}");
+            // What somebody else says afterwards counts.
+            rig.sim.bus().transfer(&[0x00, 0x0D, 0x00], &mut []).expect("BAT_REMOVE");
+            for _ in 0..4 {
+                rig.poll_after(INTERVAL);
+            }
+            assert_eq!(flags(&rig).is_some_and(|flags| flags & 8 == 0), is_sent, "{config}");
+        }
+    }
+}
