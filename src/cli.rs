@@ -26,6 +26,7 @@ mod export;
 mod get;
 mod import;
 mod keys;
+mod learned;
 mod lint;
 mod list;
 mod manual;
@@ -79,6 +80,7 @@ enum Command {
     Diff(diff::Diff),
     Lint(lint::Lint),
     Settle(settle::Settle),
+    Learned(learned::Learned),
     Bringup(bringup::BringUp),
     Calibrate(calibrate::Calibrate),
     Auth(auth::Auth),
@@ -134,6 +136,7 @@ impl Command {
             Self::Diff(command) => command.run(),
             Self::Lint(command) => command.run(),
             Self::Settle(command) => command.run(),
+            Self::Learned(command) => command.run(),
             Self::Bringup(command) => command.run(),
             Self::Calibrate(command) => command.run(),
             Self::Auth(command) => command.run(),

@@ -42,6 +42,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) replay: Option<PathBuf>,
     pub(crate) byte_writes: bool,
     pub(crate) profile: Option<PathBuf>,
+    pub(crate) pack: Option<String>,
     pub(crate) name: Option<String>,
     pub(crate) poll: Option<Duration>,
     pub(crate) energy: bool,
@@ -191,6 +192,18 @@ impl Options for GaugeOptions {
             not_with: &["replay", "profile"],
             of: "profile",
             sample: "'image'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "pack",
+            effect: Effect::Text("NAME", |to, text| put(&mut to.pack, values::name(text))),
+            doc: "Name of a pack that is never exchanged unnoticed: after a loss of power a gauge without flash gets back \
+                  what it has learned, with its profile",
+            more: "What is learned is saved in any case; without a name `gaugefs learned` shows and restores it.",
+            heading: GAUGE,
+            at: ONE_MOUNTED,
+            not_with: &["replay"],
+            sample: "'BUILT-IN'",
             ..Opt::NEW
         },
         Opt {

@@ -41,6 +41,7 @@ impl GaugeOptions {
             },
             auth_order: self.auth_order.unwrap_or_default(),
             profile: self.profile.clone(),
+            pack: self.pack.clone(),
             trace: self.trace.clone(),
             trace_replace: self.trace_replace,
             ..usual

@@ -52,6 +52,7 @@ static FILES: &[File] = &[
     file("auth_order", Mode::Public, auth_order),
     file("owed", Mode::Public, owed),
     asks(&op::SETTLE, Mode::ReadWrite, settling),
+    asks(&op::LEARNED, Mode::ReadWrite, learned),
     asks(&op::CALIBRATE, Mode::Write, |gauge| can_calibrate(gauge).then(String::new)),
     file("calibration", Mode::Read, |gauge| {
         can_calibrate(gauge).then(|| gauge.published().calibration.to_string())
@@ -302,6 +303,16 @@ fn settling(gauge: &Supply) -> Option<String> {
         (true, false) => line(&published.owed),
         (true, true) => line("nothing to settle"),
     }
+}
+
+/// What is kept of what a gauge with RAM has learned.
+fn learned(gauge: &Supply) -> Option<String> {
+    let published = gauge.published();
+    let told = match published.learned.is_empty() {
+        true => "write show, restore or forget\n".to_string(),
+        false => published.learned.to_string(),
+    };
+    Some(told).filter(|_| gauge.has_own_table() && gauge.chip().volatile.is_some())
 }
 
 /// The registers that have been read, except Control() and the block-access window.

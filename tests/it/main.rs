@@ -11,6 +11,7 @@ mod documents;
 mod ends;
 #[cfg(feature = "screen")]
 mod events;
+mod forgetful;
 mod house;
 mod input;
 mod keys;

@@ -22,6 +22,8 @@ fn printing<'a>(
         "umount" | "wait" | "events" | "attach" | "sim-inside" | "detach" | "check-keys" => return None,
         // It serves on when it has printed its line; `bus.rs` has its test.
         "sim" => return None,
+        // A gauge with RAM has something to tell, which is printed as what is to settle; `forgetful.rs` has its test.
+        "learned" => return None,
         // They need a bus.
         "probe" | "rescue" => return None,
         // Its steps are printed as those of a calibration are.

@@ -57,9 +57,9 @@ pub use opening::{Opening, Ready};
 #[cfg(feature = "rig")]
 pub use owner::rig;
 pub use owner::{
-    Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Operation, Origin, Presence,
-    Published, Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, operations, readable, spawn,
-    start,
+    Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Learned, Operation, Origin,
+    Presence, Published, Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, Wish, operations,
+    readable, spawn, start,
 };
 pub use setup::GaugeSetup;
 pub use source::{Opened, Script, Source, of_sim, recorded};

@@ -6,7 +6,7 @@
 //!
 //! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
 //! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
-//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `poll` reads its registers, `report` records all
+//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `learned` keeps what it has learned, `poll` reads its registers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
@@ -38,6 +38,7 @@ mod calibrate;
 mod debt;
 mod direct;
 mod handle;
+mod learned;
 mod memory;
 mod now;
 mod operation;
@@ -55,6 +56,7 @@ use debt::Debt;
 pub use direct::Direct;
 use handle::Shared;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
+pub use learned::{Learned, Wish};
 use memory::Memory;
 use now::Content;
 pub use now::Presence;
@@ -91,6 +93,8 @@ pub struct Settings {
     pub journal: Option<Journal>,
     /// Saves the configuration before the first write; `None` for not at all.
     pub backup: Option<Backup>,
+    /// Keeps what a gauge with RAM has learned.
+    pub learned: Option<Learned>,
 }
 
 impl Default for Settings {
@@ -106,6 +110,7 @@ impl Default for Settings {
             profile: Vec::new(),
             journal: None,
             backup: None,
+            learned: None,
         }
     }
 }
@@ -198,6 +203,8 @@ struct Owner {
     memory: Memory,
     /// See [`Settings::backup`].
     backup: Option<Backup>,
+    /// See [`Settings::learned`], of a gauge with RAM.
+    learned: Option<Learned>,
     /// The configuration of this gauge is saved.
     backed_up: Fact<(), Presence>,
     /// See [`Startup::unverified`].
@@ -239,6 +246,7 @@ impl Owner {
             unmeasured: 0,
             memory: Memory::new(settings.profile),
             backup: settings.backup,
+            learned: settings.learned.filter(|_| chip.volatile.is_some()),
             backed_up: Fact::default(),
             unverified: startup.unverified,
             missing: startup.missing,

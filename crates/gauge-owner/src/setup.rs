@@ -9,7 +9,7 @@ use nix::errno::Errno;
 use crate::error::{Error, Result};
 use crate::folders;
 use crate::key_file;
-use crate::owner::{Backup, Settings};
+use crate::owner::{Backup, Learned, Settings};
 use crate::source::Source;
 use gauge_bus::trace;
 use ti_gauge::authentication::Order;
@@ -40,6 +40,8 @@ pub struct GaugeSetup {
     pub auth_order: Order,
     /// Image that a gauge without flash gets again after it has lost power.
     pub profile: Option<PathBuf>,
+    /// The name of a pack that is never exchanged unnoticed.
+    pub pack: Option<String>,
     /// File in which every transfer is recorded.
     pub trace: Option<PathBuf>,
     /// That file may be there already, and is replaced.
@@ -59,6 +61,7 @@ impl GaugeSetup {
             limits: Limits::default(),
             auth_order: Order::default(),
             profile: None,
+            pack: None,
             trace: None,
             trace_replace: false,
         }
@@ -116,6 +119,7 @@ impl GaugeSetup {
             limits: self.limits,
             auth_order: self.auth_order,
             profile: self.profile(chip)?,
+            learned: place.clone().map(|(folder, key)| Learned::new(folder, key, self.pack.clone())),
             journal: place
                 .clone()
                 .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),

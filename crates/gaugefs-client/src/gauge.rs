@@ -171,6 +171,14 @@ impl Gauge {
         Ok(with_path(&told, &self.folder))
     }
 
+    /// What is kept of what the gauge has learned, after `show`, `restore` or `forget`.
+    pub fn learned(&self, wish: &str) -> Result<String> {
+        const FILE: &str = "gauge/learned";
+        self.check_has(FILE, "data memory in RAM")?;
+        self.send(FILE, wish.as_bytes()).map_err(|error| error.doing("cannot be done"))?;
+        self.text(FILE).map_err(|error| error.doing("cannot read what was learned"))
+    }
+
     /// Whether something is owed: a seal, or a write that is neither done nor undone.
     pub fn is_owed(&self) -> bool {
         self.text(OWED).is_ok_and(|owed| is_set(&owed))

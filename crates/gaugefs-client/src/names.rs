@@ -99,6 +99,7 @@ static FILES: &[(&str, &str)] = &[
     ("auth_order", ""),
     ("owed", ""),
     ("settle", ""),
+    ("learned", ""),
     ("report", ""),
     ("voltage_scale", ""),
     ("current_scale", ""),

@@ -33,7 +33,7 @@ pub use beliefs::{BELIEFS, Belief};
 pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
-pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Subclass};
+pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
 pub use recognise::{Limited, Recognised, recognise};
 
@@ -817,6 +817,16 @@ impl Chip {
         let offset: u16 = text::unsigned(offset)?;
         let mut alike = self.subclasses.iter().filter(|row| row.id == id);
         alike.find_map(|row| Some((row, row.parameter(offset)?)))
+    }
+
+    /// With what a value stays when packs are exchanged, or a configuration is copied.
+    pub fn stays(&self, (subclass, parameter): Row) -> Stays {
+        match subclass.class {
+            "Calibration" => Stays::Board,
+            _ if subclass.is_chemistry() => Stays::Cell,
+            _ if parameter.learned => Stays::Pack,
+            _ => Stays::Design,
+        }
     }
 
     /// The parameter at an offset of the subclass of that id, or with [`FLAT`] at an address.

@@ -37,6 +37,9 @@ impl Attempt {
     /// To write the profile.
     pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
 
+    /// To save what the gauge has learned.
+    pub(super) const LEARNED: Self = Self::Operation("save what was learned", Importance::Reading);
+
     pub(super) fn importance(&self) -> Importance {
         match self {
             Attempt::Operation(_, importance) => *importance,

@@ -78,6 +78,8 @@ pub struct Published {
     pub owed_since: Timestamp,
     /// What is known of an interrupted write, since somebody last asked; empty until then.
     pub settling: Arc<str>,
+    /// What is kept of what the gauge has learned, since somebody last asked; empty until then.
+    pub learned: Arc<str>,
     /// The steps of the last calibration, and what it has reached; empty for none.
     pub calibration: Arc<str>,
     /// The last report that somebody has asked for.
@@ -174,6 +176,7 @@ impl Shared {
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),
+            learned: "".into(),
             calibration: "".into(),
             report: None,
         };

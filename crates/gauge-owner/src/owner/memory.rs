@@ -28,6 +28,8 @@ pub(super) struct Memory {
     lost_again: u32,
     /// The gauge was told that it has a battery.
     inserted: Fact<(), Presence>,
+    /// When what it has learned was last looked at.
+    pub(super) last_look: Option<Duration>,
 }
 
 /// The loss of the configuration.
@@ -55,7 +57,17 @@ impl Memory {
             design: None,
             lost_again: 0,
             inserted: Fact::default(),
+            last_look: None,
         }
+    }
+
+    pub(super) fn profile(&self) -> &[Change] {
+        &self.profile
+    }
+
+    /// Whether no loss of it is known, and it is configured.
+    pub(super) fn is_kept(&self) -> bool {
+        matches!(self.loss, Loss::None) && !self.profile.is_empty()
     }
 
     /// A gauge has come, or come back.
@@ -101,6 +113,7 @@ impl Owner {
     pub(super) fn keep_configured(&mut self) {
         self.repair_memory();
         self.tell_of_battery();
+        self.save_learned();
     }
 
     fn repair_memory(&mut self) {
@@ -158,7 +171,7 @@ impl Owner {
     }
 
     fn write_profile(&mut self, attempts: u32, is_lost: bool) {
-        let profile = self.memory.profile.clone();
+        let (profile, learned) = self.profile_with_learned();
         let ended = Statistics::read(&self.gauge.statistics.resets);
         let outcome = self.dataflash.restore(&mut self.gauge, &profile, is_lost, Duration::ZERO);
         let outcome = self.noted(outcome);
@@ -179,8 +192,10 @@ impl Owner {
                 }
                 self.memory.design = None;
                 self.log_written(&profile, &outcome);
+                let learned = learned.map(|time| format!(", with what it had learned until {time}"));
+                let learned = learned.unwrap_or_default();
                 log::info!(
-                    "{}: lost its configuration with its power; the profile is restored",
+                    "{}: lost its configuration with its power; the profile is restored{learned}",
                     self.shared.name()
                 );
                 if self.gauge.chip.volatile == Some(0) && matches!(self.memory.loss, Loss::Written) {

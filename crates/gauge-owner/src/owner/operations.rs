@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::attempt::Importance;
 use super::operation::{Asked, Operation};
-use super::{Attempt, Owner, Seal, words};
+use super::{Attempt, Owner, Seal, Wish, words};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
@@ -49,6 +49,9 @@ pub static AUTHENTICATE: Operation<Message> = Operation::new("authenticate", Own
 /// Shows what is known of an interrupted write, or settles it as somebody has decided.
 pub static SETTLE: Operation<Option<Decision>> =
     Operation::new("settle", Owner::settle_as_decided).parsed_by(words::decision).important(Importance::Owed);
+
+/// Shows what is kept of what a gauge with RAM has learned, writes it, or removes it.
+pub static LEARNED: Operation<Wish> = Operation::new("learned", Owner::keep_learned).parsed_by(words::wish);
 
 /// Calibrates the gauge, without polls meanwhile.
 pub static CALIBRATE: Operation<Job> = Operation::new("calibrate", Owner::calibrate).parsed_by(words::job);

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use super::Seal;
 use super::operation::Context;
+use super::{Seal, Wish};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::Effect;
@@ -46,6 +46,16 @@ pub(super) fn decision(_: &Context, data: &[u8]) -> Result<Option<Decision>> {
         ("finish", pack, None) => Ok(Some(Decision::Finish(pack))),
         ("discard", None, None) => Ok(Some(Decision::Discard)),
         _ => Err(bad()),
+    }
+}
+
+/// `show`, `restore` or `forget`: what somebody wants of what was learned.
+pub(super) fn wish(_: &Context, data: &[u8]) -> Result<Wish> {
+    match trimmed(data).to_ascii_lowercase().as_str() {
+        "show" => Ok(Wish::Show),
+        "restore" => Ok(Wish::Restore),
+        "forget" => Ok(Wish::Forget),
+        _ => Err(Error::new("learned", Cause::Invalid("write show, restore or forget".into()))),
     }
 }
 

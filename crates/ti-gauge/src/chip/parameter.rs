@@ -58,6 +58,19 @@ impl Subclass {
     }
 }
 
+/// With what a value stays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stays {
+    /// The board that was calibrated.
+    Board,
+    /// The type of cell: its chemistry.
+    Cell,
+    /// One pack, whose gauge has learned it.
+    Pack,
+    /// All packs of a design.
+    Design,
+}
+
 /// What a write to a subclass needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {

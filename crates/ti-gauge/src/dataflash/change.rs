@@ -133,7 +133,7 @@ impl Change {
     }
 
     /// Whether these bytes, in its place, are what the part has there by itself.
-    pub(super) fn is_default(&self, bytes: &[u8]) -> bool {
+    pub fn is_default(&self, bytes: &[u8]) -> bool {
         let Some((_, parameter)) = self.row else { return true };
         let printed = match parameter.range {
             Range::Int { default, .. } => default.map(Value::Int),

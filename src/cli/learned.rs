@@ -1,0 +1,50 @@
+//! `gaugefs learned`: what is kept of what a gauge with RAM has learned.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+
+use crate::error::Result;
+use crate::output::print;
+use gaugefs_client::Gauge;
+
+const LEARNED: &str = "\
+A gauge without flash loses with its power what Impedance Track has learned of the pack: Qmax, Ra and
+more. gaugefs saves that in --state-dir, and writes it again with the profile if the pack was named
+with --pack; no such gauge can tell its pack from another one after a loss of power. Values that
+cannot be right are not written, and this command says which.
+
+Examples:
+  gaugefs learned /run/gauges/BAT0             what is kept, from when, and whether it would be restored
+  gaugefs learned /run/gauges/BAT0 --restore   write it now, because this is the pack
+  gaugefs learned /run/gauges/BAT0 --forget    another pack is there";
+
+/// Show, restore or forget what a gauge without flash has learned
+#[derive(Args, Debug)]
+#[command(after_help = LEARNED)]
+pub(super) struct Learned {
+    /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    gauge: PathBuf,
+    /// Write the newest version to the gauge, with its profile
+    #[arg(long, conflicts_with = "forget")]
+    restore: bool,
+    /// Remove what is kept of this pack
+    #[arg(long)]
+    forget: bool,
+}
+
+impl Learned {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        let gauge = Gauge::open(&self.gauge)?;
+        let wish = match (self.restore, self.forget) {
+            (true, _) => "restore",
+            (_, true) => "forget",
+            _ => "show",
+        };
+        let told = gauge.learned(wish)?;
+        // What was asked for is done, whether it can be printed or not.
+        print(&told).map_err(|error| error.within(told.trim_end()))?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
